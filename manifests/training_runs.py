@@ -35,6 +35,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        mixture of two maps and one half by a computed sky or room
     photograph         whether pictures are augmented as photographs need it: exposure, shift, an
                        inexact mask, noise, JPEG
+    unknown_camera     whether relit pictures are lit as if the camera's elevation, −10° to 60°, and
+                       its roll, up to 15°, were unknown; for geometry of several cameras, and for
+                       photographs
     shadows            share of relit training pictures with the object's soft shadows on itself and
                        one bounce of light (learn.data.shadows)
     gloss_curriculum   number of batches over which relit materials are admitted in order of gloss,
@@ -51,6 +54,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
+    unknown_camera: bool = False
     shadows: Annotated[float, Meta(ge=0, le=1)] = 0.0
     gloss_curriculum: CountOrZero = 0
     validation_lights: tuple[str, ...] = ()

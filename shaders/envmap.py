@@ -64,6 +64,35 @@ def roll(L: Array, texels: int) -> Array:
     return xp.roll(L, texels, -2) if xp is not np else np.roll(L, texels, axis=-2)
 
 
+def rotated(L: np.ndarray, rotation: np.ndarray, samples: int = 2) -> np.ndarray:
+    """Return the map L (height, width, 3) as it is seen after a rotation (3, 3) of the light.
+
+    The result's radiance from w is L's from rotationᵀ w: the mean of samples × samples points of
+    each texel, each interpolated between the four nearest texel centres. Whole texels about the
+    vertical are turned exactly by `roll`.
+    """
+    height, width = L.shape[:2]
+    w, _ = directions(height * samples, width * samples)
+    source = w @ rotation  # rows are rotationᵀ w
+    row = np.arctan2(np.hypot(source[..., 0], source[..., 2]), source[..., 1]) / np.pi * height
+    column = np.arctan2(source[..., 2], source[..., 0]) / (2 * np.pi) * width
+    half = width // 2
+    # beyond a pole lies the row next to it, half a circle away
+    padded = np.concatenate([np.roll(L[:1], half, 1), L, np.roll(L[-1:], half, 1)])
+    row, column = row + 0.5, column - 0.5
+    top, left = np.floor(row).astype(int).clip(0, height), np.floor(column).astype(int)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    values = sum(
+        (down if i else 1 - down)
+        * (right if j else 1 - right)
+        * padded[top + i, (left + j) % width]
+        for i in (0, 1)
+        for j in (0, 1)
+    )
+    fine = np.asarray(values).reshape(height, samples, width, samples, -1)
+    return fine.mean((1, 3)).astype(L.dtype)
+
+
 def mean_radiance(L: np.ndarray) -> np.ndarray:
     """Return the mean (3,) of L (height, width, 3) over solid angle, in the memory of BAND rows."""
     weight = row_solid_angles(*L.shape[:2])[:, None, None] / (4 * np.pi)

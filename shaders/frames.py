@@ -83,3 +83,23 @@ def view_vectors(
         v[..., 1] = -(y - focus[1]) * np.tan(fov / 2)
         v /= np.linalg.norm(v, axis=-1, keepdims=True)
     return v
+
+
+def turned_to_viewer(n: np.ndarray, v: np.ndarray, back: bool = False) -> np.ndarray:
+    """Return vectors n (..., 3), camera frame, in the frame of the ray of each pixel.
+
+    The rotation is the smallest one that takes the direction to the viewer v (..., 3), unit length,
+    v_z > −1, to +z. A distant viewer's n_z is the cosine between normal and viewer; so is that of
+    the result in perspective. For v = (0, 0, 1) it is n.
+
+    back  whether to rotate from the frame of the ray to the camera frame instead
+    """
+    x, y, z = (v[..., i : i + 1] for i in range(3))
+    if back:
+        x, y = -x, -y
+    # v × z is (y, −x, 0), as long as the sine of the angle
+    first = np.concatenate([-x * n[..., 2:], -y * n[..., 2:], x * n[..., :1] + y * n[..., 1:2]], -1)
+    again = np.concatenate(
+        [-x * first[..., 2:], -y * first[..., 2:], x * first[..., :1] + y * first[..., 1:2]], -1
+    )
+    return n + first + again / (1.0 + z)

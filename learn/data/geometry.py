@@ -44,7 +44,8 @@ from manifests.arrays import (
 from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
-from manifests.schema import Record, View
+from manifests.schema import Camera, Record, View
+from shaders.frames import ELEVATION, turned_to_viewer, view_vectors
 
 UNIT_TOLERANCE = 1e-2  # of |n|; files keep it to 1e-4
 LARGEST_JSON = 256 << 20  # bytes: 70 per view
@@ -69,13 +70,19 @@ class PackedView:
 
 
 class Geometry:
-    """The views of a data set that was rendered with one orthographic camera.
+    """The views of a data set, rendered by one orthographic camera or by several cameras.
 
+    Networks and layer assume a distant viewer. Normals of a view in perspective are therefore
+    turned, at each pixel, by the smallest rotation that takes the direction to the viewer to +z.
+
+    elevation       of the one camera, radians; of several, the preset one, for then the light is
+                    given in the frame that lies below the camera by that angle
+    several         whether there are several cameras, or one with perspective or roll
     skip_bad  whether damaged geometry is left out and listed in `skipped`, {hash: what is wrong};
               otherwise the first damaged file raises
     depth     whether `depth` is needed too
-    Raises    InputError: no data set, nothing rendered, cameras of several sizes or with
-              perspective; damaged geometry when it is packed
+    Raises    InputError: no data set, nothing rendered, pictures of several sizes; damaged geometry
+              when it is packed
     """
 
     def __init__(
@@ -98,16 +105,24 @@ class Geometry:
                 f"render some: python -m factory render geometry --out {folder}",
             )
         chosen = sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
-        cameras = {(r.camera.size, r.camera.fov_deg, r.camera.elevation_deg) for r in chosen}
-        if len(cameras) > 1 or chosen[0].camera.fov_deg is not None:
+        cameras = {r.camera for r in chosen}
+        sizes = sorted({camera.size for camera in cameras})
+        if len(sizes) > 1:
             raise InputError(
                 folder,
-                "one orthographic camera everywhere",
-                f"{sorted(map(str, cameras))}",
-                "render them with one job",
+                "pictures of one size",
+                f"{sizes}",
+                "render them with one size",
             )
-        self.folder, self.size = Path(folder), chosen[0].camera.size
-        self.elevation = float(np.radians(chosen[0].camera.elevation_deg))
+        first_camera = chosen[0].camera
+        self.several = (
+            len({(camera.fov_deg, camera.elevation_deg, camera.roll_deg) for camera in cameras}) > 1
+            or first_camera.fov_deg is not None
+            or first_camera.roll_deg != 0
+        )
+        self.folder, self.size = Path(folder), first_camera.size
+        elevation_deg = np.degrees(ELEVATION) if self.several else first_camera.elevation_deg
+        self.elevation = float(np.radians(elevation_deg))
         shapes = records.dataset.shapes
         missing = sorted({r.shape for r in chosen} - set(shapes))
         if missing:
@@ -149,7 +164,10 @@ class Geometry:
         return len(self.views)
 
     def normals(self, index: int) -> np.ndarray:
-        """Return unit normals (H, W, 3) float32, camera frame; 0 in the background."""
+        """Return unit normals (H, W, 3) float32; 0 in the background.
+
+        They are in the camera frame, and in perspective in that of each pixel's ray.
+        """
         n, segments = self._arrays()[:2]
         return unpack_normals(n[index], segments[index] > 0)
 
@@ -287,7 +305,15 @@ class Geometry:
             raise InputError(
                 where, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", remedy
             )
+        if record.camera.fov_deg is not None:
+            normals = turned_to_viewer(normals, view_vectors_of(record.camera))
         return normals, depth, segments
+
+
+def view_vectors_of(camera: Camera) -> np.ndarray:
+    """Return the unit vector (H, W, 3) from each pixel's surface to the camera, camera frame."""
+    fov = None if camera.fov_deg is None else np.radians(camera.fov_deg)
+    return view_vectors(*camera.size, fov=fov).astype(np.float32)
 
 
 def _sum(path: Path) -> int:

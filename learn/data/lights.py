@@ -16,11 +16,14 @@ from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import envmap
+from shaders.frames import camera_from_light
 
 HEIGHT, WIDTH, _ = LIGHT_SHAPE
 LARGEST_FILE = 256 << 20
 LARGEST_MAP = 1 << 20  # bytes: four times what a map of doubles takes
 MOST_MAPS = 4096  # together 400 MB in memory
+UNKNOWN_ELEVATION_DEG = (-10.0, 60.0)  # as the job geometry-general draws its cameras
+UNKNOWN_ROLL_DEG = (-15.0, 15.0)
 BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
 
 
@@ -83,6 +86,18 @@ def draw(rng: np.random.Generator, maps: Sequence[np.ndarray], real: float) -> n
     else:
         L = computed(rng)
     return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
+
+
+def tilted(rng: np.random.Generator, L: np.ndarray) -> np.ndarray:
+    """Return a light as a camera of unknown elevation and roll sees it, of unit mean luminance.
+
+    The result is in the frame that lies below the camera by the preset elevation, whatever the
+    camera's own elevation and roll: nothing in a photograph says where the horizon is.
+    """
+    elevation = np.radians(rng.uniform(*UNKNOWN_ELEVATION_DEG))
+    roll = np.radians(rng.uniform(*UNKNOWN_ROLL_DEG))
+    rotation = camera_from_light().T @ camera_from_light(elevation, roll)
+    return envmap.unit_mean(envmap.rotated(L, rotation))[0].astype(np.float32)
 
 
 def computed(rng: np.random.Generator) -> np.ndarray:

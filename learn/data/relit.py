@@ -137,6 +137,8 @@ class RelitDataset:
         )
         if training:
             L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
+            if self.data.unknown_camera:
+                L = lights.tilted(rng, L)
         else:
             L = np.roll(
                 self.data_split.maps[rng.integers(len(self.data_split.maps))],

@@ -94,6 +94,13 @@ class RenderedDataset:
         self.data_split, self.rendered_split = data_split, data_split.rendered_split
         self.data, self.size, self.seed, self.batch = data, size, seed, batch
         geometry = self.rendered_split.geometry
+        if geometry.several:
+            raise InputError(
+                geometry.folder,
+                "pictures by one orthographic camera without roll",
+                "several cameras, perspective or roll",
+                "render them with a job without fov_deg, roll_deg and camera_ranges",
+            )
         if any(side % size for side in geometry.size):
             result = f"{geometry.size[0]} × {geometry.size[1]}"
             raise InputError(

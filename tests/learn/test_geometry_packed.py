@@ -4,6 +4,7 @@ stale.
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from learn.data.geometry import Geometry
 from learn.data.records import Records
@@ -11,7 +12,7 @@ from learn.data.sources import without_duplicates
 from manifests import exr
 from manifests.errors import InputError
 from manifests.store import Lines
-from shaders import envmap
+from shaders import envmap, frames
 from tests.support import synthetic
 
 
@@ -59,6 +60,42 @@ def test_a_new_view_makes_the_pack_anew(store):
     geometry = Geometry(store.folder, progress=False)
     assert len(geometry) == 2
     np.testing.assert_array_equal(geometry.normals(0), geometry.normals(1))
+
+
+def test_normals_in_perspective_are_those_of_each_pixels_ray(tmp_path, rng):
+    """n_z is then the cosine to the viewer, as for the distant viewer that networks assume."""
+    store = synthetic.write_dataset(
+        tmp_path, [synthetic.matte()], rng, seeds=1, rotations=(0,), fov_deg=50.0
+    )
+    geometry, records = Geometry(store.folder, progress=False), Records(store.folder)
+    n, _, segments = records.geometry(records.records[0])
+    view = frames.view_vectors(24, 24, fov=np.radians(50.0))
+    inside = segments > 0
+    cosine = (n * view).sum(-1)[inside]
+    np.testing.assert_allclose(geometry.normals(0)[inside][:, 2], cosine, atol=1e-2)
+    assert np.abs(cosine - n[inside][:, 2]).max() > 0.1
+    assert geometry.several
+
+
+def test_several_cameras_are_given_the_preset_elevation(store):
+    """The light is then given in the frame below the camera by that angle."""
+    assert not Geometry(store.folder, progress=False).several
+    record = next(store.records())
+    camera = structs.replace(record.camera, elevation_deg=50.0, roll_deg=5.0)
+    other = structs.replace(record, camera=camera)
+    append(store, synthetic.view_of(store, other, viewpoint=3))
+    geometry = Geometry(store.folder, progress=False)
+    assert len(geometry) == 2 and geometry.several
+    assert geometry.elevation == pytest.approx(np.radians(20.0))
+
+
+def test_pictures_of_several_sizes_are_refused(store):
+    record = next(store.records())
+    camera = structs.replace(record.camera, size=(48, 48))
+    other = structs.replace(record, camera=camera)
+    append(store, synthetic.view_of(store, other, viewpoint=3))
+    with pytest.raises(InputError, match="pictures of one size"):
+        Geometry(store.folder, progress=False)
 
 
 def test_normals_that_are_not_unit_are_refused_with_the_file_named(store):
