@@ -37,6 +37,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        inexact mask, noise, JPEG
     gloss_curriculum   number of batches over which relit materials are admitted in order of gloss,
                        beginning with the mattest third; 0: all from the start
+    measured_lights    whether the 26 measured maps that come with the program
+                       (manifests.measured_lights) are added to the data set's own lights
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -50,6 +52,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
     gloss_curriculum: CountOrZero = 0
+    measured_lights: bool = False
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 
