@@ -42,6 +42,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        one bounce of light (learn.data.shadows)
     gloss_curriculum   number of batches over which relit materials are admitted in order of gloss,
                        beginning with the mattest third; 0: all from the start
+    measured_lights    whether the 26 measured maps that come with the program
+                       (manifests.measured_lights) are added to the data set's own lights
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -57,6 +59,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     unknown_camera: bool = False
     shadows: Annotated[float, Meta(ge=0, le=1)] = 0.0
     gloss_curriculum: CountOrZero = 0
+    measured_lights: bool = False
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

@@ -93,6 +93,15 @@ def rotated(L: np.ndarray, rotation: np.ndarray, samples: int = 2) -> np.ndarray
     return fine.mean((1, 3)).astype(L.dtype)
 
 
+def from_file_columns(L: Array) -> Array:
+    """Return a map (..., height, width, 3) with a file's columns as the light frame has them.
+
+    A file's centre column lies towards Blender's world +x at rotation 0. The width must be a
+    multiple of 4.
+    """
+    return roll(L, -(L.shape[-2] // 4))
+
+
 def mean_radiance(L: np.ndarray) -> np.ndarray:
     """Return the mean (3,) of L (height, width, 3) over solid angle, in the memory of BAND rows."""
     weight = row_solid_angles(*L.shape[:2])[:, None, None] / (4 * np.pi)

@@ -1,4 +1,4 @@
-"""Lights by name: maps of the Blender wheel, computed families, a user's library folder, or a path.
+"""Lights by name: maps of the Blender wheel, measured maps, computed families, a library, a path.
 
 The wheel holds eight maps under CC0.
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 from factory.lights import files, procedural
 from factory.lights.library import entry
 from factory.lights.light import Light, from_pixels
+from manifests import measured_lights
 from manifests.errors import InputError, closest
 
 WHEEL_LICENCE = "CC0"
@@ -35,6 +36,8 @@ def load(name_or_path: str | Path, library: str | Path | None = None) -> Light:
         )
     if (wheel := wheel_maps()) and text in wheel:
         return _from_file(wheel[text], text, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[text].name}")
+    if (measured := text.replace("-", "_")) in measured_lights.credits():
+        return _measured(measured, text)
     if parsed := procedural.parse(text):
         digest = hashlib.sha256(
             f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()
@@ -53,13 +56,24 @@ def load(name_or_path: str | Path, library: str | Path | None = None) -> Light:
 
 
 def names(library: str | Path | None = None) -> list[str]:
-    """Return every name known to `load`, in a stable order: wheel, computed families, library."""
+    """Return the names that `load` knows: of the wheel, computed, measured, of the library.
+
+    Measured maps that the wheel also brings, at full size, are left out.
+    """
     own = library_maps(library) if library is not None else {}
-    return [
-        *wheel_maps(),
-        *procedural.FAMILIES,
-        *(n for n in own if n not in wheel_maps() and n not in procedural.FAMILIES),
+    wheel = wheel_maps()
+    measured = [
+        name for name in measured_lights.credits() if name.removeprefix("blender_") not in wheel
     ]
+    return list(dict.fromkeys([*wheel, *procedural.FAMILIES, *measured, *own]))
+
+
+def _measured(known: str, name: str) -> Light:
+    """Return the Light of a measured map; its 64×128 texels are all there is of it."""
+    credit, L = measured_lights.credits()[known], measured_lights.load(known)
+    digest = hashlib.sha256(b"measured light\n" + L.astype("<f4").tobytes()).hexdigest()
+    source = f"{credit.author}; {credit.source}"
+    return Light(name, L.copy(), L.copy(), 1.0, digest, credit.licence, source)
 
 
 def wheel_maps() -> dict[str, Path]:

@@ -18,6 +18,7 @@ SIZES = {  # radius in metres of the sphere about a piece of furniture
     "sofa": (0.9, 1.3), "chair": (0.45, 0.65), "table": (0.5, 1.1), "lamp": (0.3, 0.9),
     "monitor": (0.25, 0.5), "vessel": (0.1, 0.35), "cushion": (0.2, 0.4), "toy": (0.15, 0.4),
 }  # fmt: skip
+SEEDS = 12  # of each kind of furniture: at 64×128 more add nothing, and these stay in memory
 LAMP_COLOURS = ((1.0, 0.62, 0.33), (1.0, 0.78, 0.58), (1.0, 0.92, 0.84), (0.85, 0.93, 1.0))
 
 
@@ -222,7 +223,7 @@ def _piece(rng, low, high) -> Furniture:
         if np.hypot(place[0], place[1]) > radius + 0.5:
             break
     material = _paint(rng, (0.03, 0.8), 0.5)
-    spec = f"{family}:{int(rng.integers(40))}"
+    spec = f"{family}:{int(rng.integers(SEEDS))}"
     spot = (float(place[0]), float(place[1]), float(low[2]))
     return Furniture(spec, spot, radius, float(rng.uniform(0, 2 * np.pi)), material)
 

@@ -69,7 +69,7 @@ def from_pixels(
             pixels, height, width, np.float64 if height <= PRECISE else np.float32
         )
     for rows in envmap.bands(height):
-        pixels[rows] = envmap.roll(pixels[rows], -(width // 4))
+        pixels[rows] = envmap.from_file_columns(pixels[rows])
     scale = float(envmap.mean_radiance(pixels) @ tone.LUMINANCE)
     pixels /= scale
     pixels = pixels.astype(np.float32, copy=False)

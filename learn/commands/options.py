@@ -30,10 +30,13 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
 
 def add_lights(
     parser: argparse.ArgumentParser,
-    what: str = "further light maps, as arrays of shape (64, 128, 3)",
+    what: str = (
+        "further light maps: an .npz of arrays of shape (64, 128, 3), or a folder that"
+        " `factory lights make` filled"
+    ),
 ) -> None:
-    """Add --lights FILE.npz, light maps besides those of the data set."""
-    parser.add_argument("--lights", type=Path, metavar="FILE.npz", help=what)
+    """Add --lights, light maps besides those of the data set."""
+    parser.add_argument("--lights", type=Path, metavar="FILE.npz|DIR", help=what)
 
 
 def add_weights(parser: argparse.ArgumentParser) -> None:

@@ -21,6 +21,7 @@ from shaders.frames import camera_from_light
 HEIGHT, WIDTH, _ = LIGHT_SHAPE
 LARGEST_FILE = 256 << 20
 LARGEST_MAP = 1 << 20  # bytes: four times what a map of doubles takes
+SUFFIXES = (".npz", ".hdr", ".exr")  # of maps in a library
 MOST_MAPS = 4096  # together 400 MB in memory
 UNKNOWN_ELEVATION_DEG = (-10.0, 60.0)  # as the job geometry-general draws its cameras
 UNKNOWN_ROLL_DEG = (-15.0, 15.0)
@@ -28,8 +29,17 @@ BRIGHTEST = 1e30  # far beyond any unit; sums of float32 stay finite
 
 
 def read_maps(path: str | Path) -> dict[str, np.ndarray]:
-    """Return {name: L} of an .npz of (64, 128, 3) arrays. Raises InputError."""
+    """Return {name: L} of an .npz of (64, 128, 3) arrays, or of a folder of them.
+
+    An .npz file holds maps in the light frame. A folder is a library of the factory's: each .npz
+    file in it is one map with a file's columns, which become those of the light frame here; its
+    name is the file's. Maps of a library in other formats are refused.
+
+    Raises  InputError
+    """
     path = Path(path)
+    if path.is_dir():
+        return _library(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
     with archives.opened_zip(path, rule, remedy) as archive:
@@ -41,6 +51,26 @@ def read_maps(path: str | Path) -> dict[str, np.ndarray]:
         return {
             member.filename.removesuffix(".npy"): _map(archive, member, path) for member in members
         }
+
+
+def _library(folder: Path) -> dict[str, np.ndarray]:
+    """Return {name: L} of a factory's library. Raises InputError."""
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
+    if not 1 <= len(files) <= MOST_MAPS:
+        remedy = "make some: python -m factory lights make" if not files else "give fewer maps"
+        raise InputError(folder, f"1 to {MOST_MAPS} light maps", str(len(files)), remedy)
+    result = {}
+    for file in files:
+        if file.suffix.lower() != ".npz":
+            remedy = "average it to 64×128 and save it by numpy.savez"
+            raise InputError(file, "an .npz light map", f"an {file.suffix} file", remedy)
+        maps = read_maps(file)
+        if len(maps) != 1:
+            remedy = "put them into the library one by one: python -m factory lights add"
+            raise InputError(file, "one map", str(len(maps)), remedy)
+        (L,) = maps.values()
+        result[file.stem] = np.ascontiguousarray(envmap.from_file_columns(L))
+    return result
 
 
 def _map(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) -> np.ndarray:

@@ -19,7 +19,7 @@ from learn.data.relit import SIDES, DataSplit, RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.seen import map_hash
 from learn.data.settings import Data, Run
-from manifests import splits
+from manifests import measured_lights, splits
 from manifests.errors import InputError, closest
 from manifests.materials import Material, load_catalogue
 from manifests.schema import Record
@@ -53,7 +53,7 @@ def data_splits(
     their own both draw from those of training; training never sees a held-out one.
 
     folder     a data set with geometry; its lights are used too
-    maps_file  an .npz of further light maps, or None
+    maps_file  an .npz or a folder of further light maps (learn.data.lights.read_maps), or None
     pictures   a data set with records that Cycles rendered; None: `folder`, where the run needs
                pictures
     skip_bad   whether damaged files are left out and counted; otherwise the first one raises
@@ -62,9 +62,11 @@ def data_splits(
     """
     geometry = Geometry(folder, progress, skip_bad, depth=data.shadows > 0)
     records = Records(folder)
-    maps = {name: records.light(name) for name in records.dataset.lights} | (
-        {} if maps_file is None else read_maps(maps_file)
-    )
+    maps = {name: records.light(name) for name in records.dataset.lights}
+    if data.measured_lights:
+        maps |= measured_lights.load_all()
+    if maps_file is not None:
+        maps |= read_maps(maps_file)
     all_maps = maps
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
     held = _held_out(data, maps, records.dataset.lights)
