@@ -157,9 +157,7 @@ def surface_points(n: torch.Tensor, segments: torch.Tensor) -> np.ndarray:
     return points
 
 
-def cover(
-    rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.ndarray
-) -> Weights:
+def cover(rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.ndarray) -> Weights:
     """Return the weights (K, H, W) of a random pattern's K inks; they add up to at most 1.
 
     points, n  (H, W, 3); mask (H, W): the object
