@@ -15,6 +15,7 @@ Part = Literal["normals", "material", "light"]
 Weight = Annotated[float, Meta(ge=0, le=1e6)]  # of terms that are of the order of 1
 Count = Annotated[int, Meta(ge=1, le=LARGEST_COUNT)]
 CountOrZero = Annotated[int, Meta(ge=0, le=LARGEST_COUNT)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 # of pictures: networks halve them four times
 Size = Annotated[int, Meta(ge=32, le=1024, multiple_of=16)]
 
@@ -44,6 +45,14 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        beginning with the mattest third; 0: all from the start
     measured_lights    whether the 26 measured maps that come with the program
                        (manifests.measured_lights) are added to the data set's own lights
+    label_mixtures, scaled_lobes, principled   shares of relit training pictures whose material is
+                       an interpolation of two training materials' labels, a training material with
+                       scaled lobes, or a principled material; the rest, and so together at most 1,
+                       have training materials. The targets' materials have the same shares
+    principled_materials   number of principled materials that a run draws from
+    patterns           share of relit training pictures with a printed or woven pattern over the
+                       material, whose label stays the material's. Pictures that share a light have
+                       patterns together, each its own
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -60,6 +69,11 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     shadows: Annotated[float, Meta(ge=0, le=1)] = 0.0
     gloss_curriculum: CountOrZero = 0
     measured_lights: bool = False
+    label_mixtures: Share = 0.0
+    scaled_lobes: Share = 0.0
+    principled: Share = 0.0
+    principled_materials: Annotated[int, Meta(ge=1, le=8192)] = 512
+    patterns: Share = 0.0
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

@@ -49,6 +49,11 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--note", default="", metavar="TEXT", help="a note that is printed on the page"
     )
+    parser.add_argument(
+        "--printed",
+        action="store_true",
+        help="measure normals under printed patterns as well, and their ratio to those without",
+    )
     options.add_allow_overlap(parser)
     options.add_device(parser)
     parser.set_defaults(run=run)
@@ -84,6 +89,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.other_seeds,
         device,
         seen,
+        arguments.printed,
     )
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from learn.data import augmentation, lights, shadows
+from learn.data import augmentation, lights, patterns, shadows
 from learn.data.batch import ExampleBatch, joined
 from learn.data.devices import array
 from learn.data.geometry import Geometry
+from learn.data.label_augmentation import LabelAugmentation
 from learn.data.settings import Data
 from learn.layer import render
 from manifests.errors import InputError
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from learn.data.rendered import RenderedSplit
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
+# of a SeedSequence's key, after side, batch and group: draws of their own, so that pictures without
+# them are the same in a run that has them
+LABELS, PATTERNS = 1, 2
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 
@@ -75,6 +79,7 @@ class RelitDataset:
     batch    number of pictures in a batch
     size     height and width of pictures; geometry's are a whole number of times larger
     part     (i, n): of every batch only the i-th of n equal parts, for several processes
+    printed  share of pictures with a pattern; None: the run's in training, otherwise none
     """
 
     def __init__(
@@ -85,7 +90,13 @@ class RelitDataset:
         size: int,
         seed: int,
         part: tuple[int, int] = (0, 1),
+        printed: float | None = None,
     ):
+        is_training = data_split.side == "train"
+        self.printed = data.patterns * is_training if printed is None else printed
+        self.augmentation = None
+        if is_training and data.label_mixtures + data.scaled_lobes + data.principled > 0:
+            self.augmentation = LabelAugmentation(data_split.labels, data, seed)
         self.data_split, self.data, self.size, self.seed = data_split, data, size, seed
         if any(side % size for side in data_split.geometry.size):
             result = f"{data_split.geometry.size[0]} × {data_split.geometry.size[1]}"
@@ -118,9 +129,7 @@ class RelitDataset:
 
     def _group(self, k: int, g: int) -> list[tuple]:
         """Return the examples of group g of batch k, which share a material and a light."""
-        rng = np.random.default_rng(
-            np.random.SeedSequence(self.seed, spawn_key=(SIDES[self.data_split.side], k, g))
-        )
+        rng = self._generator(k, g)
         count, training = self.of_group[g], self.data_split.side == "train"
         views = self.data_split.views[
             rng.choice(
@@ -135,6 +144,7 @@ class RelitDataset:
                 for name, c in zip(chosen, channels, strict=True)
             ]
         )
+        chosen, labels = self._augmented_labels(k, g, chosen, labels)
         if training:
             L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
             if self.data.unknown_camera:
@@ -148,6 +158,16 @@ class RelitDataset:
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         images = self._pictures(n, segments, label, L)
+        rng_of_patterns = self._generator(k, g, PATTERNS)
+        if self.printed and rng_of_patterns.random() < self.printed:
+            images = patterns.printed(
+                rng_of_patterns,
+                images,
+                n,
+                segments,
+                label,
+                lambda of_lobe: self._pictures(n, segments, of_lobe, L),
+            )
         if training and self.data.shadows:
             images = self._shadowed(images, views, n, segments, label, L, (k, g))
         photograph = training and self.data.photograph
@@ -160,6 +180,24 @@ class RelitDataset:
             (*_augmented(rng, images[i], n[i], segments[i], photograph), label, L, target, names[i])
             for i in range(count)
         ]
+
+    def _generator(self, *key: int) -> np.random.Generator:
+        """Return the generator of a batch and a group, and of what is drawn for it."""
+        key = (SIDES[self.data_split.side], *key)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+    def _augmented_labels(
+        self, k: int, g: int, names: list[str], labels: np.ndarray
+    ) -> tuple[list[str], np.ndarray]:
+        """Return names and labels (M, 108), some replaced as the run's shares say."""
+        if self.augmentation is None:
+            return names, labels
+        rng, admitted = self._generator(k, g, LABELS), self.names[: self._admitted(k)]
+        drawn = [
+            self.augmentation.drawn(rng, name, label, admitted)
+            for name, label in zip(names, labels, strict=True)
+        ]
+        return [name for name, _ in drawn], np.stack([label for _, label in drawn])
 
     def _admitted(self, k: int) -> int:
         """Return the number of materials that batch k draws from (the gloss curriculum)."""

@@ -6,6 +6,10 @@ shape     hash of the mesh (manifests.schema.ShapeEntry.hash): the same in every
 material  SHA-256 of the label, 108 little-endian float32
 light     SHA-256 of the map at rotation 0, (64, 128, 3) little-endian float32
 
+What a run makes itself is not listed, because no data set holds it: computed lights, and labels
+that are mixtures, scaled or principled (learn.data.label_augmentation). Mixtures and scaled labels
+come from listed materials alone.
+
 Of each hash the first DIGITS hexadecimal digits are kept. A copy of a map that was rotated, scaled
 or resampled has another hash and is not recognised.
 """

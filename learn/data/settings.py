@@ -151,6 +151,14 @@ def require_trainable(run: Run, where: str | Path) -> None:
             rule = f"rows and columns that divide {LIGHT[0]} and {LIGHT[1]}"
             result = " and ".join(map(str, losses.layer_light))
             raise InputError(f"{key}.layer_light", rule, result, "take 32 and 64, or 16 and 32")
+    shares = [run.data.label_mixtures, run.data.scaled_lobes, run.data.principled]
+    if sum(shares) > 1 + 1e-9:
+        raise InputError(
+            f"{where}: data",
+            "label_mixtures, scaled_lobes and principled of at most 1 together",
+            f"{sum(shares):g}",
+            "lower one of them; the rest are training materials",
+        )
     pixels = run.schedule.batch * run.size**2
     if pixels > MOST_PIXELS:
         rule = f"batches of at most {MOST_PIXELS >> 20} Mi pixels"

@@ -35,6 +35,9 @@ WORDS = {
     "constant_albedo": "the same of the training materials' mean",
     "image_l2": "I′, display L2 over the mask",
     "target_l2": "O′, display L2 over the mask",
+    "plain_angle_deg": "normals without patterns, mean angle (°)",
+    "printed_angle_deg": "normals under patterns, mean angle (°)",
+    "ratio": "ratio of the two",
     "control_l2": "the same with predicted normals and a constant light",
 }
 
@@ -48,14 +51,16 @@ def make(
     seeds: Sequence[Path] = (),
     device: str | torch.device = "cpu",
     seen: Sequence[str] = (),
+    printed: bool = False,
 ) -> dict[str, dict[str, list[float]]]:
     """Measure weights on the test split: on relit pictures, and on all of its rendered ones.
 
     seeds    weights of the same run with other seeds, measured on the same pictures
     device   where networks and the layer compute
     seen     learn.evaluation.overlap.sentences of the weights and the test split
+    printed  whether the relit pictures are measured again with patterns over their materials
     Writes   card.md, card.json, sheet.jpg and sheet-cycles.jpg into `out`
-    Returns  {"figures", "cycles"}, each {figure: [mean, low, high]}
+    Returns  {"figures", "cycles", "printed"} of what there is, each {figure: [mean, low, high]}
     Raises   InputError where one of the seeds is of another run, or a seed is there twice
     """
     network, metadata = checkpoint.load_network(weights, device)
@@ -99,10 +104,48 @@ def make(
             for other, _, _ in others
         ]
         report |= _under(where, results)
+    if printed:
+        report["printed"] = under_patterns(network, run, test, batches)
     with files.transaction():
         files.write_json(out / "card.json", report)
         files.write_text(out / "card.md", _page(report))
-    return {key: report[key] for key in ("figures", "cycles") if key in report}
+    return {key: report[key] for key in ("figures", "cycles", "printed") if key in report}
+
+
+def under_patterns(network: Any, run: Run, test: DataSplit, batches: int) -> dict[str, list[float]]:
+    """Return the angle of normals on relit pictures without and with printed patterns.
+
+    Both are the same pictures but for the patterns, which every one of the latter has.
+
+    Returns  {"plain_angle_deg", "printed_angle_deg", "ratio"}, each [mean, low, high] over shapes
+             and materials; ratio: of the mean angles, printed by plain
+    """
+    angles: list[np.ndarray] = []
+    names: list[str] = []
+    device = devices.of(network)
+    for share in (0.0, 1.0):
+        source = RelitDataset(test, run.data, BATCH, run.size, SEED, printed=share)
+        errors, names = [], []
+        for k in range(batches):
+            batch = source[k].to(device)
+            with torch.no_grad():
+                segments = batch.segments if run.data.regions > 1 else None
+                prediction = network(
+                    batch.image, batch.mask, segments, ("normals",), regions=run.data.regions
+                )
+            cosine = (prediction.n * batch.n).sum(1).clamp(-1, 1)
+            angle = cosine.arccos().rad2deg()
+            errors.append(validation.means(angle, batch.segments > 0))
+            names += batch.names
+        angles.append(np.concatenate(errors))
+    resampled = bootstrap.draws(
+        bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
+    )
+    return {
+        "plain_angle_deg": bootstrap.interval(angles[0], resampled),
+        "printed_angle_deg": bootstrap.interval(angles[1], resampled),
+        "ratio": bootstrap.relative(*angles, resampled),
+    }
 
 
 def _same_run(path, first, run, device="cpu"):
@@ -272,6 +315,15 @@ def _page(report):
             "|---|---|---|",
             *_rows(report["cycles"]),
             *_rows_of_seeds(report, "cycles_seeds"),
+        ]
+    if "printed" in report:
+        lines += [
+            "",
+            "Normals on the same relit pictures without and with a pattern printed on each object:",
+            "",
+            "| | mean | 95 % |",
+            "|---|---|---|",
+            *_rows(report["printed"]),
         ]
     lines += [
         "",

@@ -79,6 +79,11 @@ KEYS = (
     ),
     *(f"data.{key}" for key in ("gloss_curriculum", "validation_lights", "test_lights")),
     *(
+        f"data.{key}"
+        for key in ("label_mixtures", "scaled_lobes", "principled", "principled_materials")
+    ),
+    "data.patterns",
+    *(
         f"losses.{key}"
         for key in (
             "normals",

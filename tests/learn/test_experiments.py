@@ -159,8 +159,18 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path
         7,
     )
     results = model_card.make(
-        tmp_path / "w.safetensors", data_splits, tmp_path, batches=1, note="a note to readers"
+        tmp_path / "w.safetensors",
+        data_splits,
+        tmp_path,
+        batches=1,
+        note="a note to readers",
+        printed=True,
     )
+    printed = results["printed"]
+    assert printed["plain_angle_deg"] == pytest.approx(results["figures"]["angle_deg"])
+    means = [printed[f"{kind}_angle_deg"][0] for kind in ("plain", "printed")]
+    assert means[0] != means[1]
+    assert printed["ratio"][0] == pytest.approx(means[1] / means[0])
     assert {"angle_deg", "irradiance", "image_l2", "target_l2", "control_l2"} <= set(
         results["figures"]
     )
