@@ -36,6 +36,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        mixture of two maps and one half by a computed sky or room
     photograph         whether pictures are augmented as photographs need it: exposure, shift, an
                        inexact mask, noise, JPEG
+    camera_model       share of these pictures that are taken and read as photographs instead:
+                       exposure over four stops, white balance, tone curve, clipping, sharpening,
+                       JPEG, and masks with errors, occluders and holes (learn.data.camera_model)
     unknown_camera     whether relit pictures are lit as if the camera's elevation, −10° to 60°, and
                        its roll, up to 15°, were unknown; for geometry of several cameras, and for
                        photographs
@@ -65,6 +68,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
+    camera_model: Share = 0.0
     unknown_camera: bool = False
     shadows: Annotated[float, Meta(ge=0, le=1)] = 0.0
     gloss_curriculum: CountOrZero = 0

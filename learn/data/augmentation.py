@@ -7,15 +7,41 @@ image (H, W, 3) linear radiance, mask (H, W) bool
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image
 
+from learn.data import camera_model
+from learn.data.batch import Clipping
+from learn.data.settings import Data
 from shaders import tone
 
 EXPOSURE = 0.3  # standard deviation of the logarithm
+UNCLIPPED = 6e4  # white of a picture that no camera clips: half floats end there
 SHIFT = 0.04  # of the picture's side, at most
+
+
+def by(
+    data: Data,
+    training: bool,
+    rng: np.random.Generator,
+    image: np.ndarray,
+    mask: np.ndarray,
+    along: Sequence[torch.Tensor],
+) -> tuple[Any, ...]:
+    """Return (image, mask, [tensors]) of a picture as a run's data say; arguments as `seen`.
+
+    A run with a camera model also gets the Clipping of each training picture.
+    """
+    photograph = training and data.photograph
+    if not (photograph and data.camera_model):
+        return seen(rng, image, mask, along, photograph)
+    if rng.random() < data.camera_model:
+        return seen_by_camera(rng, image, mask, along)
+    nothing = Clipping(np.zeros(image.shape, bool), np.full(3, UNCLIPPED, np.float32))
+    return *seen(rng, image, mask, along, photograph), nothing
 
 
 def seen(
@@ -40,6 +66,31 @@ def seen(
         image, mask = np.roll(image, step, (0, 1)), np.roll(eroded, step, (0, 1))
         along = [tensor.roll(step, (0, 1)) for tensor in along]
     return image * mask[..., None], mask, list(along)
+
+
+def seen_by_camera(
+    rng: np.random.Generator,
+    image: np.ndarray,
+    mask: np.ndarray,
+    along: Sequence[torch.Tensor],
+) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor], Clipping]:
+    """Return what `seen` does of a picture that learn.data.camera_model takes, and its Clipping.
+
+    A mask that is drawn too large shows the background; what an occluder hides is in no mask.
+    """
+    rows, columns = camera_model.window(rng, mask)
+    image, mask = image[np.ix_(rows, columns)], mask[np.ix_(rows, columns)]
+    along = [tensor[torch.from_numpy(rows)][:, torch.from_numpy(columns)] for tensor in along]
+    step = shift(rng, mask)
+    image, mask = (np.roll(each, step, (0, 1)) for each in (image, mask))
+    along = [tensor.roll(step, (0, 1)) for tensor in along]
+    visible = camera_model.occluded(rng, mask)
+    drawn = camera_model.drawn_mask(rng, visible)
+    image = np.where(visible[..., None], image, camera_model.background(rng, image))
+    image, clipping = camera_model.photographed(rng, image, drawn)
+    hidden = torch.from_numpy(visible)
+    along = [tensor * hidden.reshape(*mask.shape, *(1,) * (tensor.ndim - 2)) for tensor in along]
+    return image * drawn[..., None], drawn, along, clipping
 
 
 def shift(rng: np.random.Generator, mask: np.ndarray) -> tuple[int, int]:

@@ -85,6 +85,10 @@ ESTIMATED = (1e-3, 1e3)
 SEEN = (1e-4, 1e2)
 
 
+# Display value, of 255, from which on a file of 8 bits is taken to be clipped: JPEG's losses leave
+# white a little below 255.
+NEAR_WHITE = 252
+
 Box = tuple[int, int, int]  # top, left, side
 
 
@@ -94,12 +98,23 @@ class Framed:
 
     box       (top, left, side) in the picture's pixels
     exposure  radiance = photograph × exposure
+    clipped   (size, size, 3) in [0, 1]: the share of each pixel's part of the object that is white
+              in the file, by channel; None if the file's values have no upper limit
     """
 
     radiance: np.ndarray
     mask: np.ndarray
     box: Box
     exposure: float
+    clipped: np.ndarray | None = None
+
+
+def saturated(radiance: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) bool: channels of linear values from a file of 8 or 16 bits that are white.
+
+    Such a value says no more than "at least this bright". NEAR_WHITE is the limit.
+    """
+    return radiance >= _linear(np.float64(NEAR_WHITE - 0.5) / 255)
 
 
 def read(path: str | Path, mask_path: str | Path | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -366,11 +381,13 @@ def framed(
     size: int,
     exposure: float | None = None,
     where: object = "the object",
+    clipped: np.ndarray | None = None,
 ) -> Framed:
     """Return the object's square at the networks' size.
 
     exposure  None: estimated from the object's brightness
     where     names the picture in an InputError
+    clipped   (H, W, 3) bool of `saturated`, or None
     Returns   Framed with radiance (size, size, 3), mask (size, size)
     Raises    InputError: too little of it is left at that size; as `exposure_of`
     """
@@ -397,11 +414,17 @@ def framed(
         raise InputError(
             "the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it"
         )
+    share = None
+    if clipped is not None:
+        part = placed((clipped & mask[..., None]).astype(np.float32), (top, left, side))
+        share = resized(part, size) / np.maximum(covered, 1e-3)[..., None]
+        share = (np.clip(share, 0, 1) * inside[..., None]).astype(np.float32)
     return Framed(
         (colour * inside[..., None] * exposure).astype(np.float32),
         inside,
         (int(top), int(left), side),
         float(exposure),
+        share,
     )
 
 

@@ -170,16 +170,20 @@ class RelitDataset:
             )
         if training and self.data.shadows:
             images = self._shadowed(images, views, n, segments, label, L, (k, g))
-        photograph = training and self.data.photograph
         names = [
             f"{self.data_split.geometry.views[v].shape} view"
             f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
             for v in views
         ]
-        return [
-            (*_augmented(rng, images[i], n[i], segments[i], photograph), label, L, target, names[i])
-            for i in range(count)
-        ]
+        result = []
+        for i in range(count):
+            mask = (segments[i] > 0).numpy()
+            image, drawn, (normals, covered), *clipping = augmentation.by(
+                self.data, training, rng, images[i], mask, (n[i], segments[i])
+            )
+            truth = (normals, covered, label, L, target, names[i])
+            result.append((image, drawn, *truth, *clipping))
+        return result
 
     def _generator(self, *key: int) -> np.random.Generator:
         """Return the generator of a batch and a group, and of what is drawn for it."""
@@ -275,16 +279,3 @@ class RelitDataset:
             )
             result[i] = np.minimum(images[i] * factor, BRIGHTEST)
         return result
-
-
-def _augmented(
-    rng: np.random.Generator,
-    image: np.ndarray,
-    n: torch.Tensor,
-    segments: torch.Tensor,
-    photograph: bool,
-) -> tuple[np.ndarray, np.ndarray, torch.Tensor, torch.Tensor]:
-    """Return (image, mask, n, segments) of an example as a network sees it."""
-    mask = (segments > 0).numpy()
-    image, seen, (n, segments) = augmentation.seen(rng, image, mask, (n, segments), photograph)
-    return image, seen, n, segments

@@ -157,14 +157,15 @@ class RenderedDataset:
         )
         mask = (segments > 0).numpy()
         true_pictures = (torch.from_numpy(each * mask[..., None]) for each in (image, target))
-        image, seen, (n, segments, picture, target_picture) = augmentation.seen(
-            rng, image, mask, (n, segments, *true_pictures), training and self.data.photograph
+        image, seen, (n, segments, picture, target_picture), *clipping = augmentation.by(
+            self.data, training, rng, image, mask, (n, segments, *true_pictures)
         )
         name = (
             f"{record.shape} view {record.viewpoint} {record.id}"
             f" {'+'.join(dict.fromkeys(record.materials))}"
         )
-        return image, seen, n, segments, label, L, target_label, name, picture, target_picture
+        truth = (n, segments, label, L, target_label, name, picture, target_picture)
+        return image, seen, *truth, *clipping
 
     def _geometry(self, record: Record) -> tuple[torch.Tensor, torch.Tensor]:
         """Return normals (H, W, 3) and segments (H, W) at the size of pictures."""

@@ -78,7 +78,13 @@ def decompose(
     network, size  from learn.networks.weights.load_network
     settings       of refinement; None for no refinement
     """
-    framed = photographs.framed(photograph.balanced, photograph.mask, size, photograph.exposure)
+    framed = photographs.framed(
+        photograph.balanced,
+        photograph.mask,
+        size,
+        photograph.exposure,
+        clipped=photograph.clipped,
+    )
     regions = photographs.framed_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
     if photograph.record is not None:  # a photograph's camera is not known, a record's is
@@ -114,6 +120,9 @@ def predict_framed(
         unknown_label,
         ("picture",),
         float(ELEVATION),
+        clipped=None
+        if framed.clipped is None
+        else torch.from_numpy(framed.clipped).movedim(-1, 0)[None].contiguous(),
     )
     batch = batch.to(devices.of(network))
     with torch.no_grad():

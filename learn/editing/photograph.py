@@ -68,6 +68,11 @@ class Photograph:
         return int(self.regions.max())
 
     @property
+    def clipped(self) -> np.ndarray | None:
+        """Channels (H, W, 3) bool that are white in the file; None where it holds radiance."""
+        return None if self.linear else photographs.saturated(self.radiance)
+
+    @property
     def balanced(self) -> np.ndarray:
         """Radiance (H, W, 3) as the network sees it, except for exposure."""
         return self.radiance * self.balance

@@ -11,6 +11,8 @@ material  mean over regions of |z|²/K, the distance from the prediction in unit
 
 C(I) = log(1 + 8 e I)/log 9, with the exposure e that brings the object's 99th percentile to 1. The
 curve is close to the display's, but a highlight beyond white still counts.
+Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
+Of a pixel that is clipped in part, this holds for that share of its cost.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -26,7 +28,7 @@ from learn.data.devices import array
 from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
 from learn.refinement.settings import RefinementSettings
-from learn.training.losses import reduced, solid_angles
+from learn.training.losses import misfit, reduced, solid_angles
 from shaders import tone
 
 
@@ -72,6 +74,9 @@ class Energy:
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
         exposure = tone.auto_exposure(array(image[self.inside]), np.ones(len(self.inside), bool))
         self.exposure, self.seen = exposure, compressed(image * exposure)
+        self.clipped = (
+            None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
+        )
         self.log_light = torch.log1p(start.light)
         self.share = solid_angles(start.light)
 
@@ -112,7 +117,8 @@ class Energy:
             Policy(method, tolerance),
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
-        return ((compressed(shown * self.exposure) - self.seen[where]) ** 2).mean()
+        clipped = None if self.clipped is None else self.clipped[where]
+        return misfit(compressed(shown * self.exposure), self.seen[where], clipped).mean()
 
     def terms(
         self,

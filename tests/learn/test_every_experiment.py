@@ -88,6 +88,10 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             <= r["settings"]["outer_iterations=1"]["image"][0]
         ),
     ),
+    "clipped-highlights": (
+        "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
+        lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
+    ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
