@@ -114,7 +114,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     mixed              render shots whose shape is for training and whose material is for testing,
                        or the reverse
     camera_ranges      ranges from which each view of each shape draws its own camera; None: all
-                       have `camera`
+                       views have `camera`
     pictures           False: geometry alone, of every shape in every view once. The data set
                        includes the materials and lights, for relighting; rotations, tiers, samples
                        and other settings of pictures are ignored

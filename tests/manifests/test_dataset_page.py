@@ -18,6 +18,7 @@ STRUCTS = {
     each.__name__: each
     for each in (
         *(schema.Record, schema.Camera, schema.Statistics, schema.View, schema.Failure, schema.Job),
+        schema.CameraRanges,
         *(schema.Dataset, schema.Order, schema.ShapeEntry, schema.MaterialEntry, schema.LightEntry),
         *(
             materials.Catalogue,
@@ -76,7 +77,11 @@ def test_an_example_is_of_its_type(page, name):
 
 @pytest.mark.parametrize(
     "camera",
-    [schema.Camera(size=(16, 16)), schema.Camera(size=(16, 24), fov_deg=40.0, pixel="centre")],
+    [
+        schema.Camera(size=(16, 16)),
+        schema.Camera(size=(16, 24), fov_deg=40.0, pixel="centre"),
+        schema.Camera(size=(16, 16), roll_deg=-7.25),
+    ],
 )
 def test_the_pages_code_reads_what_our_own_readers_read(page, camera, tmp_path, monkeypatch):
     """Its assertions recompute ids and hashes with hashlib alone."""
