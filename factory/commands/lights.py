@@ -138,6 +138,7 @@ def run_make(options: argparse.Namespace) -> None:
     known = library.read_list(options.library)
     missing = {name: seed for name, seed in names.items() if name not in known}
     # in processes of their own: Blender's memory and its exit stay away from this one
+    total = 0.0
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(options.workers, context) as pool:
         pending = {pool.submit(_render, seed): name for name, seed in missing.items()}
@@ -146,16 +147,27 @@ def run_make(options: argparse.Namespace) -> None:
         )
         for done in progress:
             name = pending[done]
-            library.add_made(name, done.result(), options.library, OWN_LICENCE, interiors.SOURCE)
+            L, seconds = done.result()
+            total += seconds
+            library.add_made(name, L, options.library, OWN_LICENCE, interiors.SOURCE)
     print(f"{options.library}: {len(missing)} maps made, {len(names) - len(missing)} were there")
+    if missing:
+        print(f"{total / len(missing):.1f} seconds of processor time per map")
 
 
-def _render(seed: int) -> np.ndarray:
-    """Return the light map of a seed; called in a process of its own."""
+def _render(seed: int) -> tuple[np.ndarray, float]:
+    """Return the light map of a seed and the seconds of processor time that it took.
+
+    It is called in a process of its own.
+    """
+    import time
+
+    start = time.process_time()
     from factory.lights import interiors
     from factory.render import panorama
 
-    return panorama.render(interiors.draw(seed), seed)
+    L = panorama.render(interiors.draw(seed), seed)
+    return L, time.process_time() - start
 
 
 def run_list(options: argparse.Namespace) -> int:

@@ -58,6 +58,29 @@ def test_the_command_makes_what_the_library_lacks_and_nothing_twice(tmp_path, ro
         for _ in range(2)
     )
     assert "1 maps made, 0 were there" in first.stdout
+    assert "seconds of processor time per map" in first.stdout
     assert "0 maps made, 1 were there" in second.stdout
     light = load("interior-7", tmp_path / "lights")
     assert light.L64.shape == (64, 128, 3) and light.licence == "Apache-2.0"
+
+
+@pytest.mark.blender
+def test_the_suns_disc_is_as_bright_as_the_light_that_it_sends():
+    from factory.lights.interiors import Box
+    from factory.render import panorama
+    from shaders import envmap
+
+    sky = Sky(0.9, 1.0, 0.0, 1.0, True)
+    light = panorama.render(Scene(sky))
+    energy = light * envmap.row_solid_angles(*light.shape[:2])[:, None, None]
+    row, column = np.unravel_index(light[..., 1].argmax(), light.shape[:2])
+    assert (row, column) == (int((0.5 - 0.9 / np.pi) * 64), int((0.25 + 1 / (2 * np.pi)) * 128))
+    # a white floor (albedo 0.8) under the same sky shows the irradiance of sun and sky together
+    floor = Box((-300.0, -300.0, -2.0), (300.0, 300.0, -1.0), Material((0.8, 0.8, 0.8), 1.0))
+    below = panorama.render(Scene(sky, (floor,)))[56:].mean((0, 1))
+    up = np.maximum(np.cos(np.pi * (np.arange(64) + 0.5) / 64), 0)[:, None, None]
+    np.testing.assert_allclose((energy * up).sum((0, 1)) * 0.8 / np.pi, below, rtol=0.12)
+    # what stands before the sun hides it
+    wall = Box((2.0, -20.0, -20.0), (3.0, 20.0, 20.0), Material((0.1, 0.1, 0.1)))
+    east = Sky(0.3, float(np.pi / 2), 0.0, 1.0, True)
+    assert panorama.render(Scene(east, (wall,))).max() < 0.01 * panorama.render(Scene(east)).max()

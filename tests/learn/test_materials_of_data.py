@@ -213,3 +213,17 @@ def test_bad_starts_of_refinement_are_drawn_from_the_data_sets_own_materials(met
     own = refinement_initialisations.labels_of(records, "dataset")
     assert sorted(map(tuple, own)) == sorted(tuple(records.label(name)) for name in METALS)
     assert len(refinement_initialisations.labels_of(records, "built-in")) == sum(BUILT_IN.values())
+
+
+def test_a_run_takes_the_measured_maps_beside_the_data_sets_own(metals):
+    own = sources.data_splits(Data(), metals.folder, progress=False)
+    held = Data(
+        measured_lights=True, validation_lights=("pmndrs_hall",), test_lights=("pmndrs_lab",)
+    )
+    data_splits = sources.data_splits(held, metals.folder, progress=False)
+    assert data_splits["validation"].map_names == ("pmndrs_hall",)
+    assert data_splits["test"].map_names == ("pmndrs_lab",)
+    training = set(data_splits["train"].map_names)
+    assert {"blender_city", "drei_lebombo"} <= training and not training & {"pmndrs_lab"}
+    assert len(training) >= 24
+    assert not any("pmndrs" in name for name in own["train"].map_names)
