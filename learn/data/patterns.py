@@ -267,8 +267,11 @@ def plaid(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np
     """Return woven bands: threads of two directions each show in half of the cloth."""
     t = _placed(rng, uv, 0.7, 3)
     broad, narrow, place = rng.uniform(0.12, 0.3), rng.uniform(0.03, 0.08), rng.uniform(0.3, 0.5)
-    bands = sum(_edge(broad - _distance(t[..., i])) for i in range(2)) / 2
-    lines = sum(_edge(narrow - _distance(t[..., i] + place)) for i in range(2)) / 2
+    bands, lines = (
+        (_edge(width - _distance(t[..., 0] + shift)) + _edge(width - _distance(t[..., 1] + shift)))
+        / 2
+        for width, shift in ((broad, 0.0), (narrow, place))
+    )
     return [bands * (1 - lines), lines]
 
 

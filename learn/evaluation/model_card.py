@@ -144,7 +144,7 @@ def under_patterns(network: Any, run: Run, test: DataSplit, batches: int) -> dic
     return {
         "plain_angle_deg": bootstrap.interval(angles[0], resampled),
         "printed_angle_deg": bootstrap.interval(angles[1], resampled),
-        "ratio": bootstrap.relative(*angles, resampled),
+        "ratio": bootstrap.relative(angles[0], angles[1], resampled),
     }
 
 
