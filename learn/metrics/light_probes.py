@@ -51,10 +51,10 @@ def errors(picture: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Return {figure of FIGURES: value} of radiance (P, 3) against the true radiance (P, 3)."""
     square = float((picture**2).sum())
     factor = float((picture * truth).sum()) / square if square > 0 else 0.0
-    lengths = np.linalg.norm(picture, axis=-1) * np.linalg.norm(truth, axis=-1)
-    seen = lengths > 0  # black has no colour
-    cosine = (picture * truth).sum(-1)[seen] / lengths[seen]
-    angles = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    seen = picture.any(-1) & truth.any(-1)  # black has no colour
+    a, b = picture[seen], truth[seen]
+    # not by the arc cosine, which turns rounding into 1e-6°
+    angles = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1)))
     return {
         "rmse": float(np.sqrt(((picture - truth) ** 2).mean())),
         "si_rmse": float(np.sqrt(((factor * picture - truth) ** 2).mean())),
