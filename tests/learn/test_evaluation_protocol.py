@@ -118,8 +118,9 @@ def finished(data, weights, others, tmp_path_factory):
     )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
-    def noted(batch, prediction, labels):
-        calls.append((batch, prediction, refine(batch, prediction, QUICK, labels)))
+    def noted(batch, prediction, settings=QUICK, labels=None):
+        quick = replace(QUICK, order=settings.order)
+        calls.append((batch, prediction, refine(batch, prediction, quick, labels)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -152,13 +153,20 @@ def test_everyone_who_is_there_has_a_row_and_of_the_baselines_the_second_alone_i
         "constant light, true normals",
     ]
     networks = ["Baseline 1", "Baseline 2", "Baseline 2, refined", OURS, OURS_REFINED]
+    networks += [f"{OURS}, true normals", f"{OURS}, true normals, refined"]
     assert list(finished.edit["methods"]) == [
         *trivial,
         f"constant light, normals of {OURS}",
         *networks,
         "the layer alone",
     ]
-    assert len(finished.refined) == 2  # once each, for parts and edit alike
+    assert len(finished.refined) == 3  # once each, for parts and edit alike
+
+
+def test_a_refinement_that_is_given_true_normals_keeps_them(finished):
+    batch, start, refined = finished.refined[2]
+    assert torch.equal(start.n, batch.n) and torch.equal(refined.prediction.n, batch.n)
+    assert not torch.equal(refined.prediction.light, start.light)
 
 
 @pytest.mark.parametrize(("at", "name"), [(0, "Baseline 2"), (1, OURS)])
