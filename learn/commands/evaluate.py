@@ -59,6 +59,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help="LPIPS' AlexNet weights, .safetensors (docs/evaluation.md); else no such column",
     )
+    parser.add_argument(
+        "--lights",
+        type=Path,
+        metavar="FILE",
+        help=".npz of the light maps that the weights were trained with, for the table of edits by"
+        " distance to the nearest of them; else no such rows",
+    )
     options.add_materials(
         parser,
         "whose training materials the row 'mean material' is the mean of: the data set's own, or"

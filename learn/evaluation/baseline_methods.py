@@ -28,8 +28,7 @@ from manifests.errors import InputError
 def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
     """Return the method of that name from its file, on a device. Raises InputError."""
     if name == "Lombardi-like":
-        known = priors.load(path).to(device)
-        return Layered(name, lambda batch: posterior.prediction(batch, known))
+        return lombardi_like(path, device)
     net, metadata = weights.load_network(path, device)
     if name == "Baseline 2" and isinstance(net, Separate):
         return Layered(name, predicting(net, metadata["size"]))
@@ -41,6 +40,26 @@ def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
         f"weights of {name}: network '{expected.name}'",
         f"'{net.name}'",
         "train it: python -m learn train-baselines",
+    )
+
+
+def lombardi_like(
+    path: Path, device: str | torch.device = "cpu", ours: Layered | None = None
+) -> Layered:
+    """Return the Lombardi-like method by its priors' file. Raises InputError.
+
+    ours  a method whose normals it is given; None: the true ones, as in the paper
+    """
+    known = priors.load(path).to(device)
+
+    def predict(batch: ExampleBatch) -> Prediction:
+        n = batch.n if ours is None else ours.parts(batch).n
+        if n is None:
+            raise ValueError("Lombardi-like: expected normals, found none")
+        return posterior.prediction(replace(batch, n=n), known)
+
+    return Layered(
+        f"Lombardi-like, {'true normals' if ours is None else 'normals of ' + ours.name}", predict
     )
 
 
@@ -131,10 +150,11 @@ def regions(batch: ExampleBatch) -> list[torch.Tensor]:
 
 
 def present_and_missing(
-    folder: Path, device: str | torch.device = "cpu"
+    folder: Path, device: str | torch.device = "cpu", ours: Layered | None = None
 ) -> tuple[list[Method], dict[str, str]]:
     """Return the methods whose files are in a folder, and {name: why it is missing} of the others.
 
+    ours    a method whose normals the Lombardi-like one is given in a second row; None: no such row
     Raises  InputError: a file is not what its name says
     """
     if not Path(folder).is_dir():
@@ -150,6 +170,8 @@ def present_and_missing(
         path = Path(folder) / file
         if path.exists():
             present.append(load(name, path, device))
+            if name == "Lombardi-like" and ours is not None:
+                present.append(lombardi_like(path, device, ours))
         else:
             missing[name] = f"no {file} in {folder}: python -m learn train-baselines --out {folder}"
     return present, missing

@@ -6,6 +6,7 @@ not predict is left out of its row.
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from learn.metrics import pictures as metrics
 from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.refinement import RefinementResult
+from learn.refinement import RefinementResult, RefinementSettings
 from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.schema import Record
@@ -62,22 +63,27 @@ class Bench:
         self.records = Records(data)
         self.repeats = pairs.repeats(self.records.records)
         self._judged: dict[str, dict[str, float]] = {}  # by id of the truth
-        net, metadata = checkpoint.load_parts(weights, device)
+        net, self.metadata = checkpoint.load_parts(weights, device)
         self.device = torch.device(device)
         self.commit = provenance()["commit"]
         self.size, self.ranges, self.perceptual = (
-            metadata["size"],
+            self.metadata["size"],
             net.ranges,
             perceptual.of_file(lpips),
         )
+        work = lit = None
         if refine:
             from learn.refinement import refine as of_any
 
             work = functools.partial(of_any, labels=net.training_labels)
+            still = replace(RefinementSettings(), order=("material", "light"))
+            lit = functools.partial(work, settings=still)
         labels = methods.training_labels(self.records, materials)
-        self.entrants = methods.entrants(
-            net, work if refine else None, labels, baselines, self.device
-        )
+        # the weights' own, or those that the row "mean material" is the mean of
+        self.training_labels: np.ndarray | None = net.training_labels
+        if self.training_labels is None and labels:
+            self.training_labels = np.stack(labels)
+        self.entrants = methods.entrants(net, work, labels, baselines, self.device, lit)
 
     def work(
         self, first: EditPair, edits: Sequence[EditPair], whole: bool, folder: str | None = None

@@ -26,7 +26,7 @@ from manifests.materials import load_catalogue
 
 REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
 # besides those with "true" in their name: they are given a part of what the others predict
-GIVEN_TRUTH = ("the layer alone", "Lombardi-like")
+GIVEN_TRUTH = ("the layer alone",)
 
 
 Refine = Callable[[ExampleBatch, Prediction | None], RefinementResult]
@@ -189,6 +189,24 @@ def constant_light(method: Layered | None = None) -> Layered:
     )
 
 
+def facing_viewer() -> Layered:
+    """Return a method of which all normals face the viewer: the control for predicted normals."""
+
+    def predict(batch: ExampleBatch) -> Prediction:
+        n = torch.zeros_like(batch.n)
+        n[:, 2] = batch.n.square().sum(1) > 0
+        return Prediction(n, None, None, None, None)
+
+    return Layered("all normals facing the viewer", predict)
+
+
+def with_true_normals(method: Layered) -> Layered:
+    """Return a method with its material and light, and the true normals."""
+    return Layered(
+        f"{method.name}, true normals", lambda batch: method.parts(batch)._replace(n=batch.n)
+    )
+
+
 def layer_alone() -> Layered:
     """Return a method with true normals, light and label: its error is the layer's own."""
     return Layered(
@@ -220,11 +238,13 @@ def entrants(
     labels: Sequence[np.ndarray],
     baselines: Path | None = None,
     device: str | torch.device = "cpu",
+    refine_lit: Refine | None = None,
 ) -> Entrants:
     """Return the Entrants.
 
     net        a network of learn.networks
     refine     None: no method is refined
+    refine_lit refines material and light and keeps normals: for the rows with true normals
     labels     (M, 108) of training materials, whose mean is a method; none: that row is left out
     baselines  a folder of weights, or None
     device     where the baselines compute
@@ -237,12 +257,15 @@ def entrants(
     else:
         from learn.evaluation import baseline_methods
 
-        result, left_out = baseline_methods.present_and_missing(baselines, device)
+        result, left_out = baseline_methods.present_and_missing(baselines, device, ours)
         for method in result:
             rows += (
                 [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
             )
     rows += [ours, Refined(ours, refine)] if refine else [ours]
+    rows.append(with_true_normals(ours))
+    if refine_lit:
+        rows.append(Refined(rows[-1], refine_lit))
     if not refine:
         left_out["refined rows"] = "--no-refine was given"
     mean = [MeanMaterial(labels), MeanMaterial(labels, ours)] if len(labels) else []
@@ -252,4 +275,5 @@ def entrants(
             " ones"
         )
     trivial: list[Method] = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
-    return Entrants((*trivial, *rows, layer_alone()), tuple(mean[1:]), left_out)
+    parts = (*mean[1:], facing_viewer())
+    return Entrants((*trivial, *rows, layer_alone()), parts, left_out)

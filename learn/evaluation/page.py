@@ -82,8 +82,8 @@ def origin(about: Mapping) -> list[str]:
             " material."
         ),
         (
-            f"Display values: {about['tone curve']}. Brackets: 95 % intervals, shapes and materials"
-            " drawn with replacement."
+            f"Display values: {about['tone curve']}. Brackets: 95 % intervals, shapes, materials"
+            " and lights drawn with replacement."
         ),
         f"`{made['command']}`, commit {made['commit']}, {made['date']}; {made['machine']}; weights"
         f" {about['weights']}"

@@ -57,7 +57,7 @@ def about(
         "asked": {
             key: (
                 Path(value).name
-                if key in ("data", "weights", "out", "baselines", "lpips") and value
+                if key in ("data", "weights", "out", "baselines", "lpips", "lights") and value
                 else value
             )
             for key, value in asked.items()
@@ -85,18 +85,21 @@ def write(
     about: dict,
     entrants: Entrants,
     families: Mapping[str, str],
+    distances: Mapping[str, Mapping[str, float]],
 ) -> dict:
     """Write report.json, report.md and index.html into `out`, and return the first of them.
 
     pictures, edits  rows of the two files of lines
     shown            ids of the edits whose gallery pictures are shown
     families         {name: family} of the dataset's materials
+    distances        to the nearest training items (learn.evaluation.distances)
     """
-    result = tables.all_of(pictures, edits, families)
+    result = tables.all_of(pictures, edits, families, distances)
     commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
     report = {
         "about": about | {"edits": len(edits), "pictures": len(pictures), "lines": commits},
         "headline": headline(result),
+        "distances": distances,
         "tables": result,
     }
     names = [method.name for method in entrants.edits]
@@ -133,14 +136,32 @@ def headline(results: Mapping[str, Table]) -> list[str]:
                 f"; after refinement by {after:.0f} [{low:.0f}, {high:.0f}]: {change:+.0f} %"
             )
         report.append(f"{sentence}.")
+        of_factor = _aligned(rows)
+        report += [of_factor] if of_factor else []
+        given = {row["name"]: row["cells"] for row in results.get("given", {"rows": []})["rows"]}
         report += [
             f"With true {key} instead of predicted it would be {_interval(cell)[0]:.0f}."
             for key in ("light", "normals")
-            if (cell := rows[OURS].get(f"l2_true_{key}"))
+            if (cell := given.get(OURS, {}).get(f"l2_true_{key}"))
         ]
+    if "gains" in results:
+        every = results["gains"]["rows"][0]["cells"]
+        report.append(f"Refinement made {every['worse']} of {every['edits']} edits worse.")
     if "differences" not in results:
         return report
     return [*report, _judged(results, OURS_REFINED if OURS_REFINED in rows else OURS)]
+
+
+def _aligned(rows: Mapping[str, Mapping[str, Cell]]) -> str | None:
+    """A sentence on the best of our rows after one and three factors; None without them."""
+    cells = rows.get(OURS_REFINED, rows[OURS])
+    if cells.get("l2_one_factor") is None:
+        return None
+    one, three = (_interval(cells[f"l2_{key}"])[0] for key in ("one_factor", "three_factors"))
+    return (
+        f"After one factor on the brightness of each edit it is {one:.0f}, after three on its"
+        f" colour {three:.0f}; the brightness of a light cannot be told from one picture."
+    )
 
 
 def _interval(cell: Cell) -> list[float]:

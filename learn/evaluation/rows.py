@@ -23,6 +23,9 @@ class Comparison(Struct):
     psnr: Figure
     flip: Figure
     lpips: Figure | None = None
+    l2_own_exposure: Figure | None = None
+    l2_one_factor: Figure | None = None
+    l2_three_factors: Figure | None = None
     l2_true_light: Figure | None = None
     l2_true_normals: Figure | None = None
 

@@ -23,14 +23,18 @@ from tqdm import tqdm
 from learn.data import pairs
 from learn.data.pairs import EditPair
 from learn.data.records import Records
-from learn.evaluation import overlap, report, rows
+from learn.evaluation import distances, overlap, report, rows
 from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
+from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
 from manifests.schema import Record
 from manifests.store import Lines, file_hash
+
+# counts up when lines gain figures, so that no table mixes lines with and without them
+FIGURES = 2
 
 # an edit of the source picture, the edits to measure, whether the picture itself is to be measured,
 # and the folder for pictures of the edits, or None
@@ -51,6 +55,7 @@ class Options:
                         or "built-in"
     device              of networks, refinement and the layer: "cpu", or "cuda:0"
     allow_overlap       whether pictures are measured that show what the weights saw in training
+    lights              file of the light maps that the weights were trained with, or None
     """
 
     data: Path
@@ -66,6 +71,7 @@ class Options:
     materials: str = "dataset"
     device: str = "cpu"
     allow_overlap: bool = False
+    lights: Path | None = None
 
 
 def make(options: Options) -> dict:
@@ -95,6 +101,7 @@ def make(options: Options) -> dict:
             options.data,
             options.allow_overlap,
         )
+        nearest = nearest_training_items(options, records, chosen, bench)
         files.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
         pictures, edits = (
@@ -112,7 +119,24 @@ def make(options: Options) -> dict:
             about,
             bench.entrants,
             families,
+            nearest,
         )
+
+
+def nearest_training_items(
+    options: Options, records: Records, chosen: Sequence[EditPair], bench: Bench
+) -> dict[str, dict[str, float]]:
+    """Return {"materials", "lights": {name: distance}} of the edits' inputs."""
+    materials = sorted({name for edit in chosen for name in edit.source.materials})
+    lights = sorted({edit.source.light for edit in chosen})
+    maps = distances.training_maps(
+        options.lights, bench.metadata, checkpoint.seen_by(options.weights)
+    )
+    labels = {name: records.label(name) for name in materials}
+    return {
+        "materials": distances.of_materials(labels, bench.training_labels),
+        "lights": distances.of_lights({name: records.light(name) for name in lights}, maps),
+    }
 
 
 def ids_of(chosen: Sequence[EditPair]) -> dict[str, set[str]]:
@@ -156,6 +180,7 @@ def settings(options: Options) -> dict:
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
         "mean_material_of": options.materials,
+        "figures": FIGURES,
     }
     return (
         result

@@ -52,12 +52,14 @@ class Rows:
         names = [
             ["+".join(dict.fromkeys(row[material])) for row in rows],
             [row["shape"] for row in rows],
+            [row["light"] for row in rows],
         ]
         self.weights = (
             bootstrap.draws(bootstrap.groups_of(*reversed(names))) if rows else np.zeros((0, 0))
         )
-        # a single shape or material cannot be drawn differently
-        self.enough = all(len(set(each)) > 1 for each in names)
+        # a single shape or material cannot be drawn differently; with a single light the interval
+        # holds for this light
+        self.enough = all(len(set(each)) > 1 for each in names[:2])
 
     def values(self, method: str, path: Sequence[str]) -> np.ndarray:
         """Return one figure (P,) float64, NaN where a row has none; path: keys below the method."""

@@ -1,7 +1,7 @@
 """Tables of the evaluation: means, 95 % intervals, and differences between methods.
 
-Intervals are by learn.metrics.bootstrap over shapes and
-materials; of edits, over their target materials.
+Intervals are by learn.metrics.bootstrap over shapes, materials and lights; of edits, over their
+target materials.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,6 +9,8 @@ from functools import partial
 
 import numpy as np
 
+from learn.evaluation import breakdowns
+from learn.evaluation.breakdowns import Families, groupings, has_metal
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.evaluation.table import Cell, Column, Rows, Table, TableRow, column, table
 from learn.metrics import bootstrap
@@ -19,6 +21,20 @@ LIMIT = 1.5  # times the node fit, as learn.agreement judges
 Group = tuple[tuple[str, ...], list[Column], str]
 
 LPIPS = column("lpips", "LPIPS ↓", 3)
+ALIGNED = [
+    column("l2", "L2 ↓", 0, True),
+    column("l2_one_factor", "L2 after one factor ↓", 0, True),
+    column("l2_three_factors", "after three ↓", 0, True),
+]
+DISPLAYED = [
+    column("l2_own_exposure", "L2, each at its own exposure ↓", 1),
+    column("l2_frame", "L2, frame ↓", 1),
+    column("ssim", "SSIM ↑", 4, True),
+    column("ssim_frame", "SSIM, frame ↑", 4),
+    column("psnr", "PSNR ↑", 2),
+    column("flip", "FLIP ↓", 3),
+    LPIPS,
+]
 PICTURE = [
     column("l2", "L2 ↓", 1, True),
     column("l2_frame", "L2, frame ↓", 1),
@@ -54,6 +70,15 @@ LIGHT = [
     column("glossy_sphere_l2", "glossy ↓", 0),
     column("sharp_sphere_l2", "sharp ↓", 0),
 ]
+PROBES = [
+    column(f"{sphere}_{figure}", f"{words}, {label} ↓", digits)
+    for sphere, words in (("diffuse", "diffuse"), ("silver", "matte silver"), ("mirror", "mirror"))
+    for figure, label, digits in (
+        ("rmse", "RMSE", 3),
+        ("si_rmse", "scale-invariant", 3),
+        ("angular_deg", "angular °", 1),
+    )
+]
 SHORT = [
     column("l2", "rendered L2 ↓", 1, True),
     column("ssim", "rendered SSIM ↑", 4, True),
@@ -64,6 +89,12 @@ MEANS: dict[str, Callable[[np.ndarray], np.floating]] = {
     "median": np.median,
     "geometric": lambda x: np.exp(np.log(x).mean()),
 }
+
+
+MAIN_NOTE = (
+    "Mean display L2 over the mask. After one factor: were the edit's brightness forgiven; after"
+    " three: its colour too. Metals: edits into a material of the family “metal”."
+)
 
 
 def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Table | None:
@@ -83,6 +114,30 @@ def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Tab
         for c in columns
     ]
     return table(title, note, columns, [row for row in results if not borrowed(row, results)])
+
+
+def edits_by_method(rows: Rows, known: Families) -> Table | None:
+    """Return the main table: L2 of edits, aligned, as a median, and with metals apart.
+
+    known  as `gains` has them
+    """
+    result = by_method(rows, "Edits against their truth", MAIN_NOTE, [((), ALIGNED, "")])
+    if result is None:
+        return None
+    metal = np.array([has_metal(row["wanted"], known) for row in rows.rows], bool)
+    for row in result["rows"]:
+        l2 = rows.values(row["name"], ("l2",))
+        row["cells"] |= {
+            "median": float(np.nanmedian(l2)),
+            "without_metals": rows.interval(np.where(metal, np.nan, l2)),
+            "metals": rows.interval(np.where(metal, l2, np.nan)),
+        }
+    more = [
+        column("median", "median L2 ↓", 0),
+        column("without_metals", "L2 without metals ↓", 0, True),
+        column("metals", "L2 of metals ↓", 0, True),
+    ]
+    return table(result["title"], result["note"], [*result["columns"], *more], result["rows"])
 
 
 def borrowed(row: TableRow, rows: Iterable[TableRow]) -> bool:
@@ -134,7 +189,7 @@ def _verdict(difference: list[float] | None, enough: bool) -> str:
     return "better" if difference[2] < 0 else "worse"
 
 
-def gains(rows: Rows, known: Mapping[str, str]) -> Table | None:
+def gains(rows: Rows, known: Families) -> Table | None:
     """Return a table of what refinement takes off the edits' mean, median and geometric mean.
 
     It has rows of all edits, and by light, by shape and by the family of the target material.
@@ -146,17 +201,8 @@ def gains(rows: Rows, known: Mapping[str, str]) -> Table | None:
     if not both.any():
         return None
 
-    def family(row: dict) -> str:
-        families = {known.get(name, "of no known family") for name in row["wanted"]}
-        return families.pop() if len(families) == 1 else "several families"
-
     groups = {"all edits": both}
-    groupings: tuple[tuple[str, Callable[[dict], str]], ...] = (
-        ("light", lambda row: row["light"]),
-        ("shape", lambda row: row["category"]),
-        ("into", family),
-    )
-    for title, of in groupings:
+    for title, of in groupings(known).items():
         names = np.array([of(row) for row in rows.rows])
         groups |= {f"{title}: {name}": both & (names == name) for name in np.unique(names)}
     results: list[TableRow] = []
@@ -167,6 +213,7 @@ def gains(rows: Rows, known: Mapping[str, str]) -> Table | None:
                 "edits": int(group.sum()),
                 "ratio": bootstrap.relative(a, b, rows.draws(group)),
                 "won": float((b < a).mean()),
+                "worse": int((b > a).sum()),
             }
             for name, mean in MEANS.items():
                 cells |= {name: float(mean(a)), f"{name}_after": float(mean(b))}
@@ -174,13 +221,16 @@ def gains(rows: Rows, known: Mapping[str, str]) -> Table | None:
     columns = [column("edits", "edits", 0), column("ratio", "ratio of means", 3, True)]
     for name, label in (("mean", "mean"), ("median", "median"), ("geometric", "geometric mean")):
         columns += [column(name, f"{label} before", 0), column(f"{name}_after", "after", 0)]
-    columns.append(column("won", "edits better", 3))
+    columns += [column("won", "edits better", 3), column("worse", "edits worse", 0)]
     note = "Display L2 of ours over the mask, as predicted and refined."
     return table("What refinement takes off edits", note, columns, results)
 
 
-def refinement(rows: Rows) -> Table | None:
-    """Return a table of refinement's effect on its initialisations, by method and all together."""
+def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
+    """Return a table of refinement's effect on its initialisations, by method and all together.
+
+    edits  of the same pictures, of which those that refinement made worse are counted
+    """
     refined = [
         name
         for name in rows.methods()
@@ -213,10 +263,16 @@ def refinement(rows: Rows) -> Table | None:
             "seconds": float(np.median(seconds[done])),
             "slowest": float(seconds[done].max()),
         }
+        if edits is not None:
+            plain = [name.removesuffix(", refined") for name in names]
+            a, b = (_gathered(edits, each, ("l2",)) for each in (plain, names))
+            cells |= {"worse_edits": int((b > a).sum()), "edits": int(np.isfinite(a + b).sum())}
         results.append({"name": title, "cells": cells})
     columns = [
         column("starts", "initialisations", 0),
         column("above", "ended above it", 0),
+        column("worse_edits", "edits that got worse", 0),
+        column("edits", "of edits", 0),
         column("not_finite", "not finite", 0),
         column("energy", "median energy before", 5),
         column("energy_after", "after", 5),
@@ -229,8 +285,9 @@ def refinement(rows: Rows) -> Table | None:
     ]
     return table(
         "Refinement",
-        "Energy: Eq. 6 as learn.refinement states it. I′: the picture rendered again from refined"
-        " parts.",
+        "Energy: Eq. 6 as learn.refinement states it; a step that raises it is not accepted, so"
+        " that none can end above its initialisation. The edits that got worse all the same are"
+        " counted beside it. I′: the picture rendered again from refined parts.",
         columns,
         results,
     )
@@ -303,11 +360,15 @@ def _layer_cells(truths: list[dict]) -> dict[str, Cell]:
 
 
 def all_of(
-    pictures: Sequence[dict], edits: Sequence[dict], families: Mapping[str, str]
+    pictures: Sequence[dict],
+    edits: Sequence[dict],
+    families: Families,
+    distances: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Table]:
     """Return {key: table} of rows of pictures.jsonl and edits.jsonl, without empty tables.
 
-    families  as `gains` has them
+    families   as `gains` has them
+    distances  as learn.evaluation.breakdowns.by_distance has them
     """
     P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
     material_alone = (
@@ -319,17 +380,30 @@ def all_of(
     )
     light_alone = "The method's light, with true normals and material, rendered again."
     again = "All three parts of the method. Light given: were the light not predicted but true."
+    displayed = (
+        "Each at its own exposure: the edit's own 99th percentile of luminance is brought to 1, as"
+        " the truth's is. The other figures are under the truth's exposure, as L2 is."
+    )
+    probes = (
+        "The method's light on a diffuse, a matte silver and a mirror sphere, in linear radiance of"
+        " maps of unit mean (learn.metrics.light_probes). Scale-invariant: after the one factor"
+        " that makes the RMSE least. Angular: between the colours of a pixel."
+    )
     given = (
         "Light given, normals given: the same edits were that part not predicted but true. It shows"
-        " where the error comes from. Lombardi-like is given true normals, as in the paper."
+        " where the error comes from."
     )
     result = {
-        "edits": by_method(
-            E, "Edits against their truth", given, [((), PICTURE, ""), ((), GIVEN, "")]
-        ),
+        "edits": edits_by_method(E, families),
         "differences": differences(E),
         "gains": gains(E, families),
-        "refinement": refinement(P),
+        "worst": breakdowns.worst(E, P, families),
+        "distance": breakdowns.by_distance(E, distances),
+        "displayed": by_method(
+            E, "The same edits by other measures", displayed, [((), DISPLAYED, "")]
+        ),
+        "given": by_method(E, "Edits were a part given", given, [((), ALIGNED[:1] + GIVEN, "")]),
+        "refinement": refinement(P, E),
         "rerendered": by_method(
             P,
             "Pictures rendered again",
@@ -354,6 +428,7 @@ def all_of(
             light_alone,
             [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")],
         ),
+        "probes": by_method(P, "Light on three spheres", probes, [(("light",), PROBES, "")]),
         "layer": layer(E),
     }
     return {key: value for key, value in result.items() if value is not None}

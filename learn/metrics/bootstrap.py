@@ -1,9 +1,10 @@
-"""95 % intervals of means over pictures, by a two-way bootstrap over their shapes and materials.
+"""95 % intervals of means over pictures, by a bootstrap over shapes, materials and lights.
 
-Pictures of one shape, or of one material, err together, and both are samples of many more. So whole
-shapes and whole materials are drawn with replacement, and a picture's weight is the number of times
-that its shape came up times the number of times that its material did. Intervals over single
-pictures would be several times too narrow.
+Pictures of one shape, of one material or under one light err together, and each is a sample of many
+more. So whole shapes, whole materials and whole lights are drawn with replacement, and a picture's
+weight is the product of the numbers of times that its shape, material and light came up. Intervals
+over single pictures would be several times too narrow. A kind of which all pictures share one
+cannot be drawn differently: the interval then holds for this one.
 
 P pictures; D draws; groups: arrays (P,) of integers 0 … G − 1, one array for each kind of grouping
 """

@@ -7,7 +7,8 @@ material   brdf_log: root mean square of log((f' + ε)/(f + ε)) over half and d
            code_l2: of the codes that networks predict. Regions have equal weights
 light      direction_deg: between the brightest directions, seen through a lobe of 10°; irradiance:
            relative root mean square error over 96 directions; spheres_l2: display L2 of three
-           spheres, matte, glossy and sharp, under the true light's exposure. No map is rescaled
+           spheres, matte, glossy and sharp, under the true light's exposure; and the figures of
+           learn.metrics.light_probes. No map is rescaled
 """
 
 from functools import cache
@@ -18,6 +19,7 @@ import torch
 from learn.data.devices import array
 from learn.figures.spheres import sphere_normals
 from learn.layer import predictions
+from learn.metrics import light_probes
 from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance
 from learn.networks.coding import Ranges
@@ -93,6 +95,7 @@ def light(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, fl
         "irradiance": float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt()),
         "spheres_l2": float(np.mean(list(shown.values()))),
         **{f"{name}_sphere_l2": value for name, value in shown.items()},
+        **light_probes.compare(L, true, elevation),
     }
 
 

@@ -16,6 +16,13 @@ psnr        10 log₁₀ (255² / l2) in dB, at most 68: rounding to whole displ
 flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels per degree, mean over
             the mask: 0 for equal pictures, 1 at most
 lpips       only with weights (learn.metrics.lpips)
+
+How bright a light is cannot be told from one picture of an unknown material, so three figures of
+the same l2 forgive brightness (`aligned`):
+
+l2_own_exposure   each picture under its own exposure
+l2_one_factor     after the one factor on the picture's radiance that makes l2 least
+l2_three_factors  after the three factors, one per channel, that make it least
 """
 
 from collections.abc import Callable
@@ -27,6 +34,8 @@ from shaders import tone
 from shaders.tone import squared_difference
 
 LEAST_L2 = 0.01  # of PSNR
+STOPS = 5.0  # factors are searched from 2⁻⁵ to 2⁵
+GOLDEN_SECTIONS = 12  # of a stop: to its 300th part
 
 Perceptual = Callable[[np.ndarray, np.ndarray], float]  # of two pictures' display values
 
@@ -46,6 +55,7 @@ def compare(
     shown, right = _displayed(picture, truth, mask)
     result = _l2_and_ssim(shown, right, mask) | {
         "flip": float(flip(shown, right)[mask].mean()),
+        **aligned(picture, truth, mask),
     }
     return result if perceptual is None else result | {"lpips": perceptual(shown, right)}
 
@@ -63,6 +73,51 @@ def display_l2(
     """Return `l2`, or with frame `l2_frame`, of radiance (H, W, 3) against the true radiance."""
     exposure = tone.auto_exposure(truth, mask)
     return float(tone.display_l2(picture, truth, exposure, None if frame else mask))
+
+
+def aligned(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """Return `l2` of radiance (H, W, 3) after alignments that forgive its brightness.
+
+    Neither factor's l2 is ever above l2 itself: 1 is among the factors that are tried.
+    """
+    exposure = tone.auto_exposure(truth, mask)
+    shown, right = picture[mask] * exposure, tone.display(truth[mask], exposure)
+    own = tone.display(picture[mask], tone.auto_exposure(picture, mask))
+    channels = [(shown[:, k : k + 1], right[:, k : k + 1]) for k in range(3)]
+    return {
+        "l2_own_exposure": float(squared_difference(own, right).mean()),
+        "l2_one_factor": _least_l2(shown, right),
+        "l2_three_factors": float(np.mean([_least_l2(a, b) for a, b in channels])),
+    }
+
+
+def _least_l2(radiance: np.ndarray, right: np.ndarray) -> float:
+    """The least l2 of exposed radiance (P, C) times any factor against display values (P, C).
+
+    Clipping makes several minima possible: the best of factors half a stop apart is refined by
+    golden sections between its neighbours.
+    """
+
+    def l2(stops: float) -> float:
+        return float(squared_difference(tone.display(radiance, 2.0**stops), right).mean())
+
+    tried = np.linspace(-STOPS, STOPS, int(4 * STOPS) + 1)
+    values = [l2(stops) for stops in tried]
+    best = int(np.argmin(values))
+    low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
+    ratio = (np.sqrt(5) - 1) / 2
+    inner = [high - ratio * (high - low), low + ratio * (high - low)]
+    errors = [l2(stops) for stops in inner]
+    for _ in range(GOLDEN_SECTIONS):
+        if errors[0] < errors[1]:
+            high, inner[1], errors[1] = inner[1], inner[0], errors[0]
+            inner[0] = high - ratio * (high - low)
+            errors[0] = l2(inner[0])
+        else:
+            low, inner[0], errors[0] = inner[0], inner[1], errors[1]
+            inner[1] = low + ratio * (high - low)
+            errors[1] = l2(inner[1])
+    return min(values[best], *errors)
 
 
 def _displayed(

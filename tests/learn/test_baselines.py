@@ -106,7 +106,11 @@ def batch(data_splits):
 
 def test_all_three_are_found_in_a_folder_and_keep_the_protocol(folder, batch):
     present, missing = methods.present_and_missing(folder)
-    assert [method.name for method in present] == ["Lombardi-like", "Baseline 1", "Baseline 2"]
+    assert [method.name for method in present] == [
+        "Lombardi-like, true normals",
+        "Baseline 1",
+        "Baseline 2",
+    ]
     assert not missing
     mask = batch.mask[0, 0].numpy() > 0
     for method in present:

@@ -449,7 +449,7 @@ def test_the_best_of_a_column_was_given_no_truth():
     rows = [
         ("the layer alone", 1.0),
         ("constant light, true normals", 2.0),
-        ("Lombardi-like", 3.0),
+        ("Lombardi-like, true normals", 3.0),
         ("ours", 4.0),
         ("Baseline 1", 5.0),
     ]

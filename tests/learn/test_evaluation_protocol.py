@@ -118,8 +118,9 @@ def finished(data, weights, others, tmp_path_factory):
     )
     refine, threads = learn.refinement.refine, torch.get_num_threads()
 
-    def noted(batch, prediction, labels):
-        calls.append((batch, prediction, refine(batch, prediction, QUICK, labels)))
+    def noted(batch, prediction, settings=QUICK, labels=None):
+        quick = replace(QUICK, order=settings.order)
+        calls.append((batch, prediction, refine(batch, prediction, quick, labels)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -152,13 +153,20 @@ def test_everyone_who_is_there_has_a_row_and_of_the_baselines_the_second_alone_i
         "constant light, true normals",
     ]
     networks = ["Baseline 1", "Baseline 2", "Baseline 2, refined", OURS, OURS_REFINED]
+    networks += [f"{OURS}, true normals", f"{OURS}, true normals, refined"]
     assert list(finished.edit["methods"]) == [
         *trivial,
         f"constant light, normals of {OURS}",
         *networks,
         "the layer alone",
     ]
-    assert len(finished.refined) == 2  # once each, for parts and edit alike
+    assert len(finished.refined) == 3  # once each, for parts and edit alike
+
+
+def test_a_refinement_that_is_given_true_normals_keeps_them(finished):
+    batch, start, refined = finished.refined[2]
+    assert torch.equal(start.n, batch.n) and torch.equal(refined.prediction.n, batch.n)
+    assert not torch.equal(refined.prediction.light, start.light)
 
 
 @pytest.mark.parametrize(("at", "name"), [(0, "Baseline 2"), (1, OURS)])
@@ -313,18 +321,17 @@ def of(name, **cells):
 def test_the_headline_says_what_the_tables_say():
     edits = [
         of("input unchanged", l2=[900.0, 800.0, 1000.0]),
-        of(
-            OURS,
-            l2=[200.0, 150.0, 260.0],
-            l2_true_light=[120.0, 90.0, 140.0],
-            l2_true_normals=[80.0, 60.0, 100.0],
-        ),
+        of(OURS, l2=[200.0, 150.0, 260.0], l2_one_factor=[1.0] * 3, l2_three_factors=[1.0] * 3),
         of(
             OURS_REFINED,
             l2=[150.0, 110.0, 190.0],
-            l2_true_light=[70.0, 60.0, 80.0],
-            l2_true_normals=[50.0, 40.0, 60.0],
+            l2_one_factor=[90.0, 80.0, 99.0],
+            l2_three_factors=[60.0, 50.0, 70.0],
         ),
+    ]
+    given = [
+        of(OURS, l2_true_light=[120.0, 90.0, 140.0], l2_true_normals=[80.0, 60.0, 100.0]),
+        of(OURS_REFINED, l2_true_light=[70.0, 60.0, 80.0], l2_true_normals=[50.0, 40.0, 60.0]),
     ]
     verdicts = {
         "input unchanged": "better",
@@ -339,13 +346,24 @@ def test_the_headline_says_what_the_tables_say():
     differences += [
         of(f"{OURS_REFINED} − {name}", verdict=verdict) for name, verdict in verdicts.items()
     ]
-    assert report.headline({"edits": {"rows": edits}, "differences": {"rows": differences}}) == [
+    results = {
+        "edits": {"rows": edits},
+        "differences": {"rows": differences},
+        "given": {"rows": given},
+        "gains": {"rows": [of("all edits", edits=500, worse=74)]},
+    }
+    assert report.headline(results) == [
         (
             "An edit differs from its truth by a display L2 of 200 [150, 260] over the mask; after"
             " refinement by 150 [110, 190]: -25 %."
         ),
+        (
+            "After one factor on the brightness of each edit it is 90, after three on its colour"
+            " 60; the brightness of a light cannot be told from one picture."
+        ),
         "With true light instead of predicted it would be 120.",
         "With true normals instead of predicted it would be 80.",
+        "Refinement made 74 of 500 edits worse.",
         (
             "By 95 % intervals of the difference on the same edits, “ours, refined” is better than"
             " “input unchanged”, “Baseline 1”; worse than “Baseline 2”; not separable from “ours”."

@@ -23,7 +23,7 @@ def rows(figures, material="wanted"):
             for method, values in figures.items()
             if values[i] is not None
         }
-        result.append({"shape": shape, material: [name], "methods": methods})
+        result.append({"shape": shape, "light": "city", material: [name], "methods": methods})
     return tables.Rows(result, material)
 
 
@@ -124,6 +124,7 @@ def test_without_refined_edits_there_is_no_such_table():
 def refined(before, after, started, ended, seconds, finite=True):
     return {
         "shape": "a",
+        "light": "city",
         "materials": ["brass"],
         "methods": {
             OURS: {"rendered_all": {"l2": started}},
@@ -190,6 +191,7 @@ def edit(shape, expected, net, fit, node_fit=2.0, truth=None):
     )
     return {
         "shape": shape,
+        "light": "city",
         "wanted": [expected],
         "truth": truth or shape,
         "methods": {},

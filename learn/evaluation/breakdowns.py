@@ -1,0 +1,142 @@
+"""Tables of the evaluation by family, and by distance to the nearest training item."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from learn.evaluation.methods import OURS, OURS_REFINED
+from learn.evaluation.table import Cell, Rows, Table, TableRow, column, table
+
+METAL = "metal"  # family of the catalogue; metallic paints are another
+THIRDS_FROM = 9  # items; fewer are split into halves
+
+Families = Mapping[str, str]
+
+
+def family(names: Sequence[str], known: Families) -> str:
+    """Return the family of a picture's materials, or that there are several or none known."""
+    families = {known.get(name, "of no known family") for name in names}
+    return families.pop() if len(families) == 1 else "several families"
+
+
+def has_metal(names: Sequence[str], known: Families) -> bool:
+    """Return whether one of a picture's materials is a metal."""
+    return any(known.get(name) == METAL for name in names)
+
+
+def groupings(known: Families) -> dict[str, Callable[[dict], str]]:
+    """Return {title: function of an edit's row}, by which edits are grouped."""
+    return {
+        "light": lambda row: row["light"],
+        "shape": lambda row: row["category"],
+        "into": lambda row: family(row["wanted"], known),
+    }
+
+
+def worst(edits: Rows, pictures: Rows, known: Families) -> Table | None:
+    """Return a table of the mean and the worst edit of each family, and its normals."""
+    mine = OURS_REFINED if np.isfinite(edits.values(OURS_REFINED, ("l2",))).any() else OURS
+    l2, factor = (edits.values(mine, (key,)) for key in ("l2", "l2_one_factor"))
+    angles = pictures.values(mine, ("normals", "mean_deg"))
+    results: list[TableRow] = []
+    for title, of in groupings(known).items():
+        names = np.array([of(row) for row in edits.rows])
+        for name in np.unique(names):
+            group = np.flatnonzero((names == name) & np.isfinite(l2))
+            if not len(group):
+                continue
+            top = edits.rows[int(group[np.argmax(l2[group])])]
+            cells: dict[str, Cell] = {
+                "edits": len(group),
+                "l2": edits.interval(np.where(names == name, l2, np.nan)),
+                "one_factor": _mean(factor[group]),
+                "worst": float(l2[group].max()),
+                "which": (
+                    f"{'+'.join(dict.fromkeys(top['materials']))} →"
+                    f" {'+'.join(dict.fromkeys(top['wanted']))}, {top['shape']}, {top['light']}"
+                ),
+            }
+            if title != "into":
+                here = np.array([of(row) == name for row in pictures.rows], bool)
+                here &= np.isfinite(angles)
+                if here.any():
+                    cells |= {
+                        "normals": float(angles[here].mean()),
+                        "normals_worst": float(angles[here].max()),
+                    }
+            results.append({"name": f"{title}: {name}", "cells": cells})
+    columns = [
+        column("edits", "edits", 0),
+        column("l2", "mean L2", 0, True),
+        column("one_factor", "after one factor", 0),
+        column("worst", "worst L2", 0),
+        column("which", "the worst edit"),
+        column("normals", "normals, mean °", 1),
+        column("normals_worst", "worst picture °", 1),
+    ]
+    note = f"“{mine}”: the mean over the edits of each light and family, and the worst of them."
+    return table("Each family and its worst edit", note, columns, results)
+
+
+def by_distance(edits: Rows, distances: Mapping[str, Mapping[str, float]]) -> Table | None:
+    """Return a table of edits by the distance of their input to the nearest training item.
+
+    distances  {"materials", "lights": {name: distance, 0 for an item of training}}
+               (learn.evaluation.distances)
+    """
+    before, after = (edits.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
+    titles = {"materials": "input material", "lights": "light"}
+    results: list[TableRow] = []
+    for kind, known in distances.items():
+        for words, names in _groups(known).items():
+            chosen = np.array([_item(row, kind, known) in names for row in edits.rows], bool)
+            if not chosen.any():
+                continue
+            cells: dict[str, Cell] = {
+                "items": len(names),
+                "distance": float(np.mean([known[name] for name in names])),
+                "edits": int(chosen.sum()),
+                "l2": edits.interval(np.where(chosen, before, np.nan)),
+                "refined": edits.interval(np.where(chosen, after, np.nan)),
+            }
+            both = chosen & np.isfinite(before + after)
+            if both.any():
+                cells["ratio"] = float(after[both].mean() / before[both].mean())
+            results.append({"name": f"{titles[kind]}: {words}", "cells": cells})
+    columns = [
+        column("items", "items", 0),
+        column("distance", "mean distance", 2),
+        column("edits", "edits", 0),
+        column("l2", f"{OURS}, L2", 0, True),
+        column("refined", f"{OURS_REFINED}, L2", 0, True),
+        column("ratio", "ratio of means", 3),
+    ]
+    note = (
+        "Materials: log error of the BRDF against the nearest label that the weights were trained"
+        " on. Lights: relative error of irradiance against the nearest training map, turned and"
+        " mirrored freely. “Of training” is the paper's own protocol: maps of training at other"
+        " rotations."
+    )
+    return table("By distance to the nearest training item", note, columns, results)
+
+
+def _item(row: Mapping, kind: str, known: Mapping[str, float]) -> str:
+    """The light, or of the input's materials the one that is farthest from training."""
+    if kind == "lights":
+        return str(row["light"])
+    return max(row["materials"], key=lambda name: known.get(name, 0.0))
+
+
+def _groups(known: Mapping[str, float]) -> dict[str, list[str]]:
+    """{words: names}: items of training, and the others in halves or thirds of equal number."""
+    seen = [name for name, distance in known.items() if distance == 0]
+    others = sorted((name for name in known if name not in seen), key=known.__getitem__)
+    words: tuple[str, ...] = ("nearest third", "middle third", "farthest third")
+    if len(others) < THIRDS_FROM:
+        words = ("nearer half", "farther half") if len(others) > 1 else ("not of training",)
+    parts = [[str(name) for name in part] for part in np.array_split(others, len(words))]
+    return {"of training": seen} | dict(zip(words, parts, strict=True))
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
