@@ -173,8 +173,8 @@ def collect(
         if name not in known:
             raise InputError("--package", "a listed package", name, closest(name, known))
     chosen = [known[name] for name in requested] if requested else list(known.values())
-    found = {each.package: candidates(each, Path(root)) for each in chosen}
-    missing = [each for each in chosen if not found[each.package]]
+    by_package = {each.package: candidates(each, Path(root)) for each in chosen}
+    missing = [each for each in chosen if not by_package[each.package]]
     if missing if requested else len(missing) == len(chosen):
         raise InputError(
             root,
@@ -185,7 +185,7 @@ def collect(
     rows: list[dict] = []
     hashes: dict[str, str] = {}
     groups: set[str] = set()
-    for candidate in _interleaved([found[each.package] for each in chosen]):
+    for candidate in _interleaved([by_package[each.package] for each in chosen]):
         side = side_of(candidate.group)
         full = most is not None and sum(row["side"] == side for row in rows) >= most
         if full or (most is not None and candidate.group in groups):
