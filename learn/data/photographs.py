@@ -209,7 +209,7 @@ def _require_size(path, found, expected, what):
 def _pixels(path):
     """radiance (H, W, 3) linear, alpha (H, W) in [0, 1], upright as the file's orientation says."""
     if path.suffix.lower() == ".exr":
-        return _exr_pixels(path)
+        return read_exr(path)
     values = _decoded(path, _display_values)
     if values.ndim == 2:
         low, high = values.min(), values.max()
@@ -302,7 +302,11 @@ def _linear(values):
     return tone.linear_from_srgb(values).astype(np.float32)
 
 
-def _exr_pixels(path):
+def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return radiance (H, W, 3) float32, 0 or more, and alpha (H, W) of an EXR.
+
+    Raises  InputError: channels missing or of several sizes, values that are not finite
+    """
     channels = exr.read(path)
     missing = [name for name in PICTURE_CHANNELS if name not in channels]
     if missing:

@@ -62,16 +62,34 @@ class Compositor:
 
         label  (S, 108), or (1, 108) for all regions
         """
+        picture = self._rendered(label, self.decomposition.parts.light)
+        return picture / self.decomposition.exposure.astype(np.float32)
+
+    def relit(self, label: np.ndarray | torch.Tensor, light: np.ndarray) -> np.ndarray:
+        """Return linear radiance (H, W, 3) of the object alone under another light.
+
+        It is that of the light, in the photograph's frame; 0 outside the object.
+
+        label  (S, 108), or (1, 108) for all regions
+        light  (64, 128, 3), light frame
+        """
+        L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
+        picture = self._rendered(label, L) * (self.coverage > 0)[..., None]
+        frame = np.zeros_like(self.decomposition.photograph.radiance)
+        return photographs.put_back(frame, picture, self.decomposition.framed.box)
+
+    def _rendered(self, label: np.ndarray | torch.Tensor, light: torch.Tensor) -> np.ndarray:
+        """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
         label = torch.as_tensor(label, dtype=torch.float32).to(self.n.device)
         picture = predictions.picture(
             self.n.movedim(-1, 0)[None],
             label[None],
-            self.decomposition.parts.light,
+            light,
             self.segments[None],
             self.decomposition.batch.elevation,
             predictions.SHOWN._replace(tolerance=self.tolerance),
         )
-        return self.upsampled(array(picture[0])) / self.decomposition.exposure.astype(np.float32)
+        return self.upsampled(array(picture[0]))
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""

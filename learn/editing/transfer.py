@@ -4,6 +4,7 @@ As in the paper's Figures 10 and 15, row i of a grid is the object and light of 
 the material of picture j; on the diagonal is the picture itself.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learn.editing import decomposition, drawing, photograph
+from learn.data.devices import array
+from learn.editing import decomposition, desired_light, drawing, photograph, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.edit import EditOptions
@@ -23,7 +25,7 @@ from learn.networks import weights as checkpoint
 from manifests import files
 from manifests.errors import InputError
 from manifests.inputs import require_file
-from shaders import tone
+from shaders import envmap, tone
 
 REMEDY = (
     "put NAME.mask.png beside it, white where the object is, or name a folder of masks:"
@@ -78,11 +80,15 @@ def run(
     edit_options: EditOptions,
     per_grid: int = 6,
     overwrite: bool = False,
+    lights: Sequence[str] = (),
+    rotation_deg: float = 0.0,
 ) -> None:
     """Write the edit of every pair of pictures, the grids, and transfer.json.
 
     The files are SHAPE-in-MATERIAL.png for every pair, and grid.png, or grid-01.png … for many
-    pictures. Raises InputError.
+    pictures. With desired lights (texts of learn.editing.desired_light), they are
+    SHAPE-in-MATERIAL-under-LIGHT.png for every object, material and light, and
+    grid-under-LIGHT.png; the objects stand alone, on a transparent ground. Raises InputError.
     """
     out = Path(out)
     if not 2 <= per_grid <= MOST_PER_GRID:
@@ -98,22 +104,49 @@ def run(
         if len(groups) == 1
         else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     )
-    names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
+    if lights:
+        labels = light_names(lights)
+        grids = [f"{Path(name).stem}-under-{label}.png" for name in grids for label in labels]
+        names = [
+            relit_name(shape, material, label)
+            for group in groups
+            for shape in group
+            for material in group
+            for label in labels
+        ]
+    else:
+        names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
     files.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, paths)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.
     for path in (path for group in groups[1:] for path in group):
         opened(path, mask_folder, edit_options)
+
+    def of_picture(path: Path) -> np.ndarray:
+        photo = opened(path, mask_folder, edit_options)
+        return light_in(
+            decomposition.decompose(photo, network, metadata["size"], edit_options.settings)
+        )
+
+    maps = [desired_light.light_of(text, of_picture, rotation_deg) for text in lights]
     out.mkdir(parents=True, exist_ok=True)
     report = []
-    with (
-        files.transaction(),
-        tqdm(total=sum(len(group) ** 2 for group in groups), unit="picture") as progress,
-    ):
-        for group, name in zip(groups, grids, strict=True):
+    count = sum(len(group) * (1 + len(group) * len(maps)) for group in groups)
+    if not maps:
+        count = sum(len(group) ** 2 for group in groups)
+    with files.transaction(), tqdm(total=count, unit="picture") as progress:
+        for number, group in enumerate(groups):
+            name = grids[number * max(len(maps), 1)]
             pictures = {path: opened(path, mask_folder, edit_options) for path in group}
             decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
+            report += metadata_of(decompositions, name)
+            if maps:
+                of_group = grids[number * len(maps) : (number + 1) * len(maps)]
+                for label, light, grid in zip(labels, maps, of_group, strict=True):
+                    rows = relit_rows(out, decompositions, label, light, edit_options, progress)
+                    save(out / grid, montage.contact_sheet(rows, drawing.TILE))
+                continue
             tiles_by_row = [head(decompositions)]
             for shape in group:
                 tiles = {}
@@ -123,8 +156,74 @@ def run(
                     progress.update()
                 tiles_by_row.append(row(shape, decompositions, tiles))
             save(out / name, montage.contact_sheet(tiles_by_row, drawing.TILE))
-            report += metadata_of(decompositions, name)
-        files.write_json(out / "transfer.json", {"pictures": report} | edit_options.as_metadata())
+        about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
+        files.write_json(
+            out / "transfer.json", {"pictures": report} | about | edit_options.as_metadata()
+        )
+
+
+def light_names(lights: Sequence[str]) -> list[str]:
+    """Return what desired lights are called in names of files. Raises InputError for duplicates."""
+    names = []
+    for text in lights:
+        path, _, member = text.partition("#")
+        stem = member or (text if text.startswith(desired_light.COMPUTED) else Path(path).stem)
+        names.append(re.sub(r"[^A-Za-z0-9._-]+", "-", stem)[:80] or "light")
+    if len(set(names)) < len(names):
+        raise InputError(
+            "--light", "lights of different names", ", ".join(names), "rename or drop one"
+        )
+    return names
+
+
+def relit_name(shape: Path, material: Path, light: str) -> str:
+    """Return the file name of one picture's object in another's material under a desired light."""
+    return f"{shape.stem}-in-{material.stem}-under-{light}.png"
+
+
+def light_in(decomposed: Decomposition) -> np.ndarray:
+    """Return the light (64, 128, 3) of a decomposed picture, at unit mean."""
+    L = array(decomposed.parts.light[0].movedim(0, -1))
+    return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)
+
+
+def relit_rows(
+    out: Path,
+    decompositions: Mapping[Path, Decomposition],
+    label: str,
+    light: np.ndarray,
+    edit_options: EditOptions,
+    progress: tqdm,
+) -> list[list[Tile]]:
+    """Write the pictures of one grid under a desired light; return the grid's rows.
+
+    Each object is exposed as a light meter at its place would say: a white diffuse object of its
+    shape is just not clipped, so that dark and bright materials keep their brightness.
+    """
+    white = targets.label_of("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
+    assert white is not None
+    above = head(decompositions)
+    above[0] = (label, montage.light_picture(light))
+    rows: list[list[Tile]] = [above]
+    for shape, decomposed in decompositions.items():
+        compositor = Compositor(decomposed, edit_options.tolerance)
+        photo = decomposed.photograph
+        exposure = tone.auto_exposure(compositor.relit(white, light), photo.mask)
+        before = tile(photo.radiance, decomposed)
+        row: list[Tile] = [(shape.stem, before)]
+        for material, other in decompositions.items():
+            chosen = decomposed.label if material is shape else other.label[:1]
+            shown = tone.display(compositor.relit(chosen, light), exposure)
+            alpha = 255.0 * photo.coverage[..., None]
+            save(
+                out / relit_name(shape, material, label),
+                np.concatenate([shown, alpha], -1),
+            )
+            ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
+            row.append(("", drawing.cropped(ground, decomposed)))
+            progress.update()
+        rows.append(row)
+    return rows
 
 
 def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
