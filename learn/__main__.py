@@ -12,6 +12,7 @@ COMMANDS = (
     "agree",
     "evaluate",
     "evaluate-network",
+    "evaluate-ladder",
     "train-baselines",
 )
 MOVED = {  # earlier names of commands, and what to type now

@@ -107,6 +107,9 @@ BASES = {
         "--data {seeds}/data --weights {seeds}/weights.safetensors --no-refine --edits 1"
         " --processes 1 --out {out}"
     ),
+    "learn evaluate-ladder": (
+        "--data {seeds}/data --weights {seeds}/weights.safetensors --out {out}"
+    ),
     "learn.experiments upsampling": "--data {seeds}/nothing --out {out}",
     "learn train-baselines": "--data {seeds}/nothing --out {out}",
     "learn.experiments layer-ablation": "--data {seeds}/nothing --out {out}",

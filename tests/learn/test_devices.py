@@ -47,6 +47,7 @@ WORDS = {
     "transfer": ["a.png", "b.png", "--out", "OUT"],
     "evaluate": ["--data", "DATA", "--out", "OUT"],
     "evaluate-network": ["weights.safetensors", "--data", "DATA", "--out", "OUT"],
+    "evaluate-ladder": ["--data", "DATA", "--out", "OUT"],
     "agree": ["DATA", "--out", "OUT"],
 }
 

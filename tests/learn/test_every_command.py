@@ -47,6 +47,7 @@ ELSEWHERE = {  # command: (file, what stands there)
     "learn transfer": ("tests/learn/test_full_disk_learn.py", '"transfer"'),
     "learn agree": ("tests/learn/test_agree.py", '["agree", str(folder)'),
     "learn evaluate": ("tests/learn/test_full_disk_learn.py", '"evaluate"'),
+    "learn evaluate-ladder": ("tests/learn/test_ladder.py", '"evaluate-ladder"'),
     "learn train-baselines": ("tests/learn/test_full_disk_learn.py", '"baselines"'),
     "learn.experiments": ("tests/learn/test_every_experiment.py", "sorted(SMALLEST)"),
 }

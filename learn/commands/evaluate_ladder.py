@@ -1,0 +1,124 @@
+"""`learn evaluate-ladder`: weights from the layer's own pictures up to photographs of objects."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from learn.commands import options
+from manifests.option_types import positive, whole
+
+SIDES = ("development", "test")
+
+
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
+    parser = subparsers.add_parser(
+        "evaluate-ladder",
+        help="measure weights from direct light, rung by rung, up to photographs",
+        description=(
+            "Measures weights on the same objects with direct light only, with shadows, with"
+            " interreflection, with square pixels, as an 8-bit PNG, and from an unknown camera:"
+            " normals, light and edits, for own families, held-out families and outside meshes."
+            " --jobs DIR writes the jobs that render the pictures; --data and --out measure them."
+            " The same command continues a stopped run."
+        ),
+    )
+    parser.add_argument("--data", type=Path, metavar="DIR", help="the data set of these jobs")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--jobs",
+        type=Path,
+        metavar="DIR",
+        help="write the jobs that render the pictures into this folder, and measure nothing",
+    )
+    parser.add_argument(
+        "--side",
+        choices=SIDES,
+        default="development",
+        help="development (default), or test, which is opened once at the end",
+    )
+    parser.add_argument(
+        "--meshes",
+        type=Path,
+        metavar="FOLDER",
+        help="with --jobs: a folder of outside meshes (default: none, and that group is skipped)",
+    )
+    parser.add_argument(
+        "--mesh-count",
+        type=positive,
+        default=6,
+        metavar="N",
+        help="with --meshes: number of meshes that are used (default 6)",
+    )
+    options.add_weights(parser)
+    parser.add_argument(
+        "--scenes",
+        type=positive,
+        metavar="N",
+        help="number of scenes of each group (default: all)",
+    )
+    parser.add_argument(
+        "--refined",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="number of scenes of each group that are refined on every rung as well (default 0)",
+    )
+    parser.add_argument(
+        "--incomplete",
+        action="store_true",
+        help="measure the scenes that are there on every rung although others were not rendered",
+    )
+    options.add_allow_overlap(parser)
+    options.add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
+    from learn.data import devices
+    from learn.editing import predict
+    from learn.evaluation import ladder
+    from manifests.errors import InputError
+
+    if arguments.jobs is not None:
+        _write_jobs(arguments)
+        return
+    missing = [name for name in ("data", "out") if getattr(arguments, name) is None]
+    if missing:
+        raise InputError(
+            f"--{missing[0]}", "a folder", "none", "give --data DIR --out DIR, or --jobs DIR"
+        )
+    report = ladder.make(
+        ladder.Options(
+            data=arguments.data,
+            weights=arguments.weights or predict.WEIGHTS,
+            out=arguments.out,
+            side=arguments.side,
+            scenes=arguments.scenes,
+            refined=arguments.refined,
+            device=str(devices.choose(arguments.device)),
+            allow_overlap=arguments.allow_overlap,
+            incomplete=arguments.incomplete,
+        )
+    )
+    for sentence in report["headline"]:
+        print(sentence)
+    print(f"See {arguments.out / 'report.md'}")
+
+
+def _write_jobs(arguments: argparse.Namespace) -> None:
+    from learn.evaluation import ladder, ladder_design
+
+    paths = ladder.write_jobs(
+        arguments.side, arguments.jobs, arguments.meshes, arguments.mesh_count
+    )
+    print(f"{arguments.jobs}: {len(paths)} jobs. These commands render them:")
+    if seeds := ladder_design.light_seeds(ladder_design.preset(arguments.side)):
+        span = f"--first {seeds[0]} --count {len(seeds)}"
+        print(f"python -m factory lights make {span} --library LIGHTS")
+    assets = f" --assets {arguments.meshes}" if arguments.meshes is not None else ""
+    for path in paths.values():
+        print(f"python -m factory render {path} --out DATA --lights LIGHTS{assets}")
+    print(f"python -m learn evaluate-ladder --side {arguments.side} --data DATA --out OUT")

@@ -1,0 +1,329 @@
+"""`learn evaluate-ladder`: weights on every rung of the ladder, from direct light to a photograph.
+
+OUT/settings.json     what the figures depend on; a folder made with other settings is refused
+OUT/lines.jsonl       one line per scene and rung, written as soon as it is measured
+OUT/report.json, report.md, chart.png
+
+The same command continues a stopped run, and a larger --scenes or --refined adds to it.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from msgspec import Struct, to_builtins
+from scipy.optimize import minimize_scalar
+from tqdm import tqdm
+
+from learn.data.batch import ExampleBatch
+from learn.data.devices import array
+from learn.data.records import Records
+from learn.data.seen import DIGITS, label_hash, map_hash
+from learn.editing.decomposition import Parts, parts_of
+from learn.evaluation import ladder_design, ladder_report, methods, overlap
+from learn.evaluation.ladder_design import RUNGS, Rung, Scene
+from learn.evaluation.ladder_pictures import Shown, shown
+from learn.evaluation.rows import Figure
+from learn.layer.predictions import MEASURED
+from learn.metrics.pictures import display_l2
+from learn.metrics.radiometry import irradiance
+from learn.networks import weights as checkpoint
+from learn.refinement import RefinementSettings, refine
+from manifests import files, lock
+from manifests.provenance import provenance
+from manifests.store import Lines, file_hash
+from shaders import tone
+
+FACTOR_RANGE = 4.0  # natural logarithm of the largest and least factor that aligns two pictures
+
+
+class Measured(Struct, frozen=True):
+    """Figures of one decomposition and the edit made from it.
+
+    normals_mean_deg, normals_median_deg  angle to the true normals over the mask
+    irradiance         relative root mean square error of the light's irradiance
+    edit_l2            display L2 of the edit against its truth
+    edit_l2_aligned    the same after the factor on the edit's radiance that makes it least
+    """
+
+    normals_mean_deg: Figure
+    normals_median_deg: Figure
+    irradiance: Figure
+    edit_l2: Figure
+    edit_l2_aligned: Figure
+
+
+class Line(Struct, frozen=True, kw_only=True):
+    """A line of lines.jsonl: one scene on one rung.
+
+    facing_deg       angle of normals that all face the viewer, mean over the mask
+    constant_irradiance  irradiance error of the same light from everywhere
+    unchanged_l2     display L2 of the input picture itself
+    floor_l2         of the edit from true normals, light and label; None on rungs of other cameras
+    metal            whether the target material is a metal
+    refined          None where the scene was not refined
+    """
+
+    id: str
+    scene: str
+    rung: str
+    group: str
+    family: str
+    shape: str
+    light: str
+    source: str
+    target: str
+    metal: bool
+    exposure: Figure
+    facing_deg: Figure
+    constant_irradiance: Figure
+    unchanged_l2: Figure
+    floor_l2: Figure | None
+    predicted: Measured
+    refined: Measured | None = None
+    commit: str = "none"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is evaluated.
+
+    data, weights, out  paths
+    side                one of ladder_design.SIDES
+    scenes              number of scenes per group, None: all
+    refined             number of scenes per group that are refined on every rung
+    allow_overlap       whether pictures are measured that show what the weights saw in training
+    incomplete          whether scenes are measured although others were not rendered
+    """
+
+    data: Path
+    weights: Path
+    out: Path
+    side: str = "development"
+    scenes: int | None = None
+    refined: int = 0
+    device: str = "cpu"
+    allow_overlap: bool = False
+    incomplete: bool = False
+
+
+def write_jobs(
+    side: str, folder: Path, meshes: Path | None = None, count: int = 6
+) -> dict[str, Path]:
+    """Write the jobs that render a side into a folder, and return {name: path}.
+
+    meshes  a folder of outside meshes, of which `count` are used, or None
+    """
+    names = [] if meshes is None else ladder_design.outside_meshes(meshes, count)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    result = {}
+    with files.transaction():
+        for name, job in ladder_design.jobs(ladder_design.preset(side), names).items():
+            result[name] = folder / f"{name}.json"
+            files.write_json(result[name], to_builtins(job))
+    return result
+
+
+def make(options: Options) -> dict:
+    """Measure what is missing, write the report and return it. Raises InputError."""
+    records, out = Records(options.data), Path(options.out)
+    job = ladder_design.preset(options.side)
+    there = ladder_design.scenes(records.records, job, options.incomplete)
+    scenes = per_group(there, options.scenes)
+    to_refine = {scene.id for scene in per_group(scenes, options.refined)}
+    with lock.writing(out, patience=0):
+        bench = Bench(records, options.weights, options.device)
+        seen = overlap.sentences(
+            [options.weights], tested(records, scenes), options.data, options.allow_overlap
+        )
+        files.pin_settings(out / "settings.json", settings(options))
+        measure(out, bench, scenes, to_refine)
+        used = {scene.id for scene in scenes}
+        lines = [line for line in rows_of(out).values() if line["scene"] in used]
+        about = {
+            "made": provenance(),
+            "side": options.side,
+            "job": to_builtins(job),
+            "weights": file_hash(options.weights)[:12],
+            "weights_name": Path(options.weights).name,
+            "seen": seen,
+            "designed": ladder_design.designed_scenes(job),
+            "outside": sum(scene.group == ladder_design.OUTSIDE_GROUP for scene in scenes),
+        }
+        return ladder_report.write(out, lines, about)
+
+
+def per_group(scenes: Sequence[Scene], count: int | None) -> list[Scene]:
+    """Return the first `count` scenes of each group in their order; None: all."""
+    seen: dict[str, int] = {}
+    result = []
+    for scene in scenes:
+        seen[scene.group] = seen.get(scene.group, 0) + 1
+        if count is None or seen[scene.group] <= count:
+            result.append(scene)
+    return result
+
+
+def tested(records: Records, scenes: Sequence[Scene]) -> overlap.Tested:
+    """Return what the scenes show, targets included, as {kind: {hash: name}}."""
+    pictures = [
+        record for scene in scenes for of in (scene.source, scene.truth) for record in of.values()
+    ]
+    materials = {name for record in pictures for name in record.materials}
+    return {
+        "shapes": {record.shape_hash[:DIGITS]: record.shape for record in pictures},
+        "materials": {label_hash(records.label(name)): name for name in sorted(materials)},
+        "lights": {
+            map_hash(records.light(name)): name
+            for name in sorted({record.light for record in pictures})
+        },
+    }
+
+
+def settings(options: Options) -> dict:
+    """Return what a line's figures depend on; files count by their bytes."""
+    result = {
+        "data": file_hash(Path(options.data) / "materials.json"),
+        "weights": file_hash(options.weights),
+        "side": options.side,
+        "refine": asdict(RefinementSettings()),
+        "tolerance": MEASURED.tolerance,
+    }
+    kind = torch.device(options.device).type
+    return result if kind == "cpu" else result | {"device": kind}
+
+
+def rows_of(out: Path) -> dict[str, dict]:
+    """Return {id: line} of the measured lines; of two of one id the later one counts."""
+    return {row["id"]: row for row in files.read_lines(Path(out) / "lines.jsonl", Line)}
+
+
+def measure(out: Path, bench: "Bench", scenes: Sequence[Scene], to_refine: set[str]) -> None:
+    """Measure every scene on every rung that has no line yet, or one without refinement.
+
+    to_refine  ids of the scenes that are refined
+    """
+    done = rows_of(out)
+
+    def finished(scene: Scene, rung: Rung) -> bool:
+        line = done.get(f"{scene.id}-{rung.name}")
+        return line is not None and (scene.id not in to_refine or line["refined"] is not None)
+
+    todo = [(scene, rung) for scene in scenes for rung in RUNGS if not finished(scene, rung)]
+    with closing(Lines(Path(out) / "lines.jsonl")) as lines:
+        for scene, rung in tqdm(todo, unit="edit", disable=None):
+            lines.append(bench.line(scene, rung, scene.id in to_refine))
+
+
+class Bench:
+    """Records and a network, which measure scenes.
+
+    Raises  InputError for unusable weights
+    """
+
+    def __init__(self, records: Records, weights: Path, device: str = "cpu"):
+        network, metadata = checkpoint.load_parts(weights, device)
+        self.records, self.size, self.device = records, metadata["size"], torch.device(device)
+        self.predict = methods.network(network)
+        self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
+        self.commit = provenance()["commit"]
+
+    def line(self, scene: Scene, rung: Rung, refined: bool) -> Line:
+        """Return the figures of a scene on a rung; refined: whether those of refinement too."""
+        picture = shown(self.records, scene, rung, self.size)
+        batch = picture.batch.to(self.device)
+        source = array((batch.image * batch.mask)[0].movedim(0, -1))
+        prediction = self.predict(batch)
+        facing = torch.zeros_like(batch.n)
+        facing[:, 2] = 1.0
+        floor = None
+        if not rung.eight_bit:
+            true = Parts(batch.n, batch.label, batch.light)
+            floor = display_l2(_edited(true, picture, batch), picture.target, picture.mask)
+        names = {key: of[rung.name].materials[0] for key, of in _sides(scene).items()}
+        return Line(
+            id=f"{scene.id}-{rung.name}",
+            scene=scene.id,
+            rung=rung.name,
+            group=scene.group,
+            family=scene.family,
+            shape=scene.shape,
+            light=scene.light,
+            metal=self.records.material(names["target"]).family == "metal",
+            exposure=picture.exposure,
+            facing_deg=angles(facing, batch)[0],
+            constant_irradiance=irradiance_error(torch.ones_like(batch.light), batch.light),
+            unchanged_l2=display_l2(source, picture.target, picture.mask),
+            floor_l2=floor,
+            predicted=measured(parts_of(prediction), picture, batch),
+            refined=(
+                measured(parts_of(self.refine(batch, prediction).prediction), picture, batch)
+                if refined
+                else None
+            ),
+            commit=self.commit,
+            **names,
+        )
+
+
+def _sides(scene: Scene) -> dict[str, Mapping]:
+    return {"source": scene.source, "target": scene.truth}
+
+
+def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
+    """Return the figures of a decomposition of a picture; batch: the picture's, on the device."""
+    mean, median = angles(parts.n, batch)
+    edited = _edited(parts, picture, batch)
+    return Measured(
+        mean,
+        median,
+        irradiance_error(parts.light, batch.light),
+        display_l2(edited, picture.target, picture.mask),
+        aligned_l2(edited, picture.target, picture.mask),
+    )
+
+
+def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:
+    return methods.rendered(parts.n, torch.from_numpy(picture.label), parts.light, batch)
+
+
+def angles(n: torch.Tensor, batch: ExampleBatch) -> tuple[float, float]:
+    """Return the mean and median angle in degrees of normals (1, 3, H, W) over the mask."""
+    cosine = (n * batch.n).sum(1)[batch.segments > 0].double().clamp(-1, 1)
+    degrees = cosine.arccos().rad2deg()
+    return float(degrees.mean()), float(degrees.median())
+
+
+def irradiance_error(light: torch.Tensor, true: torch.Tensor) -> float:
+    """Return the root mean square error of irradiance, relative to the true root mean square.
+
+    light, true  (1, 3, 64, 128), light frame; as learn.metrics.intrinsics.light measures it
+    """
+    a, b = irradiance(light.float()), irradiance(true.float())
+    return float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt())
+
+
+def aligned_l2(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
+    """Return the least display L2 of factor × picture against the truth, over one factor.
+
+    The exposure of a photograph cannot be known, and this distance does not depend on it.
+
+    picture, truth  (H, W, 3) radiance; mask (H, W) bool
+    """
+    exposure = tone.auto_exposure(truth, mask)
+    own = tone.auto_exposure(picture, mask)
+    right = tone.display(truth[mask], exposure)
+
+    def distance(log_factor: float) -> float:
+        shown_ = tone.display(picture[mask], own * np.exp(log_factor))
+        return float(((shown_ - right) ** 2).mean())
+
+    best = minimize_scalar(
+        distance, bounds=(-FACTOR_RANGE, FACTOR_RANGE), method="bounded", options={"xatol": 1e-3}
+    )
+    return min(float(best.fun), display_l2(picture, truth, mask))

@@ -1,0 +1,368 @@
+"""The ladder's report: one table per group of shapes, the families, refinement, and one figure.
+
+Brackets are 95 % intervals by bootstrap in which whole shapes, target materials and lights are
+drawn with replacement.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from learn.evaluation.ladder_design import (
+    GROUPS,
+    HEADLINE,
+    OTHER_ELEVATION_DEG,
+    OTHER_FOV_DEG,
+    OUTSIDE_GROUP,
+    RUNGS,
+)
+from learn.evaluation.page import text_of
+from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
+from learn.metrics import bootstrap
+from manifests import files
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TITLE = "The ladder: from direct light to a photograph"
+COLOURS = {
+    "own families": "#2f6f9f",
+    "general families of training": "#8a6fb0",
+    "held-out families": "#b3402a",
+    "outside meshes": "#2e7d4f",
+}
+COLUMNS = (
+    column("normals", "normals ° ↓", 1, True),
+    column("median", "median ° ↓", 1),
+    column("facing", "facing the viewer °", 1),
+    column("irradiance", "irradiance error ↓", 3, True),
+    column("constant", "of a constant light", 3),
+    column("edit", "edit L2 ↓", 0, True),
+    column("edit_median", "median ↓", 0),
+    column("dielectrics", "without metals ↓", 0, True),
+    column("metals", "metals ↓", 0, True),
+    column("aligned", "one factor free ↓", 0, True),
+    column("floor", "true parts", 0),
+    column("unchanged", "input unchanged", 0),
+)
+REFINED_COLUMNS = (
+    column("scenes", "edits", 0),
+    column("before", "predicted L2 ↓", 0, True),
+    column("after", "refined L2 ↓", 0, True),
+    column("ratio", "ratio ↓", 2, True),
+    column("normals_before", "normals, predicted ° ↓", 1, True),
+    column("normals_after", "refined ° ↓", 1, True),
+    column("light_before", "irradiance error, predicted ↓", 3, True),
+    column("light_after", "refined ↓", 3, True),
+)
+FIGURES: tuple[tuple[str, str, Callable[[Mapping], float]], ...] = (
+    ("normals", "normals, mean angle (°)", lambda line: line["predicted"]["normals_mean_deg"]),
+    ("irradiance", "light, irradiance error", lambda line: line["predicted"]["irradiance"]),
+    ("edit", "edits, display L2", lambda line: line["predicted"]["edit_l2"]),
+)
+
+
+class Figures:
+    """The lines of one rung and group, and their weights in each bootstrap draw."""
+
+    def __init__(self, lines: Sequence[Mapping]):
+        self.lines = lines
+        names = [[line[key] for line in lines] for key in ("shape", "target", "light")]
+        self.weights = bootstrap.draws(bootstrap.groups_of(*names))
+        # a single shape, material or light cannot be drawn differently
+        self.enough = all(len(set(each)) > 1 for each in names)
+
+    def values(self, get: Callable[[Mapping], float | None]) -> np.ndarray:
+        """Return a figure (P,) float64, NaN where a line has none."""
+        values = [get(line) for line in self.lines]
+        return np.array([np.nan if value is None else value for value in values], np.float64)
+
+    def interval(
+        self, get: Callable[[Mapping], float | None], kept: np.ndarray | None = None
+    ) -> list[float] | float | None:
+        """Return [mean, low, high] over the lines that have the figure; None if none has.
+
+        Of a single shape, material or light the mean alone is returned.
+
+        kept  (P,) bool, the lines that count; None: all
+        """
+        values = self.values(get)
+        present = np.isfinite(values) & (True if kept is None else kept)
+        if not present.any():
+            return None
+        if not self.enough:
+            return float(values[present].mean())
+        weights = self.weights[:, present]
+        return bootstrap.interval(values[present], weights[weights.sum(1) > 0])
+
+
+def groups(lines: Sequence[Mapping]) -> list[str]:
+    """Return those of GROUPS that the lines have."""
+    return [group for group in GROUPS if any(line["group"] == group for line in lines)]
+
+
+def of(lines: Sequence[Mapping], rung: str, group: str) -> list[Mapping]:
+    """Return the lines of a rung and a group."""
+    return [line for line in lines if (line["rung"], line["group"]) == (rung, group)]
+
+
+def cells(lines: Sequence[Mapping]) -> dict[str, Cell]:
+    """Return the cells of COLUMNS of the lines of one rung and group."""
+    figures = Figures(lines)
+    metal = np.array([line["metal"] for line in lines])
+
+    def mean(key: str) -> float | None:
+        values = figures.values(lambda line: line[key])
+        return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+    def median(key: str) -> float:
+        return float(np.median(figures.values(lambda line: line["predicted"][key])))
+
+    def edit(line: Mapping) -> float:
+        return line["predicted"]["edit_l2"]
+
+    return {
+        "normals": figures.interval(lambda line: line["predicted"]["normals_mean_deg"]),
+        "median": median("normals_mean_deg"),
+        "facing": mean("facing_deg"),
+        "irradiance": figures.interval(lambda line: line["predicted"]["irradiance"]),
+        "constant": mean("constant_irradiance"),
+        "edit": figures.interval(edit),
+        "edit_median": median("edit_l2"),
+        "dielectrics": figures.interval(edit, ~metal),
+        "metals": figures.interval(edit, metal),
+        "aligned": figures.interval(lambda line: line["predicted"]["edit_l2_aligned"]),
+        "floor": mean("floor_l2"),
+        "unchanged": mean("unchanged_l2"),
+    }
+
+
+def ladder_table(lines: Sequence[Mapping]) -> Table | None:
+    """Return the table of all rungs and groups."""
+    rows: list[TableRow] = []
+    for group in groups(lines):
+        for rung in RUNGS:
+            if here := of(lines, rung.name, group):
+                rows.append({"name": f"{group}: {rung.name}", "cells": cells(here)})
+    note = (
+        "Rungs: "
+        + "; ".join(f"*{rung.name}*, {rung.title}" for rung in RUNGS)
+        + f" (elevation {OTHER_ELEVATION_DEG:g}°, field of view {OTHER_FOV_DEG:g}°, where the"
+        " networks assume 20° and a distant viewer). A rung has what the rungs above it have. The"
+        f" rung *direct* is what the layer itself can compute; the headline is *{HEADLINE}*."
+        " Predictions are not refined here. *True parts*: the edit from true normals, light and"
+        " label, which is the error that the layer's missing shadows and interreflections leave."
+        " *One factor free*: L2 after the factor on the edit's radiance that makes it least."
+    )
+    return table("The ladder", note, COLUMNS, rows)
+
+
+def family_table(lines: Sequence[Mapping]) -> Table | None:
+    """Return the mean angle of normals of every family on every rung."""
+    names = dict.fromkeys((line["group"], line["family"]) for line in lines)
+    columns: list[Column] = [column("shapes", "shapes", 0), column("facing", "facing the viewer °")]
+    columns = [columns[0], {**columns[1], "digits": 1}]
+    columns += [column(rung.name, rung.name, 1, True) for rung in RUNGS]
+    rows: list[TableRow] = []
+    for group, family in sorted(names, key=lambda pair: (GROUPS.index(pair[0]), pair[1])):
+        own = [line for line in lines if (line["group"], line["family"]) == (group, family)]
+        row: dict[str, Cell] = {
+            "shapes": float(len({line["shape"] for line in own})),
+            "facing": float(
+                np.mean([line["facing_deg"] for line in own if line["rung"] == HEADLINE])
+            ),
+        }
+        for rung in RUNGS:
+            if here := [line for line in own if line["rung"] == rung.name]:
+                row[rung.name] = Figures(here).interval(
+                    lambda line: line["predicted"]["normals_mean_deg"]
+                )
+        rows.append({"name": f"{group}: {family}", "cells": row})
+    note = (
+        "Mean angle in degrees between predicted and true normals. *Facing the viewer*: of normals"
+        f" that all point to the camera, on the rung {HEADLINE}. Families of three shapes or fewer"
+        " say little by themselves."
+    )
+    return table("Normals by family", note, columns, rows)
+
+
+def refined_table(lines: Sequence[Mapping]) -> Table | None:
+    """Return predicted and refined figures of the scenes that were refined; None without any."""
+    refined = [line for line in lines if line["refined"] is not None]
+    rows: list[TableRow] = []
+    for group in groups(refined):
+        for rung in RUNGS:
+            if not (here := of(refined, rung.name, group)):
+                continue
+            figures = Figures(here)
+            row: dict[str, Cell] = {"scenes": float(len(here))}
+            for kind, after in (("predicted", "before"), ("refined", "after")):
+                for key, name in (
+                    ("edit_l2", after),
+                    ("normals_mean_deg", f"normals_{after}"),
+                    ("irradiance", f"light_{after}"),
+                ):
+                    row[name] = figures.interval(lambda line, k=kind, v=key: line[k][v])
+            before, end = (
+                figures.values(lambda line, k=kind: line[k]["edit_l2"])
+                for kind in ("predicted", "refined")
+            )
+            row["ratio"] = (
+                bootstrap.relative(before, end, figures.weights)
+                if figures.enough
+                else float(end.mean() / before.mean())
+            )
+            rows.append({"name": f"{group}: {rung.name}", "cells": row})
+    note = "The same edits from the network's prediction and after refinement."
+    return table("Refinement on the ladder", note, REFINED_COLUMNS, rows)
+
+
+def counts(lines: Sequence[Mapping]) -> dict[str, int]:
+    """Return the numbers of scenes, shapes, target materials and lights of the lines."""
+    keys = {"scenes": "scene", "shapes": "shape", "targets": "target", "lights": "light"}
+    return {name: len({line[key] for line in lines}) for name, key in keys.items()}
+
+
+def headline(lines: Sequence[Mapping]) -> list[str]:
+    """Return one sentence per group on the rung HEADLINE, and one on the direct rung."""
+    result = []
+    for group in groups(lines):
+        if not (here := of(lines, HEADLINE, group)):
+            continue
+        of_rung = cells(here)
+        shown = {key: _text(of_rung[key], key) for key in ("normals", "irradiance", "edit")}
+        result.append(
+            f"{group.capitalize()}, full transport, 8-bit PNG: normals {shown['normals']}°,"
+            f" irradiance error {shown['irradiance']}, edits {shown['edit']} display L2"
+            f" (median {of_rung['edit_median']:.0f}); {len(here)} edits of"
+            f" {len({line['shape'] for line in here})} shapes, not refined."
+        )
+    return result
+
+
+def _text(cell: Cell, key: str) -> str:
+    return text_of(cell, next(c for c in COLUMNS if c["key"] == key))
+
+
+def write(out: Path, lines: Sequence[Mapping], about: Mapping) -> dict:
+    """Write report.json, report.md and chart.png into `out`, and return the first of them."""
+    made = {
+        "ladder": ladder_table(lines),
+        "families": family_table(lines),
+        "refinement": refined_table(lines),
+    }
+    report = {
+        "headline": headline(lines),
+        "tables": {name: each for name, each in made.items() if each is not None},
+        "about": {**about, "measured": counts(lines)},
+    }
+    with files.transaction():
+        files.write_json(Path(out) / "report.json", report)
+        files.write_text(Path(out) / "report.md", markdown(report))
+        files.write_figure(Path(out) / "chart.png", chart(lines, about["side"]))
+    return report
+
+
+def markdown(report: Mapping) -> str:
+    """Return report.md."""
+    about = report["about"]
+    lines = [f"# {TITLE}", ""]
+    for sentence in about["seen"]:
+        lines += [f"**{sentence}**", ""]
+    lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
+    lines += ["![Normals, light and edits on every rung](chart.png)", ""]
+    for each in report["tables"].values():
+        lines += [f"## {each['title']}", "", each["note"], ""]
+        lines.append("| | " + " | ".join(c["label"] for c in each["columns"]) + " |")
+        lines.append("|---" * (len(each["columns"]) + 1) + "|")
+        for row in each["rows"]:
+            texts = [text_of(row["cells"].get(c["key"]), c) for c in each["columns"]]
+            lines.append(f"| {row['name']} | " + " | ".join(texts) + " |")
+        lines.append("")
+    return "\n".join([*lines, "## How it was made", "", *(f"- {s}" for s in origin(about))]) + "\n"
+
+
+def origin(about: Mapping) -> list[str]:
+    """Return sentences about the run that made the report."""
+    made, job, measured = about["made"], about["job"], about["measured"]
+    lines = [
+        (
+            f"Side: {about['side']}. Measured: {measured['scenes']} scenes of"
+            f" {measured['shapes']} shapes in {measured['targets']} target materials under"
+            f" {measured['lights']} lights. The design has {about['designed']} scenes beside those"
+            f" of outside meshes: shapes {', '.join(job['shapes'])}; materials"
+            f" {', '.join(job['materials'])}; lights {', '.join(job['lights'])};"
+            f" {job['samples']} samples."
+        ),
+        (
+            "Brackets: 95 % intervals; whole shapes, target materials and lights are drawn with"
+            " replacement. A material and a light belong to a third of the shapes each."
+        ),
+        f"`{made['command']}`, commit {made['commit']}, {made['date']}; {made['machine']}; weights"
+        f" {about['weights_name']} {about['weights']}",
+    ]
+    if not about["outside"]:
+        lines.append(
+            "Outside meshes: skipped, since the data set has none"
+            " (`python -m learn evaluate-ladder --jobs DIR --meshes FOLDER` adds them to the jobs)."
+        )
+    return lines
+
+
+def chart(lines: Sequence[Mapping], side: str) -> "Figure":
+    """Return the figure: normals, light and edits over the rungs, one line per group."""
+    from matplotlib.figure import Figure as Drawing
+
+    figure = Drawing(figsize=(13, 4.4), layout="constrained", dpi=110)
+    shown = groups(lines)
+    axes = figure.subplots(1, len(FIGURES))
+    for place, (_, title, get) in zip(axes, FIGURES, strict=True):
+        for number, group in enumerate(shown):
+            _draw(place, lines, group, get, (number - (len(shown) - 1) / 2) * 0.08)
+        place.set_title(title, fontsize=11)
+        place.set_xticks(range(len(RUNGS)), [rung.name for rung in RUNGS])
+        place.axvspan(-0.4, 0.4, color="0.94", zorder=0)
+        place.set_xlim(-0.4, len(RUNGS) - 0.6)
+        place.set_ylim(0, 1.1 * place.get_ylim()[1])
+        place.grid(axis="y", alpha=0.3)
+        for edge in ("top", "right"):
+            place.spines[edge].set_visible(False)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    figure.suptitle(
+        f"Predictions on the {side} side; each rung adds one thing (bars: 95 % intervals; grey:"
+        " the picture the layer itself can compute)",
+        fontsize=10,
+    )
+    return figure
+
+
+def _draw(
+    place: "Axes",
+    lines: Sequence[Mapping],
+    group: str,
+    get: Callable[[Mapping], float],
+    shift: float,
+) -> None:
+    points = [
+        (number + shift, *(interval if isinstance(interval, list) else [interval] * 3))
+        for number, rung in enumerate(RUNGS)
+        if (here := of(lines, rung.name, group))
+        and (interval := Figures(here).interval(get)) is not None
+    ]
+    x, mean, low, high = np.array(points).T
+    marker = "s--" if group == OUTSIDE_GROUP else "o-"
+    place.errorbar(
+        x,
+        mean,
+        [np.maximum(mean - low, 0), np.maximum(high - mean, 0)],
+        fmt=marker,
+        color=COLOURS[group],
+        capsize=3,
+        lw=1.6,
+        ms=5,
+        label=group,
+    )
