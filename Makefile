@@ -7,10 +7,11 @@ PIP_FLAGS ?=
 WORKERS ?= 2
 EXTRAS ?= factory,learn,dev
 
-.PHONY: help demo demo-small test fuzz lint clean
+.PHONY: help demo demo-small weights test fuzz lint clean
 help:
 	@echo "make demo        install into $(VENV)/, render a small data set, compare the two renderers, edit a picture and a photograph; then open $(OUT)/index.html"
 	@echo "make demo-small  the same with the smallest job, which has sixteen pictures"
+	@echo "make weights     from nothing to the weights of the preset general-compact: about twelve hours of processor time"
 	@echo "make test        install into $(VENV)/ and run the tests"
 	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
 	@echo "make lint        check the code's style and its types"
@@ -44,6 +45,13 @@ demo: $(VENV)/installed
 
 demo-small:
 	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
+
+# Each command continues what it has begun, so an interrupted run is continued by the same target.
+WEIGHTS_OUT ?= out/weights
+weights: $(VENV)/installed
+	$(VENV)/bin/python -m factory render geometry-general --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
+	$(VENV)/bin/python -m factory lights make --count 1000 --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
+	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/run
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)

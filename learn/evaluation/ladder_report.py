@@ -205,10 +205,9 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
                     ("normals_mean_deg", f"normals_{after}"),
                     ("irradiance", f"light_{after}"),
                 ):
-                    row[name] = figures.interval(lambda line, k=kind, v=key: line[k][v])
+                    row[name] = figures.interval(_value_of(kind, key))
             before, end = (
-                figures.values(lambda line, k=kind: line[k]["edit_l2"])
-                for kind in ("predicted", "refined")
+                figures.values(_value_of(kind, "edit_l2")) for kind in ("predicted", "refined")
             )
             row["ratio"] = (
                 bootstrap.relative(before, end, figures.weights)
@@ -218,6 +217,11 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
             rows.append({"name": f"{group}: {rung.name}", "cells": row})
     note = "The same edits from the network's prediction and after refinement."
     return table("Refinement on the ladder", note, REFINED_COLUMNS, rows)
+
+
+def _value_of(kind: str, key: str) -> Callable[[Mapping], float | None]:
+    """Return the function that reads a figure of the predicted or the refined parts of a line."""
+    return lambda line: line[kind][key]
 
 
 def counts(lines: Sequence[Mapping]) -> dict[str, int]:
