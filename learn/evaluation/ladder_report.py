@@ -205,9 +205,9 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
                     ("normals_mean_deg", f"normals_{after}"),
                     ("irradiance", f"light_{after}"),
                 ):
-                    row[name] = figures.interval(_value_of(kind, key))
+                    row[name] = figures.interval(_figure(kind, key))
             before, end = (
-                figures.values(_value_of(kind, "edit_l2")) for kind in ("predicted", "refined")
+                figures.values(_figure(kind, "edit_l2")) for kind in ("predicted", "refined")
             )
             row["ratio"] = (
                 bootstrap.relative(before, end, figures.weights)
@@ -219,8 +219,8 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
     return table("Refinement on the ladder", note, REFINED_COLUMNS, rows)
 
 
-def _value_of(kind: str, key: str) -> Callable[[Mapping], float | None]:
-    """Return the function that reads a figure of the predicted or the refined parts of a line."""
+def _figure(kind: str, key: str) -> Callable[[Mapping], float]:
+    """The figure `key` of a line's "predicted" or "refined"."""
     return lambda line: line[kind][key]
 
 
