@@ -8,6 +8,7 @@ from pathlib import Path
 from manifests.option_types import MATERIALS, positive, whole
 
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
+WEIGHTS_FOLDER = Path(__file__).parents[1] / "weights"
 DATA = "a data set that `python -m factory render` wrote"
 
 
@@ -40,16 +41,23 @@ def add_lights(
 
 
 def add_weights(parser: argparse.ArgumentParser) -> None:
-    """Add --weights FILE; None stands for the weights of learn.editing.predict."""
+    """Add --weights FILE|NAME; None stands for the weights of learn.editing.predict."""
     parser.add_argument(
         "--weights",
-        type=Path,
-        metavar="FILE",
+        type=weights_file,
+        metavar="FILE|NAME",
         help=(
-            "weights.safetensors of a training run (default: the weights that come with the"
-            " program)"
+            "weights.safetensors of a training run, or the name of weights that come with the"
+            " program: general-compact, for photographs of any object (default), or joint-compact,"
+            " which knows chairs, sofas, cars and monitors from one elevation"
         ),
     )
+
+
+def weights_file(text: str) -> Path:
+    """Return the path of a weights file, or of the program's own weights of that name."""
+    own = WEIGHTS_FOLDER / f"{text}.safetensors"
+    return own if Path(text).name == text and own.exists() else Path(text)
 
 
 def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:

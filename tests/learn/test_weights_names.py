@@ -1,0 +1,28 @@
+"""--weights takes a file, or the name of weights that come with the program."""
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from learn.commands import options
+from learn.editing import predict
+
+
+@pytest.mark.parametrize("path", sorted(options.WEIGHTS_FOLDER.glob("*.safetensors")))
+def test_the_programs_own_weights_are_named_by_their_stem(path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    options.add_weights(parser)
+    assert parser.parse_args(["--weights", path.stem]).weights == path
+    assert parser.parse_args(["--weights", str(path)]).weights == path
+    help_text = " ".join(parser.format_help().split()).replace("- ", "-")
+    assert path.stem in help_text
+
+
+def test_any_other_text_is_a_file() -> None:
+    for text in ("run/joint-compact", "weights.safetensors", "no-such-weights"):
+        assert options.weights_file(text) == Path(text)
+
+
+def test_the_default_weights_come_with_the_program() -> None:
+    assert predict.WEIGHTS.parent == options.WEIGHTS_FOLDER and predict.WEIGHTS.exists()
