@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from learn.commands.options import weights_file
+
 from . import STATUSES, Case, Room, commands, mutation, seeds
 
 # wherever a number is asked for, none of these is one
@@ -236,7 +238,7 @@ def odd_values(
             )
         ], wrong
     count = int(rng.integers(0, 4)) if action.nargs in ("+", "*") else 1
-    if action.type in (None, Path, str):
+    if action.type in (None, Path, str, weights_file):
         return [mutation.pick(rng, TEXTS) for _ in range(count)], False
     if only_wrong or rng.random() < 0.3:
         return [mutation.pick(rng, NO_NUMBERS)], True
