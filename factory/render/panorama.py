@@ -57,15 +57,19 @@ SUN = (
 )
 
 
-def render(scene: Scene, seed: int = 0, samples: int = SAMPLES) -> np.ndarray:
-    """Return the light map (HEIGHT, 2·HEIGHT, 3) float32 that is seen from the origin."""
+def render(scene: Scene, seed: int = 0, samples: int = SAMPLES, denoise: bool = True) -> np.ndarray:
+    """Return the light map (HEIGHT, 2·HEIGHT, 3) float32 that is seen from the origin.
+
+    denoise  False, with many samples, gives a reference
+    """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     render_result.hook_cycles()
     stage = bpy.context.scene
     apply(stage, (*(s for s in ALWAYS if s.path not in {p.path for p in PANORAMA}), *PANORAMA))
     apply(stage, (Setting("cycles.seed", seed, "noise of its own"),))
     apply(stage, (Setting("cycles.samples", samples, "as the caller says"),))
-    stage.view_layers[0].cycles.denoising_store_passes = True
+    apply(stage, (Setting("cycles.use_denoising", denoise, "as the caller says"),))
+    stage.view_layers[0].cycles.denoising_store_passes = denoise
     _camera(stage)
     hide_sun = _world(stage, scene.sky)
     for box in scene.boxes:
@@ -76,7 +80,9 @@ def render(scene: Scene, seed: int = 0, samples: int = SAMPLES) -> np.ndarray:
     for piece in scene.furniture:
         _furnish(stage, piece)
     passes = render_result.render_passes(stage)
-    L = _with_energy_of(passes["Combined"][..., :3], passes["Noisy Image"][..., :3])
+    L = passes["Combined"][..., :3]
+    if denoise:
+        L = _with_energy_of(L, passes["Noisy Image"][..., :3])
     if scene.sky.with_sun and scene.sky.elevation > -SUN_VIEW:
         L += _sun(stage, scene.sky, hide_sun)
     return np.ascontiguousarray(L, np.float32)
