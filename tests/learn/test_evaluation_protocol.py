@@ -260,7 +260,7 @@ def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
         run.make(options),
         run.make(replace(options, out=tmp_path / "two", processes=2)),
     )
-    assert len(alone["tables"]["edits"]["rows"]) == 6
+    assert len(alone["tables"]["edits"]["rows"]) == 7
     assert together["tables"] == alone["tables"]
     for name in ("edits.jsonl", "pictures.jsonl"):
         one, two = (run.rows_of(out / name) for out in (options.out, tmp_path / "two"))
