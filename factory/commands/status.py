@@ -1,9 +1,14 @@
 """`status DIR`: how much of a data set is made, what it holds, and what failed."""
 
+from __future__ import annotations
+
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from manifests.help_format import HelpFormatter
+
+if TYPE_CHECKING:
+    from manifests.schema import Camera
 
 EPILOG = """examples:
   python -m factory status out/demo
@@ -51,6 +56,14 @@ def run(options: argparse.Namespace) -> int:
                 f"  {key.replace('_', ' '):<16} "
                 + ", ".join(f"{name} {count}" for name, count in report[key].items())
             )
+    if any(low < high for low, high in report["cameras"].values()):
+        print(
+            f"  {'cameras':<16} "
+            + ", ".join(
+                f"{key.removesuffix('_deg')} {low:g}° to {high:g}°"
+                for key, (low, high) in report["cameras"].items()
+            )
+        )
     print(
         f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time"
         f" {report['hours']:.2f} worker-hours"
@@ -79,7 +92,9 @@ def counted(folder: str) -> dict[str, Any]:
     materials: set[str] = set()
     done: set[str] = set()
     seconds = 0.0
+    spans: dict[str, tuple[float, float]] = {}
     for record in store.records():
+        _widen(spans, record.camera)
         for kind in kinds:
             counts[kind][getattr(record, kind)] += 1
         shapes.add(record.shape)
@@ -88,6 +103,7 @@ def counted(folder: str) -> dict[str, Any]:
         seconds += record.seconds
     views: Counter[str] = Counter()
     for view in store.views():
+        _widen(spans, view.camera)
         views[view.side] += 1
         counts["category"][view.category] += 1
         shapes.add(view.shape)
@@ -110,8 +126,18 @@ def counted(folder: str) -> dict[str, Any]:
             for o in dataset.orders
         ],
         **{kind: dict(sorted(count.items())) for kind, count in counts.items()},
+        "cameras": {key: list(span) for key, span in spans.items()},
         "shapes": len(shapes),
         "materials": len(materials) if not views else len(dataset.materials),
         "hours": seconds / 3600,
         "failures": [msgspec.to_builtins(f) for f in failures.values()],
     }
+
+
+def _widen(spans: dict[str, tuple[float, float]], camera: Camera) -> None:
+    """Widen the ranges of angles by a camera's; fov_deg is that of cameras in perspective."""
+    for key in ("elevation_deg", "roll_deg", "fov_deg"):
+        value = getattr(camera, key)
+        if value is not None:
+            low, high = spans.get(key, (value, value))
+            spans[key] = (min(low, value), max(high, value))

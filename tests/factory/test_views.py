@@ -3,6 +3,7 @@ pictures have.
 """
 
 import msgspec
+import numpy as np
 import pytest
 
 from factory.commands.plan import described
@@ -178,8 +179,13 @@ def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job,
         for name in "ab"
     }
     assert lines["a"] == lines["b"] and len({camera for *_, camera in lines["a"]}) == 4
+    angles = [camera.elevation_deg for *_, camera in lines["a"]]
+    assert counted(tmp_path / "a")["cameras"]["elevation_deg"] == [min(angles), max(angles)]
     for view in Store(tmp_path / "a").views():
         assert view.camera == ids.camera_of(drawn_job, view.shape_hash, view.viewpoint)
+        # of the fake studio, which draws a ball of radius 1
+        covered = np.pi / (2 * view.camera.half_extent) ** 2
+        assert view.coverage == pytest.approx(covered, abs=0.01)
 
 
 @pytest.mark.parametrize("pictures", [False, True])

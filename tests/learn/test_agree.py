@@ -79,7 +79,7 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     light = torch.full((64, 128, 3), 0.02)
     light[20, 30:32] = 900.0
     sample, m = (
-        SimpleNamespace(light=light, elevation=0.35),
+        SimpleNamespace(light=light, camera_from_light=camera_from_light(0.35)),
         torch.from_numpy(brass.m).double().reshape(3, 3, 2, 6),
     )
     lamp = torch.from_numpy(directions(64, 128)[0][20, 30] @ camera_from_light(0.35).T)

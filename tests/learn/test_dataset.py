@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from learn.data.records import Records
+from learn.editing import photograph
 from learn.layer import render
 from manifests.errors import InputError
 from tests.support import synthetic
@@ -41,6 +42,21 @@ def test_a_perspective_record_has_view_vectors(tmp_path, rng):
     torch.testing.assert_close(
         sample.image, render(**sample.for_layer(), method="exact")[0], rtol=6e-4, atol=0
     )
+
+
+def test_a_rolled_record_is_rendered_upright_and_refused_where_elevation_alone_counts(
+    tmp_path, rng
+):
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, roll_deg=30.0, noise=0.0)
+    sample = Records(tmp_path)[0]
+    # what the picture shows to the right, turned clockwise by 30°, is to the lower right
+    right = torch.tensor([1.0, 0.0, 0.0])
+    torch.testing.assert_close(sample.upright(right), torch.tensor([0.75**0.5, -0.5, 0.0]))
+    seen = render(**sample.for_layer(), method="exact")[0]
+    torch.testing.assert_close(sample.image, seen, rtol=6e-4, atol=0)
+    for look in (lambda: sample.elevation, lambda: photograph.opened(tmp_path)):
+        with pytest.raises(InputError, match="an upright camera"):
+            look()
 
 
 def test_records_come_in_the_same_order_whatever_wrote_them(folder):

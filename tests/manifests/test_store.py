@@ -11,7 +11,16 @@ import pytest
 
 from manifests.errors import InputError
 from manifests.schema import Record
-from manifests.store import Lines, Store, file_hash, geometry_path, image_path, inside, light_path
+from manifests.store import (
+    Lines,
+    Store,
+    encoded,
+    file_hash,
+    geometry_path,
+    image_path,
+    inside,
+    light_path,
+)
 from manifests.verification import Fault, repair
 from tests.support.work_count import calls
 
@@ -240,7 +249,7 @@ def test_a_line_on_a_full_disk_is_written_whole_or_not_at_all(tmp_path, a_record
     be raised again.
     """
     path = tmp_path / "records" / "worker-00.jsonl"
-    size = len(msgspec.json.encode(a_record("0" * 24))) + 1
+    size = len(encoded(a_record("0" * 24))) + 1
     code = f"""
 import resource, signal, msgspec
 from manifests.schema import Record

@@ -82,6 +82,7 @@ def write_dataset(
     noise=0.02,
     rotations=(0, 5),
     fov_deg=None,
+    roll_deg=0.0,
     tiers=("direct",),
     method="exact",
     category="primitive",
@@ -94,7 +95,7 @@ def write_dataset(
     category, side  of the one shape there is
     Returns         the folder's Store
     """
-    store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg)
+    store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg, roll_deg=roll_deg)
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     stored = light_path("sky", LIGHT)
     digest = store.place(stored, arrays.encode_light(L, scale), "test")
@@ -125,13 +126,14 @@ def write_dataset(
     if view is not None:
         mask = mask & ((normals * view).sum(-1) > 1e-3)
         normals = np.where(mask[..., None], normals, 0)
+    upright = normals @ frames.camera_from_upright(np.radians(roll_deg))
     geometry = {f"normal.{axis}": normals[..., k] for k, axis in enumerate("XYZ")}
     geometry |= {"depth.Z": normals[..., 2], "segment": mask.astype(np.uint32)}
     geometry_hash = store.place(geometry_file(camera), exr.encode(geometry), "test")
     lines = Lines(store.folder / "records" / "worker-00.jsonl")
     for each in materials:
         for turn in rotations:
-            scene = (normals, np.exp(np.asarray(each.label)), envmap.roll(L, turn))
+            scene = (upright, np.exp(np.asarray(each.label)), envmap.roll(L, turn))
             tensors = [torch.from_numpy(np.asarray(array, np.float32))[None] for array in scene]
             seen = None if view is None else torch.from_numpy(view)[None]
             picture = render(*tensors, seen, method=method, tolerance=1e-3)[0].numpy()
