@@ -20,7 +20,12 @@ def test_the_programs_own_weights_are_named_by_their_stem(path: Path) -> None:
 
 
 def test_any_other_text_is_a_file() -> None:
-    for text in ("run/joint-compact", "../weights/joint-compact", "weights.safetensors", "no-such-weights"):
+    for text in (
+        "run/joint-compact",
+        "../weights/joint-compact",
+        "weights.safetensors",
+        "no-such-weights",
+    ):
         assert options.weights_file(text) == Path(text)
 
 
