@@ -15,6 +15,7 @@ from manifests.schema import CameraRanges, Draw, View
 from manifests.splits import light_side
 from manifests.store import Store
 from manifests.verification import faults_of, repair
+from shaders.frames import pixel_grid
 
 
 @pytest.fixture
@@ -181,11 +182,12 @@ def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job,
     assert lines["a"] == lines["b"] and len({camera for *_, camera in lines["a"]}) == 4
     angles = [camera.elevation_deg for *_, camera in lines["a"]]
     assert counted(tmp_path / "a")["cameras"]["elevation_deg"] == [min(angles), max(angles)]
+    x, y = pixel_grid(*drawn_job.camera.size)
     for view in Store(tmp_path / "a").views():
         assert view.camera == ids.camera_of(drawn_job, view.shape_hash, view.viewpoint)
-        # of the fake studio, which draws a ball of radius 1
-        covered = np.pi / (2 * view.camera.half_extent) ** 2
-        assert view.coverage == pytest.approx(covered, abs=0.01)
+        # the fake studio draws a sphere of radius 1, whose size in the frame is its camera's
+        covered = (x**2 + y**2) * view.camera.half_extent**2 < 1
+        assert view.coverage == pytest.approx(covered.mean(), abs=1e-6)
 
 
 @pytest.mark.parametrize("pictures", [False, True])
