@@ -3,7 +3,6 @@ pictures have.
 """
 
 import msgspec
-import numpy as np
 import pytest
 
 from factory.commands.plan import described
