@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from learn.data.settings import Data
-from learn.metrics.radiometry import log_albedo
+from learn.layer.albedo import log_albedo
 from shaders import label_model, principled_fit
 from shaders.dsbrdf import SHAPE
 from shaders.principled import PrincipledMaterial

@@ -28,7 +28,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from learn.metrics.radiometry import log_albedo
+from learn.layer.albedo import log_albedo
 from shaders.dsbrdf import SHAPE
 
 LEAST_BASE = 0.35
@@ -214,8 +214,8 @@ def _end(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> np.ndarr
 
 def _placed(rng: np.random.Generator, uv: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return uv in periods, turned and shifted; low to high periods in a unit of length."""
-    angle, rate = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(np.log(low), np.log(high)))
-    c, s = rate * np.cos(angle), rate * np.sin(angle)
+    angle, frequency = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(np.log(low), np.log(high)))
+    c, s = frequency * np.cos(angle), frequency * np.sin(angle)
     return uv @ np.array([[c, -s], [s, c]], np.float32) + rng.random(2).astype(np.float32)
 
 

@@ -120,7 +120,8 @@ def test_shares_beyond_one_are_refused():
 @pytest.mark.parametrize("keys", [{}, {"patterns": 1e-12}, {"label_mixtures": 1e-12}])
 def test_pictures_without_them_are_those_of_a_run_that_has_no_such_keys(keys, data_split):
     plain, other = (
-        RelitDataset(data_split, data, 4, SIZE, 5)[7] for data in (PLAIN, with_keys(**keys))
+        RelitDataset(data_split, data, 4, SIZE, 5)[7]
+        for data in (with_keys(photograph=True), with_keys(photograph=True, **keys))
     )
     assert all(torch.equal(value, fields(other)[key]) for key, value in fields(plain).items())
 
@@ -175,3 +176,17 @@ def test_the_integrated_depth_of_a_sphere_is_round(data_split):
     points, inner = patterns.surface_points(n, segments)[0], n[0, ..., 2].numpy() > 0.5
     r = np.corrcoef(points[inner][:, 2], n[0].numpy()[inner][:, 2])[0, 1]
     assert r > 0.98  # z of a sphere's point is n_z
+
+
+def test_inks_that_cover_nearly_everything_are_thinned(data_split, monkeypatch):
+    def everywhere(rng, uv, mask):
+        return [np.full(mask.shape, 0.3)] * 3
+
+    monkeypatch.setattr(patterns, "PATTERNS", (everywhere,))
+    monkeypatch.setattr(patterns, "PARTIAL", 0)
+    n = torch.from_numpy(data_split.geometry.normals(0))[None]
+    segments = torch.from_numpy(data_split.geometry.segments(0))[None]
+    points, mask = patterns.surface_points(n, segments)[0], segments[0].numpy() > 0
+    for seed in range(4):
+        weights = patterns.cover(np.random.default_rng(seed), points, n[0].numpy(), mask)
+        assert weights.sum(0)[mask].mean() <= 1 - patterns.LEAST_BASE + 1e-4
