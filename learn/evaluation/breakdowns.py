@@ -112,9 +112,11 @@ def by_distance(edits: Rows, distances: Mapping[str, Mapping[str, float]]) -> Ta
         column("ratio", "ratio of means", 3),
     ]
     note = (
-        "Materials: log error of the BRDF against the nearest label that the weights were trained"
-        " on. Lights: relative error of irradiance against the nearest training map, turned and"
-        " mirrored freely. “Of training” is the paper's own protocol: maps of training at other"
+        "Materials: log error of the BRDF against the nearest training label in the weights; of"
+        " weights without labels, against all of the training side that --materials names, of which"
+        " validation materials are a part, so that “of training” may include these. Lights:"
+        " relative error of irradiance against the nearest training map, turned and mirrored"
+        " freely. “Of training” is the paper's own protocol: maps of training at other"
         " rotations."
     )
     return table("By distance to the nearest training item", note, columns, results)
