@@ -191,14 +191,15 @@ def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job,
 
 @pytest.mark.parametrize("pictures", [False, True])
 def test_a_camera_that_the_job_did_not_draw_is_a_fault(render, drawn_job, tmp_path, pictures):
-    """The ids are those of another seed's cameras, so the order alone shows it."""
+    """The ids fit the cameras that the lines name, so the order alone shows it."""
     job = msgspec.structs.replace(drawn_job, pictures=pictures)
     render(job, tmp_path)
     asked = [text for text in faults(tmp_path) if "order" in text.text]
     assert asked == []
     store = Store(tmp_path)
     dataset = store.dataset()
-    other = msgspec.structs.replace(dataset.orders[0].job, seed=job.seed + 1)
+    ranges = msgspec.structs.replace(job.camera_ranges, roll_deg=(-15.0, 14.0))
+    other = msgspec.structs.replace(dataset.orders[0].job, camera_ranges=ranges)
     orders = (msgspec.structs.replace(dataset.orders[0], job=other),)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=orders))
     assert any("orders that ask for all lines" in fault.text for fault in faults(tmp_path))
