@@ -186,6 +186,10 @@ WRITERS = {
         "learn/experiments/step_profile.py",
         "tempfile.TemporaryDirectory",
     ): "a run made to be timed",
+    (
+        "learn/evaluation/ladder_pictures.py",
+        "tempfile.TemporaryDirectory",
+    ): "a picture that is written to be read as a photograph",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams

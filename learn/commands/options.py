@@ -48,8 +48,8 @@ def add_weights(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|NAME",
         help=(
             "weights.safetensors of a training run, or the name of weights that come with the"
-            " program: general-compact, for photographs of any object (default), or joint-compact,"
-            " which knows chairs, sofas, cars and monitors from one elevation"
+            " program: joint-compact, which knows chairs, sofas, cars and monitors from one"
+            " elevation (default), or general-compact, which knows other objects too"
         ),
     )
 

@@ -26,7 +26,7 @@ from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "general-compact.safetensors"
+WEIGHTS = Path(__file__).parents[1] / "weights" / "joint-compact.safetensors"
 TILE = 160
 # pictures of the parts, in the order of the contact sheet
 CELLS = ("picture", "normals", "light", "material", "rendering")

@@ -19,7 +19,7 @@ from learn.data.records import Records, Sample
 from learn.evaluation.ladder_design import Rung, Scene
 from manifests.files import write_image
 from shaders import tone
-from shaders.frames import ELEVATION
+from shaders.frames import ELEVATION, turned_to_viewer
 
 
 @dataclass(frozen=True)
@@ -93,19 +93,7 @@ def ray_frame_normals(sample: Sample) -> np.ndarray:
     n = sample.n.numpy()
     if sample.view is None:
         return n
-    return turned_to_z(n, sample.view.numpy())
-
-
-def turned_to_z(vectors: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Return vectors (…, 3), each turned by the shortest rotation that takes its view to +z.
-
-    view  (…, 3) unit vectors with z > −1
-    """
-    # Rodrigues' formula with axis = view × z and cos = view_z
-    axis = np.stack([view[..., 1], -view[..., 0], np.zeros_like(view[..., 0])], -1)
-    cos = view[..., 2:3]
-    along = (axis * vectors).sum(-1, keepdims=True)
-    return vectors * cos + np.cross(axis, vectors) + axis * along / (1 + cos)
+    return turned_to_viewer(n, sample.view.numpy())
 
 
 def _cropped(

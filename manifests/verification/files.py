@@ -21,6 +21,8 @@ from manifests.verification.strays import kind_of
 # of masks in memory, one bit per pixel; the records of one shape are neighbours
 MASK_BYTES = 64 << 20
 PACKED = (*arrays.PACKED_TYPES, "views.json", "skipped.json")
+# earlier caches have no sums, and only runs with shadows need depth
+OPTIONAL = ("sums.json", arrays.PACKED_DEPTH)
 
 Reference = Callable[[str, str], tuple[np.ndarray, float] | None]
 
@@ -212,10 +214,9 @@ class _Packed:
         if kind_of(folder) != "a folder" or kind_of(folder / "views.json") is None:
             return
         try:
-            # earlier caches have none
-            sums = [name for name in ("sums.json",) if kind_of(folder / name) is not None]
-            for name in (*PACKED, *sums):
-                require_file(folder / name, "a cache's file")
+            for name in (*PACKED, "sums.json"):
+                if name not in OPTIONAL or kind_of(folder / name) is not None:
+                    require_file(folder / name, "a cache's file")
             hashes, left_out = (
                 json.loads((folder / name).read_text("utf-8"))
                 for name in ("views.json", "skipped.json")

@@ -10,7 +10,7 @@ from learn.data.batch import Clipping, joined
 from learn.refinement import RefinementSettings
 from learn.refinement.energy import Energy
 from learn.training.losses import limited, misfit
-from tests.learn.test_energy import flat
+from tests.support.flat_plane import flat
 
 
 def test_white_is_marked_by_channel_and_through_resizing() -> None:

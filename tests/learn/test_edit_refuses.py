@@ -290,7 +290,7 @@ def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
     )
     status, line = message(capsys, *edit(files, "--overwrite", photo="photo.exr"))
     assert (status, line) == (0, "")
-    edited, _ = photographs._exr_pixels(files / "out" / "edited.exr")
+    edited, _ = photographs.read_exr(files / "out" / "edited.exr")
     assert edited.shape == (*SIZE, 3) and edited[disc].std() > 0
 
 

@@ -17,12 +17,12 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import Energy, State
+from learn.refinement.energy import Energy
 from learn.refinement.settings import NAMED, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
+from tests.support.flat_plane import SIZE, flat
 
-SIZE = 8
 LEVEL = Level(pixels=0, light=(16, 32), method="exact", rounds=1, iterations=4)
 QUICK = replace(RefinementSettings(), levels=(LEVEL,), outer_iterations=1)
 # standard deviation of z at which many changes of log light, and most of normals, are at their
@@ -37,29 +37,6 @@ def luminance(light):
 
 def disk(n):
     return n[:, :2] / (1 + n[:, 2:])
-
-
-def flat():
-    """A batch whose picture is 1 on all but the first row, and a State: a plane that faces the
-    viewer, light with log(1 + L) = 1.
-    """
-    inside = torch.ones(1, SIZE, SIZE, dtype=torch.bool)
-    inside[:, 0] = False
-    n, light = torch.zeros(1, 3, SIZE, SIZE), torch.full((1, 3, 64, 128), math.e - 1)
-    n[:, 2] = 1
-    label = torch.zeros(1, 1, 108)
-    batch = ExampleBatch(
-        torch.ones(1, 3, SIZE, SIZE),
-        inside[:, None].float(),
-        n,
-        inside.long(),
-        label,
-        light,
-        label,
-        ("plane",),
-        0.349,
-    )
-    return batch, State(label.double(), light, n, {"material": torch.zeros(1, 3)})
 
 
 @pytest.fixture

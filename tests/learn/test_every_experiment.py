@@ -192,7 +192,10 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
 
 
 REPORTS = {"normals-ablation-128": "normals-ablation", "normals-ablation-256": "normals-ablation"}
-NOT_PUBLISHED = {"calibrate-auto"}  # its result is learn/methods/calibration.json
+NOT_PUBLISHED = {
+    "calibrate-auto",  # its result is learn/methods/calibration.json
+    "clipped-highlights",  # it has not been run to its end
+}
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS.keys() - NOT_PUBLISHED | REPORTS.keys()))

@@ -198,12 +198,12 @@ def test_missing_pictures_are_counted(data, job, small):
 
 def test_perspective_is_taken_out_of_normals():
     view = frames.view_vectors(9, 9, np.radians(50))
-    assert np.allclose(ladder_pictures.turned_to_z(view, view), (0, 0, 1))
+    assert np.allclose(frames.turned_to_viewer(view, view), (0, 0, 1))
     n = np.random.default_rng(0).standard_normal((9, 9, 3))
-    turned = ladder_pictures.turned_to_z(n, view)
+    turned = frames.turned_to_viewer(n, view)
     assert np.allclose(np.linalg.norm(turned, axis=-1), np.linalg.norm(n, axis=-1))
     assert np.allclose(turned[..., 2], (n * view).sum(-1))
-    assert np.allclose(ladder_pictures.turned_to_z(n, frames.view_vectors(9, 9)), n)
+    assert np.allclose(frames.turned_to_viewer(n, frames.view_vectors(9, 9)), n)
 
 
 def test_a_png_clips_and_rounds_and_nothing_else():
