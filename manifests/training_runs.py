@@ -167,7 +167,9 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     version: Literal[1, 2, 3] = 3
     name: str
     about: str = ""
-    network: Literal["compact", "paper", "separate", "encoder-decoder"] = "compact"
+    network: Literal["compact", "compact-wrapped", "paper", "separate", "encoder-decoder"] = (
+        "compact"
+    )
     size: Size = 128
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")
     data: Data = Data()

@@ -52,9 +52,12 @@ class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
     ranges  of the training materials' labels; they are stored with the weights
+    wraps   whether the light head continues its maps around the circle and across the poles. With
+            zeros beyond the map's edges instead, every predicted map has a dark frame
     """
 
     name = "compact"
+    wraps = False
 
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)
@@ -88,8 +91,13 @@ class Compact(Coded):
             nn.Linear(256, LIGHT_WIDTHS[0] * 32),
             nn.ReLU(),
         )
-        self.widen = nn.ModuleList(map_convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
-        self.light = MapConvolution(LIGHT_WIDTHS[-1], 12)
+        widened = map_convolution if self.wraps else convolution
+        self.widen = nn.ModuleList(widened(a, b) for a, b in pairwise(LIGHT_WIDTHS))
+        self.light = (
+            MapConvolution(LIGHT_WIDTHS[-1], 12)
+            if self.wraps
+            else nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
+        )
 
     def forward(
         self,
@@ -160,8 +168,18 @@ class Compact(Coded):
     def _light(self, x):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
-            x = widen(enlarged(x))
+            larger = (
+                enlarged(x) if self.wraps else F.interpolate(x, scale_factor=2.0, mode="bilinear")
+            )
+            x = widen(larger)
         return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
+
+
+class CompactWrapped(Compact):
+    """The compact network with a light head that continues its maps around the circle."""
+
+    name = "compact-wrapped"
+    wraps = True
 
 
 def _mean_over(mask: torch.Tensor, features: torch.Tensor) -> torch.Tensor:

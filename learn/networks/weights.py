@@ -21,7 +21,7 @@ from learn.data.seen import KEY, Seen, encoded, of_metadata
 from learn.data.settings import converted
 from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
-from learn.networks.compact import Compact
+from learn.networks.compact import Compact, CompactWrapped
 from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.paper import Paper
 from learn.networks.prediction import Coded, ThreeNetworks
@@ -32,7 +32,7 @@ from manifests.training_runs import Part, Size
 from shaders.dsbrdf import SHAPE, SIZE
 
 NETWORKS: dict[str, type[Coded]] = {
-    network.name: network for network in (Compact, Paper, Separate, EncoderDecoder)
+    network.name: network for network in (Compact, CompactWrapped, Paper, Separate, EncoderDecoder)
 }
 PARTS: tuple[Part, ...] = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
@@ -49,7 +49,7 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 class About(msgspec.Struct, frozen=True):
     """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
 
-    network: Literal["compact", "paper", "separate", "encoder-decoder"]
+    network: Literal["compact", "compact-wrapped", "paper", "separate", "encoder-decoder"]
     size: Size
     step: Natural | None = None
 

@@ -18,7 +18,7 @@ from learn.data.settings import Data, Losses, Run, Schedule
 from learn.metrics import radiometry
 from learn.networks import weights as checkpoint
 from learn.networks.coding import REACH, Ranges, unit_mean
-from learn.networks.compact import CELLS, Compact, reflectance_map
+from learn.networks.compact import CELLS, Compact, CompactWrapped, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
 from learn.training import losses, validation
@@ -120,7 +120,7 @@ def test_a_light_scaled_to_unit_mean_has_unit_mean_luminance(rng):
         assert envmap.mean_radiance(light) @ envmap.LUMINANCE == pytest.approx(1, abs=1e-5)
 
 
-@pytest.mark.parametrize("network", [Compact, Paper])
+@pytest.mark.parametrize("network", [Compact, CompactWrapped, Paper])
 def test_networks_predict_unit_normals_codes_in_reach_and_lights_of_unit_mean(network, rng):
     net = network(Ranges(torch.zeros(108), torch.ones(108))).eval()
     image, mask = torch.rand(2, 3, 64, 64), (torch.rand(2, 1, 64, 64) > 0.5).float()

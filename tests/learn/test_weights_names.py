@@ -7,6 +7,7 @@ import pytest
 
 from learn.commands import options
 from learn.editing import predict
+from learn.networks import weights
 
 
 @pytest.mark.parametrize("path", sorted(options.WEIGHTS_FOLDER.glob("*.safetensors")))
@@ -31,3 +32,11 @@ def test_any_other_text_is_a_file() -> None:
 
 def test_the_default_weights_come_with_the_program() -> None:
     assert predict.WEIGHTS.parent == options.WEIGHTS_FOLDER and predict.WEIGHTS.exists()
+
+
+def test_each_of_the_programs_weights_is_read_with_its_own_light_head() -> None:
+    wraps = {
+        path.stem: weights.load_network(path)[0].wraps
+        for path in options.WEIGHTS_FOLDER.glob("*.safetensors")
+    }
+    assert wraps == {"joint-compact": False, "general-compact": True}
