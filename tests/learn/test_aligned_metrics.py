@@ -92,3 +92,18 @@ def test_errors_of_scaled_and_coloured_pictures_are_those_of_the_formula(rng):
     assert coloured["angular_deg"] == pytest.approx(45)
     assert coloured["si_rmse"] == pytest.approx(np.sqrt(1 / 3))  # the green that red cannot make
     assert light_probes.errors(0 * red, green)["si_rmse"] == pytest.approx(np.sqrt(2 / 3))
+
+
+def test_a_mirror_shows_a_lamp_where_its_normal_lies_between_lamp_and_viewer():
+    view = frames.camera_from_light(ELEVATION).T @ [0.0, 0.0, 1.0]
+    lamp = np.array([0.6, 0.8, 0.0])
+    L = np.zeros((64, 128, 3))
+    row, column = envmap.texel(lamp, 64, 128)
+    L[row - 1 : row + 2, [column - 1, column, (column + 1) % 128]] = 1
+    shown = light_probes.pictures(torch.from_numpy(L).movedim(-1, 0), ELEVATION)["mirror"].sum(-1)
+    half = frames.camera_from_light(ELEVATION) @ ((lamp + view) / np.linalg.norm(lamp + view))
+    size, parts = light_probes.SIZE, light_probes.SUBPIXELS
+    n, fine = light_probes._normals(size), light_probes._normals(size * parts)
+    whole = (fine[..., 2].reshape(size, parts, size, parts) > 0).all((1, 3))
+    inside = n[(n[..., 2] > light_probes.RIM) & whole]
+    assert inside[shown.argmax()] @ half > np.cos(np.radians(5))
