@@ -11,7 +11,7 @@ EXTRAS ?= factory,learn,dev
 help:
 	@echo "make demo        install into $(VENV)/, render a small data set, compare the two renderers, edit a picture and a photograph; then open $(OUT)/index.html"
 	@echo "make demo-small  the same with the smallest job, which has sixteen pictures"
-	@echo "make weights     from nothing to the weights of the preset general-compact: about twelve hours of processor time"
+	@echo "make weights     from nothing to the weights of the preset general-compact: never run to its end, about twelve hours of processor time by estimate"
 	@echo "make test        install into $(VENV)/ and run the tests"
 	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
 	@echo "make lint        check the code's style and its types"

@@ -10,7 +10,7 @@ paint  a matte cover: (1 − Σ W_j) I + Σ W_j ρ_j I_c, where I_c is the pictu
        surface. Materials whose widest lobe is dark or narrow take paint alone
 
 Where no ink is the picture stays as it was, bit by bit. At least LEAST_BASE of the surface shows
-the base, because nobody could tell the base of a surface that ink covers.
+the base, because the base of a surface that ink covers altogether cannot be seen.
 
 Patterns follow the surface. Geometry stores normals without depth, so depth is integrated from them
 (`depth`) and the pattern is projected onto the points: along one direction, onto a cylinder, or

@@ -160,7 +160,7 @@ def _aligned(rows: Mapping[str, Mapping[str, Cell]]) -> str | None:
     one, three = (_interval(cells[f"l2_{key}"])[0] for key in ("one_factor", "three_factors"))
     return (
         f"After one factor on the brightness of each edit it is {one:.0f}, after three on its"
-        f" colour {three:.0f}; the brightness of a light cannot be told from one picture."
+        f" colour {three:.0f}; the brightness of a light cannot be determined from one picture."
     )
 
 

@@ -17,7 +17,7 @@ flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels pe
             the mask: 0 for equal pictures, 1 at most
 lpips       only with weights (learn.metrics.lpips)
 
-How bright a light is cannot be told from one picture of an unknown material, so three figures of
+How bright a light is cannot be determined from one picture of an unknown material, so three figures of
 the same l2 forgive brightness (`aligned`):
 
 l2_own_exposure   each picture under its own exposure

@@ -365,7 +365,7 @@ def test_the_headline_says_what_the_tables_say():
         ),
         (
             "After one factor on the brightness of each edit it is 90, after three on its colour"
-            " 60; the brightness of a light cannot be told from one picture."
+            " 60; the brightness of a light cannot be determined from one picture."
         ),
         "With true light instead of predicted it would be 120.",
         "With true normals instead of predicted it would be 80.",
