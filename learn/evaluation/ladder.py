@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from msgspec import Struct, to_builtins
-from scipy.optimize import minimize_scalar
 from tqdm import tqdm
 
 from learn.data.batch import ExampleBatch
@@ -29,16 +28,13 @@ from learn.evaluation.ladder_design import RUNGS, Rung, Scene
 from learn.evaluation.ladder_pictures import Shown, shown
 from learn.evaluation.rows import Figure
 from learn.layer.predictions import MEASURED
-from learn.metrics.pictures import display_l2
+from learn.metrics.pictures import aligned, display_l2
 from learn.metrics.radiometry import irradiance
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock
 from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
-from shaders import tone
-
-FACTOR_RANGE = 4.0  # natural logarithm of the largest and least factor that aligns two pictures
 
 
 class Measured(Struct, frozen=True):
@@ -284,7 +280,7 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
         median,
         irradiance_error(parts.light, batch.light),
         display_l2(edited, picture.target, picture.mask),
-        aligned_l2(edited, picture.target, picture.mask),
+        aligned(edited, picture.target, picture.mask)["l2_one_factor"],
     )
 
 
@@ -306,24 +302,3 @@ def irradiance_error(light: torch.Tensor, true: torch.Tensor) -> float:
     """
     a, b = irradiance(light.float()), irradiance(true.float())
     return float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt())
-
-
-def aligned_l2(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
-    """Return the least display L2 of factor × picture against the truth, over one factor.
-
-    The exposure of a photograph cannot be known, and this distance does not depend on it.
-
-    picture, truth  (H, W, 3) radiance; mask (H, W) bool
-    """
-    exposure = tone.auto_exposure(truth, mask)
-    own = tone.auto_exposure(picture, mask)
-    right = tone.display(truth[mask], exposure)
-
-    def distance(log_factor: float) -> float:
-        shown_ = tone.display(picture[mask], own * np.exp(log_factor))
-        return float(((shown_ - right) ** 2).mean())
-
-    best = minimize_scalar(
-        distance, bounds=(-FACTOR_RANGE, FACTOR_RANGE), method="bounded", options={"xatol": 1e-3}
-    )
-    return min(float(best.fun), display_l2(picture, truth, mask))

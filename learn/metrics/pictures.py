@@ -17,8 +17,8 @@ flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels pe
             the mask: 0 for equal pictures, 1 at most
 lpips       only with weights (learn.metrics.lpips)
 
-How bright a light is cannot be determined from one picture of an unknown material, so three figures of
-the same l2 forgive brightness (`aligned`):
+How bright a light is cannot be determined from one picture of an unknown material, so three figures
+of the same l2 forgive brightness (`aligned`):
 
 l2_own_exposure   each picture under its own exposure
 l2_one_factor     after the one factor on the picture's radiance that makes l2 least

@@ -169,7 +169,7 @@ def drawn_job(views_job):
 
 
 def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job, tmp_path):
-    """Whatever the shards and the processes; a run that was cut off continues with the same ones."""
+    """Whatever the shards and the processes; a run that was cut off continues with them."""
     assert render(drawn_job, tmp_path / "a", limit=1).made == 1
     outcome = render(drawn_job, tmp_path / "a")
     assert (outcome.made, outcome.already_there) == (3, 1)
