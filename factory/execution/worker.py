@@ -22,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, BadShot, Pipeline, Studio
+from factory.execution.pipeline import Assignment, BadShot, Pipeline, ShapeSource, Studio
 from factory.planning.plan import Shot
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
@@ -51,9 +51,10 @@ class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Chunk(msgspec.Struct, frozen=True):
-    """Shots to make, in this order."""
+    """Shots to make, in this order, and where their shapes are read from, by name."""
 
     shots: list[Shot]
+    shapes: dict[str, ShapeSource]
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -131,7 +132,9 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
     first = True
     chunks = msgspec.json.Decoder(Chunk)
     for message in sys.stdin.buffer:
-        for shot in chunks.decode(message).shots:
+        chunk = chunks.decode(message)
+        pipeline.shapes = chunk.shapes
+        for shot in chunk.shots:
             try:
                 record = pipeline.make(shot)
             except OSError:
