@@ -66,7 +66,7 @@ class RunOptions:
 
     @property
     def readers(self) -> int:
-        """Number of processes that read meshes: one for each worker, or for each CPU if it is one."""
+        """Number of processes that read meshes: as many as workers; for one worker, as CPUs."""
         return processors() if self.workers == 1 else self.workers
 
     @property
@@ -107,12 +107,9 @@ def _parts(
 
     Raises  InputError: a bad mesh, or what `register` raises
     """
-    if (
-        not plan.assets.unread
-        or shard is not None
-        or not follows_alone(plan.job, plan.assets.unread)
-    ):
-        if plan.assets.unread:
+    unread = plan.assets.unread
+    if not unread or shard is not None or not follows_alone(plan.job, unread):
+        if unread:
             notes = len(plan.assets.notes)
             assets = read_whole(plan.job, plan.assets, _counted(reading, watch))
             plan = replace(plan, assets=assets)

@@ -24,6 +24,7 @@ from factory.planning.shape_names import Source
 from manifests.errors import InputError
 
 HERE = 2.0  # seconds of reading in this process before others are started
+NICE = 5  # so that the first pictures need not wait for the processes that read ahead
 MOST_PROCESSES = 8  # each holds one mesh, which may take a gigabyte
 
 
@@ -206,6 +207,7 @@ def processors() -> int:
 def main() -> None:
     """Answer for each source until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
