@@ -164,6 +164,8 @@ class Pool:
             if worker is not None and worker.pending:
                 continue
             chunk = self._chunk(shots)
+            if self._waiting and worker is None and not chunk:
+                self._start(number)  # it takes seconds, so that the shots may be known by then
             if chunk and worker is not None and chunk[0].id in self._tried and worker.made:
                 self._drop(number)
                 worker = None

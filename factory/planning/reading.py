@@ -1,9 +1,10 @@
 """The facts of a job's shapes, in the job's order, while work on the first ones has begun.
 
-What the memory does not hold is read in this process for the first seconds, so that a small job is
-complete before anything is rendered, and then by processes of their own, which run as
-`python -m factory.planning.reading`. Such a process reads sources, one line of JSON each, from its
-standard input, and writes an answer for each. It ends when its input ends.
+What the memory does not hold is read by processes of their own, which run as
+`python -m factory.planning.reading`. Such a process reads sources, one line of JSON each, from
+its standard input, and writes an answer for each. It ends when its input ends. A few sources are
+read in the calling process for the first seconds, so that a small job is complete before anything
+is rendered.
 """
 
 import os
@@ -23,8 +24,8 @@ from factory.planning.facts import Facts, Memory, facts_of
 from factory.planning.shape_names import Source
 from manifests.errors import InputError
 
+FEW = 8  # sources: more are read by other processes from the start
 HERE = 2.0  # seconds of reading in this process before others are started
-NICE = 5  # so that the first pictures need not wait for the processes that read ahead
 MOST_PROCESSES = 8  # each holds one mesh, which may take a gigabyte
 
 
@@ -65,7 +66,7 @@ class Reading:
     def ready(self) -> Iterator[tuple[Source, Facts]]:
         """Yield the next sources with their facts, as far as they are known by now.
 
-        The first call reads for up to HERE seconds. Raises InputError; OSError.
+        With few sources, the first call reads for up to HERE seconds. Raises InputError; OSError.
         """
         while self.unread and (facts := self._facts(wait=False)) is not None:
             self._next += 1
@@ -86,7 +87,9 @@ class Reading:
             return known
         if self._readers is None:
             self._begun = self._begun or time.monotonic()
-            if not self._processes or time.monotonic() - self._begun < HERE:
+            if not self._processes or (
+                self._known[number:].count(None) <= FEW and time.monotonic() - self._begun < HERE
+            ):
                 facts = facts_of(self._sources[number])
                 self._memory.note(self._keys[number], self._sources[number], facts)
                 return facts
@@ -207,7 +210,6 @@ def processors() -> int:
 def main() -> None:
     """Answer for each source until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
