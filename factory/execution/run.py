@@ -123,11 +123,11 @@ def _parts(
         return
     arrivals, shots, count = Arrivals(plan.job), 0, 0
     while reading.unread:
-        taken = [arrivals.take(source, facts) for source, facts in reading.ready()]
+        arrived = [arrivals.take(source, facts) for source, facts in reading.ready()]
         while arrivals.notes:
             watch("note", arrivals.notes.pop(0))
         watch("unread", reading.unread)
-        if not (shapes := [shape for shape in taken if shape is not None]):
+        if not (shapes := [shape for shape in arrived if shape is not None]):
             if reading.unread:
                 yield None
             continue

@@ -122,16 +122,19 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
     store = Store(config.folder)
     pictures = config.assignment.job.pictures
     lines = Lines(store.folder / ("records" if pictures else "views") / f"{config.worker}.jsonl")
+    studio = _studio(config)
+    # materials are registered before the first shot is given out, but maybe after the start
+    if (message := sys.stdin.buffer.readline()) == b"":
+        return
     mixtures = (
         {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
         if pictures
         else {}
     )
-    studio = _studio(config)
     pipeline = Pipeline(studio, config.assignment, store, config.worker, lines.append, mixtures)
     first = True
     chunks = msgspec.json.Decoder(Chunk)
-    for message in sys.stdin.buffer:
+    while message:
         chunk = chunks.decode(message)
         pipeline.shapes = chunk.shapes
         for shot in chunk.shots:
@@ -158,6 +161,7 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 notes=pipeline.notes,
                 **extra,
             )
+        message = sys.stdin.buffer.readline()
 
 
 def _studio(config: WorkerConfig) -> Studio:
