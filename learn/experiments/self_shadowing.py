@@ -65,13 +65,13 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 def scenes_of(records: Records) -> list[dict[str, Record]]:
     """Return {tier: record} of each scene that has a full picture and one of another tier.
 
-    Cameras are upright, and pixels are centres, as the layer assumes. Raises InputError for none.
+    Cameras are upright, as the layer assumes. Raises InputError for none.
     """
     from manifests.errors import InputError
 
     by_scene: dict[tuple, dict[str, Record]] = {}
     for record in records.records:
-        if record.camera.pixel == "centre" and not record.camera.roll_deg:
+        if not record.camera.roll_deg:
             key = (
                 record.geometry_hash,
                 record.materials,
@@ -82,7 +82,7 @@ def scenes_of(records: Records) -> list[dict[str, Record]]:
             by_scene.setdefault(key, {})[record.tier] = record
     result = [scene for scene in by_scene.values() if "full" in scene and len(scene) > 1]
     if not result:
-        rule = "pictures of one scene on the full tier and another, of pixel centres"
+        rule = "pictures of one scene on the full tier and another"
         raise InputError(records.folder, rule, "none", "name several tiers in the job")
     return sorted(result, key=lambda scene: scene["full"].id)
 
