@@ -30,6 +30,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
         "exposure": "measure the rule that estimates a photograph's exposure",
+        "exposure-correction": "measure what re-rendering says of a photograph's exposure",
     },
 }
 COMMANDS = {name: runner.register(name) for group in GROUPS.values() for name in group}

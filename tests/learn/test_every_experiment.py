@@ -100,6 +100,10 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
     ),
+    "exposure-correction": (
+        "--data {room}/data --weights {room}/weights.safetensors --pictures 1",
+        lambda r: {row["camera"] for row in r["rows"]} == {"drawn", "automatic"},
+    ),
     "exposure": (
         "--data {room}/exposed",
         lambda r: set(r["missed"]["exposed"]) == {"fitted", "in use", "one factor for all"},
