@@ -7,19 +7,16 @@ image (H, W, 3) linear radiance, mask (H, W) bool
 
 import io
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image
 
 from learn.data import camera_model
-from learn.data.batch import Clipping
 from learn.data.settings import Data
 from shaders import tone
 
 EXPOSURE = 0.3  # standard deviation of the logarithm
-UNCLIPPED = 6e4  # white of a picture that no camera clips: half floats end there
 SHIFT = 0.04  # of the picture's side, at most
 
 
@@ -30,18 +27,12 @@ def by(
     image: np.ndarray,
     mask: np.ndarray,
     along: Sequence[torch.Tensor],
-) -> tuple[Any, ...]:
-    """Return (image, mask, [tensors]) of a picture as a run's data say; arguments as `seen`.
-
-    A run with a camera model also gets the Clipping of each training picture.
-    """
+) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
+    """Return (image, mask, [tensors]) of a picture as a run's data say; arguments as `seen`."""
     photograph = training and data.photograph
-    if not (photograph and data.camera_model):
-        return seen(rng, image, mask, along, photograph)
-    if rng.random() < data.camera_model:
+    if photograph and data.camera_model and rng.random() < data.camera_model:
         return seen_by_camera(rng, image, mask, along)
-    nothing = Clipping(np.zeros(image.shape, bool), np.full(3, UNCLIPPED, np.float32))
-    return *seen(rng, image, mask, along, photograph), nothing
+    return seen(rng, image, mask, along, photograph)
 
 
 def seen(
@@ -73,8 +64,8 @@ def seen_by_camera(
     image: np.ndarray,
     mask: np.ndarray,
     along: Sequence[torch.Tensor],
-) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor], Clipping]:
-    """Return what `seen` does of a picture that learn.data.camera_model takes, and its Clipping.
+) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
+    """Return what `seen` does of a picture that learn.data.camera_model takes.
 
     A mask that is drawn too large shows the background; what an occluder hides is in no mask.
     """
@@ -87,10 +78,10 @@ def seen_by_camera(
     visible = camera_model.occluded(rng, mask)
     drawn = camera_model.drawn_mask(rng, visible)
     image = np.where(visible[..., None], image, camera_model.background(rng, image))
-    image, clipping = camera_model.photographed(rng, image, drawn)
+    image, _ = camera_model.photographed(rng, image, drawn)
     hidden = torch.from_numpy(visible)
     along = [tensor * hidden.reshape(*mask.shape, *(1,) * (tensor.ndim - 2)) for tensor in along]
-    return image * drawn[..., None], drawn, along, clipping
+    return image * drawn[..., None], drawn, along
 
 
 def shift(rng: np.random.Generator, mask: np.ndarray) -> tuple[int, int]:

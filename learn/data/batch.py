@@ -12,17 +12,6 @@ import torch
 
 
 @dataclass(frozen=True)
-class Clipping:
-    """What a simulated camera clipped.
-
-    clipped (H, W, 3) bool, white (3,), as `clipped` and `white` of ExampleBatch
-    """
-
-    clipped: np.ndarray
-    white: np.ndarray
-
-
-@dataclass(frozen=True)
 class ExampleBatch:
     """Pictures and their truth, in the frames and units of learn.data.records, channels first.
 
@@ -40,8 +29,6 @@ class ExampleBatch:
     target        (B, 3, H, W) the true O, likewise
     clipped       (B, 3, H, W) in [0, 1]: the share of each pixel and channel of `image` that the
                   file shows as white, so that its value is a lower bound; None: nothing is clipped
-    white         (B, 3) radiance of I, by channel, from which on the camera shows white; None where
-                  it is not known
     """
 
     image: torch.Tensor
@@ -56,7 +43,6 @@ class ExampleBatch:
     picture: torch.Tensor | None = None
     target: torch.Tensor | None = None
     clipped: torch.Tensor | None = None
-    white: torch.Tensor | None = None
 
     def to(self, device: torch.device | str, non_blocking: bool = False) -> "ExampleBatch":
         """Return the batch on a device; the batch itself if its tensors are there already."""
@@ -84,12 +70,9 @@ def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
     """Return a batch of examples, whose arrays are channels last.
 
     examples   tuples (image, mask, n, segments, label, light, target label, name); they may go on
-               with picture and target, and end in a Clipping, but then all must
+               with picture and target, but then all must
     elevation  of the camera, radians
     """
-    clippings = [example[-1] for example in examples if isinstance(example[-1], Clipping)]
-    if clippings:
-        examples = [example[:-1] for example in examples]
     image, mask, n, segments, label, light, target, names, *true = zip(*examples, strict=True)
 
     def plain(arrays: Sequence[Any]) -> torch.Tensor:
@@ -98,7 +81,7 @@ def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
     def pictures(arrays: Sequence[Any]) -> torch.Tensor:
         return plain(arrays).movedim(-1, 1).contiguous()
 
-    batch = ExampleBatch(
+    return ExampleBatch(
         pictures(image),
         plain(mask)[:, None].float(),
         pictures(n),
@@ -109,11 +92,4 @@ def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
         names,
         elevation,
         *(pictures(arrays) for arrays in true),
-    )
-    if not clippings:
-        return batch
-    return replace(
-        batch,
-        clipped=pictures([clipping.clipped for clipping in clippings]).float(),
-        white=plain([clipping.white for clipping in clippings]).float(),
     )

@@ -21,12 +21,12 @@ compression           JPEG of quality 50 to 96; 0.6
 """
 
 import io
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from learn.data.batch import Clipping
 from learn.data.photographs import ESTIMATED, NEAR_WHITE, exposure_of
 from shaders import tone
 from shaders.tone import LUMINANCE
@@ -37,6 +37,18 @@ LEAST_SHARE = 0.3  # of the object's pixels that occluders and holes leave
 SMALLEST_WINDOW = 0.65
 
 
+@dataclass(frozen=True)
+class Clipping:
+    """What the camera clipped.
+
+    clipped  (H, W, 3) bool, inside the mask
+    white    (3,) radiance, by channel, from which on the camera shows white, before exposure
+    """
+
+    clipped: np.ndarray
+    white: np.ndarray
+
+
 def photographed(
     rng: np.random.Generator, image: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, Clipping]:
@@ -44,8 +56,7 @@ def photographed(
 
     mask     of what the photograph's user masks; where it is wider than the object, the image shows
              the background
-    Returns  image (H, W, 3) float32, exposed as the reader does; Clipping, whose white is in the
-             units of `image` as it was given
+    Returns  image (H, W, 3) float32, exposed as the reader does; Clipping
     """
     if rng.random() < 0.4:
         image = gaussian_filter(image, (*2 * [rng.uniform(0.2, 0.8)], 0))

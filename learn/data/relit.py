@@ -178,11 +178,11 @@ class RelitDataset:
         result = []
         for i in range(count):
             mask = (segments[i] > 0).numpy()
-            image, drawn, (normals, covered), *clipping = augmentation.by(
+            image, drawn, (normals, covered) = augmentation.by(
                 self.data, training, rng, images[i], mask, (n[i], segments[i])
             )
             truth = (normals, covered, label, L, target, names[i])
-            result.append((image, drawn, *truth, *clipping))
+            result.append((image, drawn, *truth))
         return result
 
     def _generator(self, *key: int) -> np.random.Generator:

@@ -157,7 +157,7 @@ class RenderedDataset:
         )
         mask = (segments > 0).numpy()
         true_pictures = (torch.from_numpy(each * mask[..., None]) for each in (image, target))
-        image, seen, (n, segments, picture, target_picture), *clipping = augmentation.by(
+        image, seen, (n, segments, picture, target_picture) = augmentation.by(
             self.data, training, rng, image, mask, (n, segments, *true_pictures)
         )
         name = (
@@ -165,7 +165,7 @@ class RenderedDataset:
             f" {'+'.join(dict.fromkeys(record.materials))}"
         )
         truth = (n, segments, label, L, target_label, name, picture, target_picture)
-        return image, seen, *truth, *clipping
+        return image, seen, *truth
 
     def _geometry(self, record: Record) -> tuple[torch.Tensor, torch.Tensor]:
         """Return normals (H, W, 3) and segments (H, W) at the size of pictures."""

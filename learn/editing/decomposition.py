@@ -11,6 +11,7 @@ import torch
 
 from learn.data import devices, photographs
 from learn.data.batch import ExampleBatch
+from learn.editing import exposure
 from learn.editing.photograph import Photograph
 from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks.prediction import Prediction
@@ -39,7 +40,7 @@ def parts_of(prediction: Prediction) -> Parts:
 class Decomposition:
     """A photograph and what was read from it.
 
-    framed   what the network saw
+    framed   what the network saw, under the exposure that its prediction corrects
     batch    the same as a batch of one picture
     start    the network's prediction
     refined  the refinement's result, or None where no refinement was requested
@@ -87,6 +88,8 @@ def decompose(
     )
     regions = photographs.framed_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
+    if photograph.exposure is None:
+        framed, batch = exposure.corrected(framed, batch, start)
     if photograph.record is not None:  # a photograph's camera is not known, a record's is
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
     labels: np.ndarray | None = getattr(network, "training_labels", None)

@@ -17,8 +17,8 @@ from learn.data.records import Records
 from learn.editing import material_file
 from learn.editing.decomposition import Parts, parts_of, predict_framed
 from learn.editing.edit_files import save
+from learn.editing.exposure import corrected, rendered_again
 from learn.figures import montage
-from learn.layer import predictions
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.training import montage as training_montage
@@ -98,11 +98,15 @@ def compute(
         if Path(image).is_dir()
         else (*photographs.read(image, mask), exposure)
     )
-    framed = photographs.framed(radiance, covered, metadata["size"], exposure, image)
+    linear = Path(image).is_dir() or Path(image).suffix.lower() == ".exr"
+    clipped = None if linear else photographs.saturated(radiance)
+    framed = photographs.framed(radiance, covered, metadata["size"], exposure, image, clipped)
     batch, predicted = predict_framed(framed, network)
     parts = parts_of(predicted)
-    rendering = predictions.picture(*parts, batch.segments, batch.elevation, predictions.SHOWN)
-    return PredictedPicture(framed, batch, predicted, parts, array(rendering[0]), metadata)
+    rendering = rendered_again(batch, predicted)
+    if exposure is None:
+        framed, batch = corrected(framed, batch, predicted, rendering)
+    return PredictedPicture(framed, batch, predicted, parts, rendering, metadata)
 
 
 def write(out: Path, result: PredictedPicture, weights: Path) -> None:

@@ -29,7 +29,7 @@ from learn.evaluation.ladder_pictures import Shown, shown
 from learn.evaluation.rows import Figure
 from learn.layer.predictions import MEASURED
 from learn.metrics.pictures import aligned, display_l2
-from learn.metrics.radiometry import irradiance
+from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock
@@ -253,7 +253,7 @@ class Bench:
             metal=self.records.material(names["target"]).family == "metal",
             exposure=picture.exposure,
             facing_deg=angles(facing, batch)[0],
-            constant_irradiance=irradiance_error(torch.ones_like(batch.light), batch.light),
+            constant_irradiance=float(irradiance_error(torch.ones_like(batch.light), batch.light)),
             unchanged_l2=display_l2(source, picture.target, picture.mask),
             floor_l2=floor,
             predicted=measured(parts_of(prediction), picture, batch),
@@ -278,7 +278,7 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
     return Measured(
         mean,
         median,
-        irradiance_error(parts.light, batch.light),
+        float(irradiance_error(parts.light, batch.light)),
         display_l2(edited, picture.target, picture.mask),
         aligned(edited, picture.target, picture.mask)["l2_one_factor"],
     )
@@ -293,12 +293,3 @@ def angles(n: torch.Tensor, batch: ExampleBatch) -> tuple[float, float]:
     cosine = (n * batch.n).sum(1)[batch.segments > 0].double().clamp(-1, 1)
     degrees = cosine.arccos().rad2deg()
     return float(degrees.mean()), float(degrees.median())
-
-
-def irradiance_error(light: torch.Tensor, true: torch.Tensor) -> float:
-    """Return the root mean square error of irradiance, relative to the true root mean square.
-
-    light, true  (1, 3, 64, 128), light frame; as learn.metrics.intrinsics.light measures it
-    """
-    a, b = irradiance(light.float()), irradiance(true.float())
-    return float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt())

@@ -20,6 +20,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "second-derivatives": "time second derivatives of the exact sum against first ones",
     },
     "Training": {
+        "self-shadowing": "measure the shadows that training adds to relit pictures",
         "step-profile": "time the parts of a training step, and relighting",
         "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
         "normals-ablation": "train normals with further losses and shapes for the same time",
@@ -29,6 +30,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
         "exposure": "measure the rule that estimates a photograph's exposure",
+        "exposure-correction": "measure what re-rendering says of a photograph's exposure",
     },
 }
 COMMANDS = {name: runner.register(name) for group in GROUPS.values() for name in group}

@@ -26,7 +26,7 @@ from learn.data.records import Records
 from learn.experiments import runner
 from learn.experiments.refinement_ablation import FIGURES
 from learn.layer import predictions
-from learn.metrics.radiometry import irradiance
+from learn.metrics.radiometry import irradiance_error
 from learn.networks.prediction import Prediction
 from learn.refinement import NAMED, RefinementSettings, refine
 from manifests import files
@@ -133,14 +133,13 @@ def figures(
         return float(tone.display_l2(mine, truth, tone.auto_exposure(truth, mask), mask))
 
     cosine = (parts.n[0] * batch.n[0]).sum(0)[inside].clamp(-1, 1)
-    lit, truth = irradiance(parts.light), irradiance(batch.light)
     return {
         "image": error(picture(parts, parts.label[0], batch), seen),
         "edit": float(
             np.mean([error(picture(parts, label, batch), truth) for label, truth in truths])
         ),
         "angle_deg": float(cosine.arccos().rad2deg().mean()),
-        "light": float(((lit - truth) ** 2).mean().sqrt() / (truth**2).mean().sqrt()),
+        "light": float(irradiance_error(parts.light, batch.light)),
     }
 
 

@@ -21,7 +21,7 @@ from learn.figures.spheres import sphere_normals
 from learn.layer import predictions
 from learn.metrics import light_probes
 from learn.metrics.pictures import display_l2
-from learn.metrics.radiometry import irradiance
+from learn.metrics.radiometry import irradiance_error
 from learn.networks.coding import Ranges
 from shaders import dsbrdf, envmap, tone
 
@@ -87,12 +87,11 @@ def _grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def light(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, float]:
     """Return {figure: value} of light maps (3, 64, 128), light frame."""
-    a, b = irradiance(L[None]), irradiance(true[None])
     cosine = float(np.clip(brightest(L) @ brightest(true), -1, 1))
     shown = {name: _sphere_l2(L, true, name, elevation) for name in SPHERES}
     return {
         "direction_deg": float(np.degrees(np.arccos(cosine))),
-        "irradiance": float(((a - b) ** 2).mean().sqrt() / (b**2).mean().sqrt()),
+        "irradiance": float(irradiance_error(L[None], true[None])),
         "spheres_l2": float(np.mean(list(shown.values()))),
         **{f"{name}_sphere_l2": value for name, value in shown.items()},
         **light_probes.compare(L, true, elevation),

@@ -42,3 +42,13 @@ def irradiance(light: torch.Tensor) -> torch.Tensor:
     """Return radiance (B, 3, DIRECTIONS) leaving white matte surfaces that face each direction."""
     values = log_rendered(light).exp() - 0.05
     return values[..., : values.shape[-1] // 3]
+
+
+def irradiance_error(light: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
+    """Return (B,) root mean square errors of `irradiance`, relative to the true root mean square.
+
+    light, true  (B, 3, Hl, Wl) linear radiance, light frame; neither is rescaled
+    """
+    right = irradiance(true.float())
+    squared = (irradiance(light.float()) - right) ** 2
+    return (squared.mean((1, 2)) / (right**2).mean((1, 2))).sqrt()

@@ -28,7 +28,7 @@ from learn.data.devices import array
 from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
 from learn.refinement.settings import RefinementSettings
-from learn.training.losses import misfit, reduced, solid_angles
+from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
 
@@ -57,6 +57,20 @@ class State:
             and self.light.isfinite().all()
             and self.n.isfinite().all()
         )
+
+
+def misfit(
+    mine: torch.Tensor, its: torch.Tensor, clipped: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Return (mine − its)² of pictures of one shape, one-sided where `its` is clipped.
+
+    clipped  shares in [0, 1] of the same shape: that share of the cost counts only where `mine` is
+             darker, because a clipped value says "at least this bright"; None: nothing is clipped
+    """
+    difference = mine - its
+    if clipped is None:
+        return difference**2
+    return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
 
 
 class Energy:

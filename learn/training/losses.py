@@ -19,8 +19,9 @@ image_features, target_features   squared difference of features of c(I') and c(
 
 I and O are what the layer makes of the truth at the same pixels under the same light resolution, so
 that a perfect prediction has no loss. Where a batch has rendered pictures (learn.data.rendered), I
-and O are those. Where a batch says what its camera clipped, `image` is one-sided: at such a pixel
-only an I' darker than the camera's white costs.
+and O are those. Neither is cut off where a camera clipped the picture: training knows how bright a
+highlight was. A one-sided loss, which asks for no more than "at least white" there, does not bound
+such pixels from above, and networks trained with it took materials for 1.5 times too bright.
 """
 
 import math
@@ -164,11 +165,7 @@ def layer_terms(
             seen = whole(n, mine, light, batch, losses.gradient_bound)
             mine_c, its_c = compressed(seen), compressed(truth)
             if of_pixels:
-                clipped, bound = None, its_c
-                if name == "image" and batch.clipped is not None and batch.white is not None:
-                    clipped = batch.clipped
-                    bound = compressed(limited(truth, batch.white, clipped))
-                result[name] = misfit(mine_c, bound, clipped).sum() / (3 * _inside(batch).sum())
+                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
             if of_features:
                 result[f"{name}_features"] = compared_by(
                     features, mine_c, its_c, _inside(batch) > 0
@@ -186,15 +183,7 @@ def layer_terms(
                 n, batch.segments, mine, light, where, batch.elevation, losses.gradient_bound
             )
             lit = (where >= 0)[..., None]
-            clipped = None
-            if name == "image" and batch.clipped is not None and batch.white is not None:
-                clipped = picked(batch.clipped, where)
-                truth = limited(truth.movedim(-1, 1), batch.white, clipped.movedim(-1, 1)).movedim(
-                    1, -1
-                )
-            result[name] = (misfit(compressed(seen), compressed(truth), clipped) * lit).sum() / (
-                3 * count
-            )
+            result[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
     return result
 
 
@@ -246,26 +235,6 @@ def boxed(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list
 def _inside(batch: ExampleBatch) -> torch.Tensor:
     """Return (B, 1, H, W) float, 1 where the truth and the network's mask show the object."""
     return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
-
-
-def misfit(
-    mine: torch.Tensor, its: torch.Tensor, clipped: torch.Tensor | None = None
-) -> torch.Tensor:
-    """Return (mine − its)² of pictures of one shape, one-sided where `its` is clipped.
-
-    clipped  shares in [0, 1] of the same shape: that share of the cost counts only where `mine` is
-             darker, because a clipped value says "at least this bright"; None: nothing is clipped
-    """
-    difference = mine - its
-    if clipped is None:
-        return difference**2
-    return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
-
-
-def limited(truth: torch.Tensor, white: torch.Tensor, clipped: torch.Tensor) -> torch.Tensor:
-    """Return true pictures (B, 3, …) limited to `white` (B, 3) where they are clipped."""
-    level = white.reshape(*white.shape, *[1] * (truth.dim() - 2))
-    return torch.where(clipped > 0, torch.minimum(truth, level), truth)
 
 
 def whole(

@@ -27,7 +27,7 @@ from learn.data.settings import Run
 from learn.data.sources import source_of
 from learn.layer import predictions
 from learn.metrics.pictures import display_l2
-from learn.metrics.radiometry import irradiance, log_albedo
+from learn.metrics.radiometry import irradiance_error, log_albedo
 from learn.networks.prediction import Prediction
 
 LEAST_PIXELS = 16  # of a region, to count as shown
@@ -80,12 +80,8 @@ def of(
         result["angle_deg"] = means(cosine.arccos().rad2deg(), inside)
     constant = torch.ones_like(batch.light)
     if prediction.light is not None:
-        truth = irradiance(batch.light)
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
-            error = ((irradiance(value) - truth) ** 2).mean((1, 2)).sqrt() / (truth**2).mean(
-                (1, 2)
-            ).sqrt()
-            result[name] = array(error.double())
+            result[name] = array(irradiance_error(value, batch.light).double())
     if prediction.label is not None:
         result |= albedos(prediction.label, batch, constant_albedo)
         result["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)

@@ -1,4 +1,4 @@
-"""Clipped highlights: found in files, kept through resizing, and one-sided in energy and loss."""
+"""Clipped highlights: found in files, kept through resizing, and one-sided in refinement."""
 
 from dataclasses import replace
 
@@ -6,10 +6,12 @@ import numpy as np
 import torch
 
 from learn.data import photographs
-from learn.data.batch import Clipping, joined
+from learn.data.settings import Losses
+from learn.networks.coding import Ranges
+from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings
-from learn.refinement.energy import Energy
-from learn.training.losses import limited, misfit
+from learn.refinement.energy import Energy, misfit
+from learn.training.losses import terms
 from tests.support.flat_plane import flat
 
 
@@ -57,24 +59,18 @@ def test_energy_does_not_explain_highlights_beyond_white() -> None:
     assert energy["bound"] == (0.0, 0.0)
 
 
-def test_truth_beyond_white_is_limited_where_it_is_clipped() -> None:
-    truth, white = torch.full((1, 3, 2, 2), 5.0), torch.tensor([[1.0, 2.0, 9.0]])
-    clipped = torch.zeros_like(truth)
-    clipped[..., 0, 0] = 1
-    result = limited(truth, white, clipped)
-    assert result[0, :, 0, 0].tolist() == [1.0, 2.0, 5.0]
-    assert (result[..., 1, :] == 5).all()
-
-
-def test_captures_are_joined() -> None:
-    picture = np.zeros((4, 4, 3), np.float32)
-    label, light = np.zeros((1, 108), np.float32), np.zeros((64, 128, 3), np.float32)
-    plain = (picture, picture[..., 0] > 0, picture, picture[..., 0], label, light, label, "x")
-    white = np.array([1.0, 2.0, 3.0])
-    batch = joined([(*plain, Clipping(picture > -1, white))] * 2, 0.3)
-    assert joined([plain], 0.3).clipped is None
-    assert batch.clipped is not None
-    assert batch.white is not None
-    assert batch.clipped.shape == (2, 3, 4, 4)
-    assert batch.clipped.min() == 1
-    assert batch.white[1].tolist() == [1.0, 2.0, 3.0]
+def test_training_compares_with_the_truth_and_not_with_what_a_camera_clipped() -> None:
+    """A prediction that is too bright costs as much where the picture is clipped."""
+    batch, _ = flat()
+    prediction = Prediction(batch.n, None, batch.label + 1, None, batch.light)
+    cost = [
+        terms(
+            prediction,
+            replace(batch, clipped=clipped),
+            Losses(image=1),
+            torch.Generator().manual_seed(0),
+            Ranges.of(torch.zeros(2, 108)),
+        )["image"]
+        for clipped in (None, torch.ones_like(batch.image))
+    ]
+    assert cost[0] == cost[1] > 0.01

@@ -92,9 +92,17 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
     ),
+    "self-shadowing": (
+        "--data {room}/tiers --pictures 1",
+        lambda r: r["rows"][0]["layer"] > 0 and r["rows"][0]["shadow"] is None,
+    ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
+    ),
+    "exposure-correction": (
+        "--data {room}/data --weights {room}/weights.safetensors --pictures 1",
+        lambda r: {row["camera"] for row in r["rows"]} == {"drawn", "automatic"},
     ),
     "exposure": (
         "--data {room}/exposed",
@@ -119,6 +127,7 @@ def room(tmp_path_factory):
             add_shape(store, f"ball:{next(validation)}", "train")
             add_shape(store, "cube:1", "test")
     written(room / "exposed")
+    write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
