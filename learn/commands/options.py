@@ -40,16 +40,20 @@ def add_lights(
     parser.add_argument("--lights", type=Path, metavar="FILE.npz|DIR", help=what)
 
 
-def add_weights(parser: argparse.ArgumentParser) -> None:
-    """Add --weights FILE|NAME; None stands for the weights of learn.editing.predict."""
+def add_weights(parser: argparse.ArgumentParser, default: str = "general-compact") -> None:
+    """Add --weights FILE|NAME; None stands for the weights of learn.editing.predict.
+
+    default  their name, for the help
+    """
     parser.add_argument(
         "--weights",
         type=weights_file,
         metavar="FILE|NAME",
         help=(
             "weights.safetensors of a training run, or the name of weights that come with the"
-            " program: joint-compact, which knows chairs, sofas, cars and monitors from one"
-            " elevation (default), or general-compact, which knows other objects too"
+            " program: general-compact, which knows any object and photographs, or joint-compact,"
+            " which knows chairs, sofas, cars and monitors from one elevation, and of which most"
+            f" published figures are (default: {default})"
         ),
     )
 

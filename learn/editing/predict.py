@@ -26,7 +26,9 @@ from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "joint-compact.safetensors"
+FOLDER = Path(__file__).parents[1] / "weights"
+WEIGHTS = FOLDER / "general-compact.safetensors"  # for pictures of users
+TABLE_WEIGHTS = FOLDER / "joint-compact.safetensors"  # of the published figures
 TILE = 160
 # pictures of the parts, in the order of the contact sheet
 CELLS = ("picture", "normals", "light", "material", "rendering")
