@@ -65,7 +65,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     source = RelitDataset(split, data, 1, metadata["size"], arguments.seed)
 
     def row(chosen: tuple[str, int]) -> dict[str, Any]:
-        framed, true, names = taken(source, *chosen)
+        framed, true, names = photographed(source, *chosen)
         batch, prediction = predict_framed(framed, network)
         again = brightness_ratio(framed, rendered_again(batch, prediction))
         return {
@@ -83,7 +83,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return {"rows": rows, "weights": Path(weights).name}
 
 
-def taken(source: RelitDataset, camera: str, number: int) -> tuple[Framed, float, str]:
+def photographed(source: RelitDataset, camera: str, number: int) -> tuple[Framed, float, str]:
     """Return a picture as a network sees it, the logarithm of what its exposure lacks, its names.
 
     The picture is a function of its number and the source's seed.
