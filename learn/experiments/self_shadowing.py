@@ -88,7 +88,7 @@ def scenes_of(records: Records) -> list[dict[str, Record]]:
 
 
 def row_of(records: Records, scene: dict[str, Record]) -> dict[str, Any]:
-    """Return the display L2 of each of PICTURES against the full picture; None where there is none."""
+    """Return the display L2 of each of PICTURES against the full one; None where there is none."""
     from learn.metrics.pictures import display_l2
 
     truth, mask = records.image(scene["full"]), records.load(scene["full"]).mask.numpy()
