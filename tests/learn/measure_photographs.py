@@ -19,14 +19,14 @@ from pathlib import Path
 
 import torch
 
+from learn.commands.options import EDITING_WEIGHTS
 from learn.editing import decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
-from learn.editing.predict import WEIGHTS
 from learn.figures import html, montage
 from learn.networks import weights
 from learn.refinement import RefinementSettings
 from manifests import files
-from manifests.provenance import provenance
+from manifests.provenance import provenance, shortened
 from shaders import tone
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "photographs"
@@ -104,6 +104,8 @@ def main(arguments):
         "refined": settings is not None,
         "materials": list(MATERIALS),
     }
+    words = [shortened(word) for word in sys.argv[1:]]
+    command = " ".join(["python tests/learn/measure_photographs.py", *words])
     kept = arguments.out / "rows"
     kept.mkdir(parents=True, exist_ok=True)
     report = arguments.out / "report.json"
@@ -123,11 +125,11 @@ def main(arguments):
         tiles, seconds[name] = row(name, path, mask, network, metadata["size"], settings)
         sheet = montage.eight_bit(montage.contact_sheet([tiles], TILE))
         files.write_image(rows[name], sheet, "JPEG")
-        files.write_json(report, about | {"seconds": seconds, "made": provenance()})
+        files.write_json(report, about | {"seconds": seconds, "made": provenance(command)})
         print(f"{name}: {seconds[name]:.1f} s", flush=True)
     judged = FOLDER / "judged.json"
     sentences = json.loads(judged.read_text()) if judged.is_file() else {}
-    about |= {"made": provenance()}
+    about |= {"made": provenance(command)}
     files.write_text(arguments.out / "index.html", page(rows, credits, sentences, about))
 
 
@@ -138,5 +140,5 @@ if __name__ == "__main__":
     parser.add_argument("root", type=Path, metavar="ROOT")
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--no-refine", action="store_true")
-    parser.add_argument("--weights", type=Path, default=WEIGHTS, metavar="FILE")
+    parser.add_argument("--weights", type=Path, default=EDITING_WEIGHTS, metavar="FILE")
     main(parser.parse_args())
