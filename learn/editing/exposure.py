@@ -6,9 +6,8 @@ light and a bright one in dim light give different pictures, so that what it ren
 brighter or darker than the picture it was given. TRUST is the share of this ratio's logarithm by
 which the exposure is moved.
 
-`python -m learn.experiments exposure-correction` measures what share is best: all of it for
-photographs that were exposed by hand, three quarters for files under automatic exposure
-(docs/results/exposure-correction).
+`python -m learn.experiments exposure-correction` measures shares. Its pictures prefer the whole
+ratio, while edits of the ladder's pictures become worse with more than half of it (docs/log.md).
 """
 
 from dataclasses import replace
