@@ -60,7 +60,6 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     """Return the EditOptions of parsed arguments. Raises InputError."""
     from learn.data import devices
     from learn.editing.edit import EditOptions
-    from learn.editing.predict import WEIGHTS
     from learn.refinement import RefinementSettings
 
     check(
@@ -75,7 +74,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     balance = balance_of(arguments.white_balance)
     device = devices.choose(arguments.device)
     return EditOptions(
-        arguments.weights or WEIGHTS,
+        arguments.weights,
         settings,
         arguments.tolerance,
         arguments.detail,

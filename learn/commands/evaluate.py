@@ -25,7 +25,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     options.add_data(parser, "a data set with pictures in two materials or more of each view")
-    options.add_weights(parser)
+    options.add_weights(parser, options.TABLE_WEIGHTS)
     options.add_out(parser)
     parser.add_argument(
         "--edits",
@@ -95,12 +95,10 @@ def run(arguments: argparse.Namespace) -> None:
     import os
 
     from learn.data import devices
-    from learn.editing import predict
     from learn.evaluation import report, run
 
     names = run.Options.__dataclass_fields__
     given = {name: value for name, value in vars(arguments).items() if name in names}
-    given["weights"] = arguments.weights or predict.WEIGHTS
     given["device"] = str(devices.choose(arguments.device))
     given["processes"] = arguments.processes or os.cpu_count() or 1
     print(report.line(run.make(run.Options(**given))))

@@ -78,7 +78,6 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     from learn.data import devices
-    from learn.editing import predict
     from learn.evaluation import ladder
     from manifests.errors import InputError
 
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace) -> None:
     report = ladder.make(
         ladder.Options(
             data=arguments.data,
-            weights=arguments.weights or predict.WEIGHTS,
+            weights=arguments.weights,
             out=arguments.out,
             side=arguments.side,
             scenes=arguments.scenes,

@@ -9,6 +9,8 @@ from manifests.option_types import MATERIALS, positive, whole
 
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
 WEIGHTS_FOLDER = Path(__file__).parents[1] / "weights"
+EDITING_WEIGHTS = WEIGHTS_FOLDER / "general-compact.safetensors"  # for pictures of users
+TABLE_WEIGHTS = WEIGHTS_FOLDER / "joint-compact.safetensors"  # of the published figures
 DATA = "a data set that `python -m factory render` wrote"
 
 
@@ -40,16 +42,18 @@ def add_lights(
     parser.add_argument("--lights", type=Path, metavar="FILE.npz|DIR", help=what)
 
 
-def add_weights(parser: argparse.ArgumentParser) -> None:
-    """Add --weights FILE|NAME; None stands for the weights of learn.editing.predict."""
+def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS) -> None:
+    """Add --weights FILE|NAME; default: a file of WEIGHTS_FOLDER."""
     parser.add_argument(
         "--weights",
         type=weights_file,
+        default=default,
         metavar="FILE|NAME",
         help=(
             "weights.safetensors of a training run, or the name of weights that come with the"
-            " program: joint-compact, which knows chairs, sofas, cars and monitors from one"
-            " elevation (default), or general-compact, which knows other objects too"
+            " program: general-compact, which knows any object and photographs, or joint-compact,"
+            " which knows chairs, sofas, cars and monitors from one elevation, and of which most"
+            f" published figures are (default: {default.stem})"
         ),
     )
 
@@ -68,7 +72,7 @@ def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
         metavar="X",
         help=(
             f"multiply the {picture} by X to get radiance (default: estimated from the object's"
-            " brightness)"
+            " brightness, and corrected by what is rendered again)"
         ),
     )
 

@@ -49,14 +49,13 @@ def run(arguments: argparse.Namespace) -> None:
     from learn.editing import predict
 
     editing_options.check_exposure(arguments.exposure)
-    device, weights = devices.choose(arguments.device), arguments.weights or predict.WEIGHTS
     predict.run(
         arguments.image,
         arguments.mask,
-        weights,
+        arguments.weights,
         arguments.out,
         arguments.exposure,
         arguments.overwrite,
-        device,
+        devices.choose(arguments.device),
     )
     print(f"See {arguments.out / 'sheet.png'}")

@@ -109,6 +109,11 @@ class Framed:
     clipped: np.ndarray | None = None
 
 
+def holds_radiance(path: str | Path) -> bool:
+    """Return whether a picture's file holds radiance, not display values: an EXR does."""
+    return Path(path).suffix.lower() == ".exr"
+
+
 def saturated(radiance: np.ndarray) -> np.ndarray:
     """Return (H, W, 3) bool: channels of linear values from a file of 8 or 16 bits that are white.
 
@@ -177,7 +182,7 @@ def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
     Each grey, colour or palette entry except 0 is a region. Raises InputError.
     """
     path = Path(path)
-    if path.suffix.lower() == ".exr":
+    if holds_radiance(path):
         raise InputError(
             path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG"
         )
@@ -208,7 +213,7 @@ def _require_size(path, found, expected, what):
 
 def _pixels(path):
     """radiance (H, W, 3) linear, alpha (H, W) in [0, 1], upright as the file's orientation says."""
-    if path.suffix.lower() == ".exr":
+    if holds_radiance(path):
         return read_exr(path)
     values = _decoded(path, _display_values)
     if values.ndim == 2:

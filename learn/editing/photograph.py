@@ -167,7 +167,7 @@ def opened(
     before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
     photographs.exposure_of(radiance * factors, labels > 0, exposure, path)
-    linear = path.suffix.lower() == ".exr"
+    linear = photographs.holds_radiance(path)
     own = alpha if before_background and (alpha < 1).any() else None
     return Photograph(
         path.stem,

@@ -26,7 +26,6 @@ from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "joint-compact.safetensors"
 TILE = 160
 # pictures of the parts, in the order of the contact sheet
 CELLS = ("picture", "normals", "light", "material", "rendering")
@@ -98,7 +97,7 @@ def compute(
         if Path(image).is_dir()
         else (*photographs.read(image, mask), exposure)
     )
-    linear = Path(image).is_dir() or Path(image).suffix.lower() == ".exr"
+    linear = Path(image).is_dir() or photographs.holds_radiance(image)
     clipped = None if linear else photographs.saturated(radiance)
     framed = photographs.framed(radiance, covered, metadata["size"], exposure, image, clipped)
     batch, predicted = predict_framed(framed, network)

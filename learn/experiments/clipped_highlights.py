@@ -47,7 +47,7 @@ class Case:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of pictures."""
     options.add_data(parser, "a data set whose held-out shapes and lights are used")
-    options.add_weights(parser)
+    options.add_weights(parser, options.TABLE_WEIGHTS)
     parser.add_argument(
         "--pictures", type=positive, default=24, metavar="N", help="of pictures (default 24)"
     )
@@ -67,7 +67,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.settings import Data
     from learn.data.sources import data_splits
-    from learn.editing.predict import WEIGHTS
     from learn.evaluation.methods import network
     from learn.networks import weights as checkpoint
     from learn.refinement import RefinementSettings, refine
@@ -75,7 +74,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
-    weights = arguments.weights or WEIGHTS
+    weights = arguments.weights
     net, metadata = checkpoint.load_parts(weights)
     settings = replace(RefinementSettings(), outer_iterations=arguments.outer_iterations)
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}

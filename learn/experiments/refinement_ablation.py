@@ -35,7 +35,7 @@ FIGURES = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights, the settings and the numbers of pictures and initialisations."""
     options.add_data(parser, "a data set with pictures of each scene in several materials")
-    options.add_weights(parser)
+    options.add_weights(parser, options.TABLE_WEIGHTS)
     parser.add_argument(
         "--pictures",
         type=positive,
@@ -73,14 +73,13 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from learn.editing.predict import WEIGHTS
     from learn.evaluation.methods import network
     from learn.experiments import refinement_sweep
     from learn.networks import weights as checkpoint
     from manifests.store import file_hash
 
     torch.set_num_threads(1)  # times are reported for one thread
-    weights = arguments.weights or WEIGHTS
+    weights = arguments.weights
     net, _ = checkpoint.load_parts(weights)
     about = {
         "data": arguments.data.resolve().name,

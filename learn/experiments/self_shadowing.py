@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from learn.data.records import Records
     from manifests.schema import Record
 
-WAYS = {
+PICTURES = {
     "layer": "the layer, no shadows",
     "shadowed": "the layer, with training's shadows",
     "direct": "Cycles, direct tier",
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows": [{"picture", "shape", "light", WAYS: display L2 or None}]}."""
+    """Return {"rows": [{"picture", "shape", "light", PICTURES: display L2 or None}]}."""
     import torch
 
     from learn.data.records import Records
@@ -88,7 +88,7 @@ def scenes_of(records: Records) -> list[dict[str, Record]]:
 
 
 def row_of(records: Records, scene: dict[str, Record]) -> dict[str, Any]:
-    """Return the display L2 of each of WAYS against the full picture; None where there is none."""
+    """Return the display L2 of each of PICTURES against the full one; None where there is none."""
     from learn.metrics.pictures import display_l2
 
     truth, mask = records.image(scene["full"]), records.load(scene["full"]).mask.numpy()
@@ -96,7 +96,8 @@ def row_of(records: Records, scene: dict[str, Record]) -> dict[str, Any]:
         tier: records.image(scene[tier]) for tier in ("direct", "shadow") if tier in scene
     }
     return {"shape": scene["full"].shape, "light": scene["full"].light} | {
-        way: display_l2(pictures[way], truth, mask) if way in pictures else None for way in WAYS
+        name: display_l2(pictures[name], truth, mask) if name in pictures else None
+        for name in PICTURES
     }
 
 
@@ -128,21 +129,21 @@ def layer_pictures(records: Records, record: Record) -> dict[str, np.ndarray]:
 
 
 def tables(report: runner.Report) -> str:
-    """Return each way's error, and its ratio to the layer's without shadows."""
+    """Return each picture's error, and its ratio to the layer's without shadows."""
     import numpy as np
 
     from learn.metrics import bootstrap
 
     rows = report["rows"]
     lines = []
-    for way, title in WAYS.items():
-        kept = [row for row in rows if row[way] is not None]
+    for key, title in PICTURES.items():
+        kept = [row for row in rows if row[key] is not None]
         if kept:
             groups = bootstrap.groups_of(
                 [row["shape"] for row in kept], [row["light"] for row in kept]
             )
             weights = bootstrap.draws(groups)
-            mine, plain = (np.array([row[key] for row in kept]) for key in (way, "layer"))
+            mine, plain = (np.array([row[each] for row in kept]) for each in (key, "layer"))
             lines.append(
                 [
                     title,

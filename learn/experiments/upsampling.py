@@ -18,7 +18,7 @@ from manifests.option_types import positive
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of edits."""
     options.add_data(parser, "a data set of large pictures, each scene in two materials or more")
-    options.add_weights(parser)
+    options.add_weights(parser, options.TABLE_WEIGHTS)
     parser.add_argument(
         "--edits", type=positive, default=24, metavar="N", help="number of edits (default 24)"
     )
@@ -29,12 +29,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from learn.editing.predict import WEIGHTS
     from learn.experiments import upsampling_comparison
 
     torch.set_num_threads(1)
     return upsampling_comparison.compare(
-        Records(arguments.data), arguments.weights or WEIGHTS, arguments.out, arguments.edits
+        Records(arguments.data), arguments.weights, arguments.out, arguments.edits
     )
 
 

@@ -20,8 +20,8 @@ image_features, target_features   squared difference of features of c(I') and c(
 I and O are what the layer makes of the truth at the same pixels under the same light resolution, so
 that a perfect prediction has no loss. Where a batch has rendered pictures (learn.data.rendered), I
 and O are those. Neither is cut off where a camera clipped the picture: training knows how bright a
-highlight was. A one-sided loss, which asks for no more than "at least white" there, does not bound
-such pixels from above, and networks trained with it took materials for 1.5 times too bright.
+highlight was, while a loss that asked for no more than "at least white" there would not bound such
+pixels from above.
 """
 
 import math

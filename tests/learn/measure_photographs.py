@@ -1,9 +1,17 @@
-"""Edit the photographs of docs/results/photographs, and draw one sheet of them.
+"""Edit the photographs of docs/results/photographs into several materials, as one page.
 
 The pictures come from packages that are unpacked below ROOT; only their masks are in the
-repository. Run it: PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine]
+repository. The page, index.html, needs no other file: its pictures are JPEGs inside it. One row is
+kept for each photograph as rows/NAME.jpg, and the same command continues a stopped run. Sentences
+about what a picture shows, written by hand, are read from judged.json beside the masks,
+{name: sentence}. Run it:
+
+PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine] [--weights FILE]
 """
 
+import argparse
+import base64
+import hashlib
 import json
 import sys
 import time
@@ -11,13 +19,14 @@ from pathlib import Path
 
 import torch
 
+from learn.commands.options import EDITING_WEIGHTS
 from learn.editing import decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
-from learn.editing.predict import WEIGHTS
 from learn.figures import html, montage
 from learn.networks import weights
 from learn.refinement import RefinementSettings
 from manifests import files
+from manifests.provenance import provenance, shortened
 from shaders import tone
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "photographs"
@@ -44,8 +53,10 @@ def row(name, path, mask, network, size, settings):
     result = decomposition.decompose(opened, network, size, settings)
     compositor = Compositor(result, detail=0.25)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
+    again = tone.display(compositor.rendered_again(), 1.0)
     tiles = [
         (name, drawing.cropped(tone.display(opened.radiance, 1.0), result)),
+        ("rendered again", drawing.cropped(again, result)),
         ("normals", montage.normals_picture(n, result.framed.mask)),
         ("light", montage.light_picture(L)),
     ]
@@ -56,28 +67,78 @@ def row(name, path, mask, network, size, settings):
     return tiles, time.perf_counter() - start
 
 
-def main(root, out, *options):
-    """Write sheet.png, index.html and seconds.json into OUT."""
+def page(rows, credits, judged, about):
+    """The page's HTML; rows: {name: path of its JPEG}."""
+    made = about["made"]
+    body = [
+        html.paragraph(
+            f"{len(rows) * len(MATERIALS)} edits of {len(rows)} photographs by other people. Each"
+            " row: the photograph, the picture rendered again from its decomposition, normals,"
+            " light, and the edits. None is left out, failures included."
+        ),
+        html.paragraph(
+            f"{made['command']}, commit {made['commit']}, {made['date']}; {made['machine']};"
+            f" weights {about['weights']}, {'refined' if about['refined'] else 'not refined'}",
+            "soft",
+        ),
+    ]
+    for name, path in rows.items():
+        source = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+        body += [
+            f"<h2>{name}</h2>",
+            html.image(source, f"{name}: photograph and edits"),
+            html.paragraph(judged.get(name, "")),
+            html.paragraph(credits[name], "soft"),
+        ]
+    return html.page("Edited photographs", body, "img{max-width:100%}")
+
+
+def main(arguments):
+    """Write index.html, report.json and a row for each photograph into the folder OUT."""
     torch.set_num_threads(1)
-    network, metadata = weights.load_parts(WEIGHTS, "cpu")
-    settings = None if "--no-refine" in options else RefinementSettings()
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    rows, seconds, credits = [], {}, []
-    for name, (path, mask, credit) in sources(root).items():
+    network, metadata = weights.load_parts(arguments.weights, "cpu")
+    settings = None if arguments.no_refine else RefinementSettings()
+    digest = hashlib.sha256(arguments.weights.read_bytes()).hexdigest()
+    about = {
+        "weights": f"{arguments.weights.name} {digest[:12]}",
+        "refined": settings is not None,
+        "materials": list(MATERIALS),
+    }
+    words = [shortened(word) for word in sys.argv[1:]]
+    command = " ".join(["python tests/learn/measure_photographs.py", *words])
+    kept = arguments.out / "rows"
+    kept.mkdir(parents=True, exist_ok=True)
+    report = arguments.out / "report.json"
+    seconds = {}
+    if report.is_file():
+        before = json.loads(report.read_text())
+        if {key: before[key] for key in about} != about:
+            sys.exit(
+                f"{arguments.out} holds edits of other weights or settings: name another folder"
+            )
+        seconds = before["seconds"]
+    rows, credits = {}, {}
+    for name, (path, mask, credit) in sources(arguments.root).items():
+        rows[name], credits[name] = kept / f"{name}.jpg", credit
+        if name in seconds and rows[name].is_file():
+            continue
         tiles, seconds[name] = row(name, path, mask, network, metadata["size"], settings)
-        rows.append(tiles)
-        credits.append(f"<li>{name}: {credit}</li>")
+        sheet = montage.eight_bit(montage.contact_sheet([tiles], TILE))
+        files.write_image(rows[name], sheet, "JPEG")
+        files.write_json(report, about | {"seconds": seconds, "made": provenance(command)})
         print(f"{name}: {seconds[name]:.1f} s", flush=True)
-        files.write_image(
-            out / "sheet.png", montage.eight_bit(montage.contact_sheet(rows, TILE)), "PNG"
-        )
-    files.write_json(out / "seconds.json", seconds)
-    body = ['<img src="sheet.png" alt="photographs and edits">', "<ul>", *credits, "</ul>"]
-    files.write_text(out / "index.html", html.page("Edited photographs", body))
+    judged = FOLDER / "judged.json"
+    sentences = json.loads(judged.read_text()) if judged.is_file() else {}
+    about |= {"made": provenance(command)}
+    files.write_text(arguments.out / "index.html", page(rows, credits, sentences, about))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 3:
-        sys.exit(__doc__)
-    main(*sys.argv[1:])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("root", type=Path, metavar="ROOT")
+    parser.add_argument("out", type=Path, metavar="OUT")
+    parser.add_argument("--no-refine", action="store_true")
+    parser.add_argument("--weights", type=Path, default=EDITING_WEIGHTS, metavar="FILE")
+    main(parser.parse_args())

@@ -347,11 +347,12 @@ def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     drawn, render_ = [], predictions.render
-    monkeypatch.setattr(predictions, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
-    painter = Compositor(
-        decomposition.decompose(opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK),
-        detail=0.25,
+    # before counting, for the exposure needs a picture too, at the network's size
+    decomposed = decomposition.decompose(
+        opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK
     )
+    monkeypatch.setattr(predictions, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
+    painter = Compositor(decomposed, detail=0.25)
     painter.edited([label_of("gold-paint")[0]])
     painter.rendered_again()
     assert len(drawn) == 2

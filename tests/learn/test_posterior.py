@@ -11,10 +11,10 @@ import torch
 
 from learn.baselines import posterior, priors
 from learn.baselines import training as making
+from learn.commands.options import TABLE_WEIGHTS
 from learn.data import lights
 from learn.data.batch import ExampleBatch
 from learn.data.settings import Data, Run
-from learn.editing.predict import WEIGHTS
 from learn.evaluation import baseline_methods as methods
 from learn.layer import predictions
 from learn.networks import weights
@@ -103,7 +103,7 @@ def test_baselines_draw_from_the_materials_of_the_weights_they_are_like(options)
     options.materials = "built-in"  # as --materials asks
     assert making.held_out(options, Data()).materials == "built-in"
     # a run of version 1, which could not choose
-    options.materials, options.like = None, WEIGHTS.with_name("joint-compact.safetensors")
+    options.materials, options.like = None, TABLE_WEIGHTS
     assert making.held_out(options, Data()).materials == "built-in"
     options.like = None
     assert making.held_out(options, Data()).materials == "dataset"

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from learn.commands import options
-from learn.editing import predict
 from learn.networks import weights
 
 
@@ -30,8 +29,12 @@ def test_any_other_text_is_a_file() -> None:
         assert options.weights_file(text) == Path(text)
 
 
-def test_the_default_weights_come_with_the_program() -> None:
-    assert predict.WEIGHTS.parent == options.WEIGHTS_FOLDER and predict.WEIGHTS.exists()
+@pytest.mark.parametrize("default", [options.EDITING_WEIGHTS, options.TABLE_WEIGHTS])
+def test_the_default_weights_come_with_the_program(default: Path) -> None:
+    parser = argparse.ArgumentParser()
+    options.add_weights(parser, default)
+    assert parser.parse_args([]).weights == default and default.exists()
+    assert f"(default: {default.stem})" in " ".join(parser.format_help().split()).replace("- ", "-")
 
 
 def test_each_of_the_programs_weights_is_read_with_its_own_light_head() -> None:
