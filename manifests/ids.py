@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from manifests.schema import Camera, Draw, Job
+from manifests.schema import Camera, Draw, Job, Record
 from manifests.viewpoints import COUNT, azimuths_deg
 
 TEXELS = 128
@@ -94,15 +94,23 @@ def shots_digest(
     materials: tuple[str, ...],
     light_hash: str,
     camera: str,
-    samples: int,
+    samples: int | str,
 ) -> Any:
     """Return the hash of what a group of shots has in common, which `shot_id` continues.
 
-    camera  as `camera_words` gives it
+    camera   as `camera_words` gives it
+    samples  a number, or `sampling` of a job or record
     """
     return _digest(
         b"brdfactory shot 1", render, shape_hash, *materials, light_hash, camera, samples
     )
+
+
+def sampling(line: Job | Record) -> int | str:
+    """Return what decides the samples of a job's or record's pictures: their number or an error."""
+    if isinstance(line, Job):
+        return line.samples if line.error is None else f"error {float(line.error)!r}"
+    return line.samples if line.promise is None else f"error {float(line.promise.asked)!r}"
 
 
 def shot_id(

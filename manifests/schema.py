@@ -19,6 +19,7 @@ Side = Literal["train", "test"]
 # mixed: shape and materials stand on different sides; neither for training nor for testing
 Split = Literal["train", "test", "mixed"]
 Counts = Literal["hash", "paper", "multi-material", "general"]
+Way = Literal["plain", "denoised"]
 Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -39,6 +40,7 @@ Elevation = Annotated[float, Meta(ge=-89, le=89)]
 Roll = Annotated[float, Meta(ge=-180, le=180)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Amount = Annotated[float, Meta(ge=0)]
+DisplayError = Annotated[float, Meta(gt=0, le=65_025)]  # display L2; 255² is the largest
 
 
 class Camera(Struct, frozen=True, forbid_unknown_fields=True):
@@ -115,6 +117,9 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                        or the reverse
     camera_ranges      ranges from which each view of each shape draws its own camera; None: all
                        views have `camera`
+    error              display L2 over the object's mask, of noise and bias together, that each
+                       picture may have. The factory chooses way and samples of each shot, and
+                       `samples` is ignored; None: all shots have `samples`
     pictures           False: geometry alone, of every shape in every view once. The data set
                        includes the materials and lights, for relighting; rotations, tiers, samples
                        and other settings of pictures are ignored
@@ -140,6 +145,7 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     mixed: bool = True
     pictures: bool = True
     camera_ranges: CameraRanges | None = None
+    error: DisplayError | None = None
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
@@ -152,6 +158,25 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
     coverage: Share
     mean: Amount
     max: Amount
+
+
+class Promise(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a picture keeps the error that its job asks for. Errors are display L2 over the mask.
+
+    asked      the job's `error`, which is part of the id
+    way        factory.render.ways: plain path tracing, or denoised
+    predicted  by the way's model from the first few samples
+    estimated  of the finished picture, from two halves of independent seeds
+    deviation  standard error of `estimated`
+    seconds    that the picture took, without geometry and files
+    """
+
+    asked: DisplayError
+    way: Way
+    predicted: Amount
+    estimated: Amount
+    deviation: Amount
+    seconds: Amount
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
@@ -189,6 +214,7 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     split: Split
     statistics: Statistics
     seconds: Amount
+    promise: Promise | None = None
 
     @property
     def coverage(self) -> float:

@@ -47,7 +47,12 @@ LONGEST_LINE = 1 << 20
 # were, and older programs, which refuse unknown keys, read them. Each pair is the text of such a
 # key and what replaces it; in a JSON string the quotes would have backslashes. roll_deg is the
 # last key of a camera, since without the bracket the text begins 0.05 as well.
-LEFT_OUT = ((b',"roll_deg":0.0}', b"}"), (b',"camera_ranges":null', b""))
+LEFT_OUT = (
+    (b',"roll_deg":0.0}', b"}"),
+    (b',"camera_ranges":null', b""),
+    (b',"error":null', b""),
+    (b',"promise":null', b""),
+)
 
 
 class _Id(msgspec.Struct, gc=False):

@@ -7,12 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from manifests.option_types import positive
+from manifests.errors import InputError
+from manifests.option_types import above_zero, positive
 
 if TYPE_CHECKING:
     from factory.planning.assets import Assets
     from manifests.schema import Job
 
+LARGEST_ERROR = 255**2  # as in manifests.schema
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi")
 
 
@@ -48,6 +50,35 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a catalogue of materials besides the built-in ones; repeat the option for several",
     )
+
+
+def add_error(parser: argparse.ArgumentParser) -> None:
+    """Add --error, which replaces the job's."""
+    parser.add_argument(
+        "--error",
+        type=above_zero,
+        metavar="E",
+        help=(
+            "the display L2 over the object, of noise and bias together, that each picture may"
+            " have; samples are then chosen for each picture"
+        ),
+    )
+
+
+def with_error(job: Job, options: argparse.Namespace) -> Job:
+    """Return the job with the error that --error names, if it names one. Raises InputError."""
+    from msgspec import structs
+
+    if options.error is None:
+        return job
+    if options.error > LARGEST_ERROR:
+        raise InputError(
+            "--error",
+            f"a display L2 above 0, at most {LARGEST_ERROR}",
+            f"{options.error:g}",
+            "write --error 5",
+        )
+    return structs.replace(job, error=options.error)
 
 
 def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namespace) -> Assets:

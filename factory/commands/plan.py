@@ -47,6 +47,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of job files")
     job_options.add(parser)
+    job_options.add_error(parser)
     parser.set_defaults(run=run)
 
 
@@ -64,6 +65,7 @@ def run(options: argparse.Namespace) -> int:
             "plan", "a job", "none", "name a file or a preset; plan --presets lists them"
         )
     job, folder = jobs.load(options.job)
+    job = job_options.with_error(job, options)
     plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
@@ -88,7 +90,7 @@ def described(plan: Plan) -> Iterator[str]:
     )
     height, width = job.camera.size
     each = (
-        f"pictures of {height}×{width}, {job.samples} samples"
+        f"pictures of {height}×{width}, {quality(job)}"
         if job.pictures
         else f"views of {height}×{width}, geometry alone"
     )
@@ -114,6 +116,11 @@ def described(plan: Plan) -> Iterator[str]:
     yield "  split      " + ", ".join(
         f"{count} {split}" for split, count in split_counts(plan).items()
     )
+
+
+def quality(job: Job) -> str:
+    """Return the words for a job's samples, or for the error that it names."""
+    return f"{job.samples} samples" if job.error is None else f"display error ≤ {job.error:g}"
 
 
 def lens(job: Job) -> str:

@@ -26,6 +26,8 @@ EPILOG = """examples:
     python -m factory render geometry --out out/geometry
   part 3 of a job array of 8, whose tasks all write into one folder:
     python -m factory render my-job.json --out out/mine --shard 3/8
+  every picture with at most a display L2 of 5, by as few samples as that takes:
+    python -m factory render my-job.json --out out/mine --error 5
   no job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
@@ -58,6 +60,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="the data set's folder; it is made if it does not exist, and added to if it does",
     )
     job_options.add(parser)
+    job_options.add_error(parser)
     parser.add_argument(
         "--limit", type=positive, metavar="N", help="make at most N pictures in this run"
     )
@@ -163,6 +166,7 @@ def run(options: argparse.Namespace) -> int:
     from factory.planning.assets import opened
 
     job, folder = chosen_job(options)
+    job = job_options.with_error(job, options)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
     shard = None if options.shard is None else parsed_shard(options.shard)

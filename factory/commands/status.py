@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from manifests.help_format import HelpFormatter
 
 if TYPE_CHECKING:
-    from manifests.schema import Camera
+    from manifests.schema import Camera, Record
 
 EPILOG = """examples:
   python -m factory status out/demo
@@ -64,6 +64,13 @@ def run(options: argparse.Namespace) -> int:
                 for key, (low, high) in report["cameras"].items()
             )
         )
+    for asked, kept in report["errors"].items():
+        ways = ", ".join(f"{count} {way}" for way, count in kept["ways"].items())
+        print(
+            f"  {'error ≤ ' + asked:<16} {ways}; estimated {kept['mean']:.3g} on average, at most"
+            f" {kept['largest']:.3g}; {kept['above']} above; {kept['samples']:.0f} samples on"
+            " average"
+        )
     print(
         f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time"
         f" {report['hours']:.2f} worker-hours"
@@ -93,8 +100,10 @@ def counted(folder: str) -> dict[str, Any]:
     done: set[str] = set()
     seconds = 0.0
     spans: dict[str, tuple[float, float]] = {}
+    errors: dict[str, dict[str, Any]] = {}
     for record in store.records():
         _widen(spans, record.camera)
+        _count_error(errors, record)
         for kind in kinds:
             counts[kind][getattr(record, kind)] += 1
         shapes.add(record.shape)
@@ -127,11 +136,26 @@ def counted(folder: str) -> dict[str, Any]:
         ],
         **{kind: dict(sorted(count.items())) for kind, count in counts.items()},
         "cameras": {key: list(span) for key, span in spans.items()},
+        "errors": errors,
         "shapes": len(shapes),
         "materials": len(materials) if not views else len(dataset.materials),
         "hours": seconds / 3600,
         "failures": [msgspec.to_builtins(f) for f in failures.values()],
     }
+
+
+def _count_error(errors: dict[str, dict[str, Any]], record: Record) -> None:
+    """Add a record to the counts of pictures that keep an error, by the error asked for."""
+    if (promise := record.promise) is None:
+        return
+    empty = {"ways": {}, "mean": 0.0, "largest": 0.0, "above": 0, "samples": 0.0}
+    kept = errors.setdefault(f"{promise.asked:g}", empty)
+    kept["ways"][promise.way] = kept["ways"].get(promise.way, 0) + 1
+    share = 1 / sum(kept["ways"].values())
+    kept["mean"] += share * (promise.estimated - kept["mean"])
+    kept["samples"] += share * (record.samples - kept["samples"])
+    kept["largest"] = max(kept["largest"], promise.estimated)
+    kept["above"] += promise.estimated > promise.asked
 
 
 def _widen(spans: dict[str, tuple[float, float]], camera: Camera) -> None:

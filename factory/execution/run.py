@@ -265,7 +265,7 @@ def _failure(shot: Shot, reason: str) -> Failure:
 
 def planned(job: Job, assets: Assets) -> Plan:
     """Return the Plan of a job under this program's render settings."""
-    return Plan(job, assets, render_fingerprint())
+    return Plan(job, assets, render_fingerprint(by_error=job.error is not None))
 
 
 def parsed_shard(text: str) -> tuple[int, int]:

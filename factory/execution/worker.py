@@ -146,7 +146,7 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 answer(bad=shot.id, reason=str(error).replace("\n", " "))
                 break
             extra = (
-                {"settings": msgspec.to_builtins(studio.settings), "versions": studio.versions}
+                {"settings": _settings(studio, config), "versions": studio.versions}
                 if first
                 else {}
             )
@@ -162,6 +162,18 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 **extra,
             )
         message = sys.stdin.buffer.readline()
+
+
+def _settings(studio: Studio, config: WorkerConfig) -> dict[str, Any]:
+    """Return the studio's settings, and those of the ways where the job names an error."""
+    settings = msgspec.to_builtins(studio.settings)
+    if config.assignment.job.error is None:
+        return settings
+    from factory.render.settings import DENOISED, PORTION
+    from factory.render.ways import choice
+
+    ways = {s.path: {"value": s.value, "reason": s.reason} for s in (*PORTION, *DENOISED)}
+    return settings | {"ways": ways, "rules": choice.identity()}
 
 
 def _studio(config: WorkerConfig) -> Studio:

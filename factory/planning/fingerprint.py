@@ -11,12 +11,15 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 @cache
-def render_fingerprint() -> str:
+def render_fingerprint(by_error: bool = False) -> str:
     """Return the hash of the render settings, the light-transport tiers and Blender's version.
 
     Of a setting, path and value count, not the reason; of the version, the first two numbers.
+
+    by_error  True: of jobs that name an error, with the rules by which a way is chosen
     """
     from factory.render import settings
+    from factory.render.ways import choice
 
     def values(group: Iterable[settings.Setting]) -> list[list[object]]:
         return [[s.path, s.value] for s in group]
@@ -30,5 +33,8 @@ def render_fingerprint() -> str:
         blender = ".".join(version("bpy").split(".")[:2])
     except PackageNotFoundError:  # planning alone needs no Blender
         blender = "none"
-    text = json.dumps([*map(values, groups), tiers, blender], sort_keys=True)
+    parts = [*map(values, groups), tiers, blender]
+    if by_error:
+        parts += [values(settings.PORTION), values(settings.DENOISED), choice.identity()]
+    text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

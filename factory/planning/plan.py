@@ -209,7 +209,7 @@ class Plan:
             camera = self._camera(shape, view)
             if camera not in shared:
                 shared[camera] = ids.shots_digest(
-                    self.render, shape.hash, hashes, light.hash, camera, job.samples
+                    self.render, shape.hash, hashes, light.hash, camera, ids.sampling(job)
                 )
             geometry = geometry_id(shape.hash, camera, view, self.render)
             for rotation, tier, resolution, repeat in product(

@@ -161,9 +161,12 @@ def caption(record: Record) -> str:
     where = f"{record.light} +{record.rotation_texels}, view {record.viewpoint}"
     if posed := pose(record.camera):
         where += f" ({posed})"
+    kept = ""
+    if (promise := record.promise) is not None:
+        kept = f" {promise.way}, error {promise.estimated:.3g} of {promise.asked:g}"
     return (
         f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution} "
-        f" {record.samples} spp  {record.split}"
+        f" {record.samples} spp{kept}  {record.split}"
     )
 
 

@@ -123,6 +123,26 @@ PIXELS = {
 }
 PICTURE = PIXELS["square"]
 
+# for pictures to an error that a job asks for (factory.render.ways)
+WHOLE_SEQUENCE = 8192  # the longest that Cycles tabulates
+PORTION = (
+    Setting(
+        "cycles.samples", WHOLE_SEQUENCE, "each portion is a part of one and the same sequence"
+    ),
+    Setting("cycles.use_sample_subset", True, "a picture grows until its error is kept"),
+)
+DENOISED = (
+    Setting("cycles.denoiser", "OPENIMAGEDENOISE", "the same on every machine"),
+    Setting("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL", "guides keep edges"),
+    Setting(
+        "cycles.denoising_prefilter",
+        "FAST",
+        "ACCURATE filters the guides first: 5 times the time for the same error",
+    ),
+    Setting("cycles.denoising_quality", "HIGH", "BALANCED saves little at these sizes"),
+    Setting("cycles.denoising_use_gpu", False, "the same on every machine"),
+)
+
 GEOMETRY = (
     Setting("cycles.pixel_filter_type", "BOX", "with the least width"),
     Setting(

@@ -30,14 +30,17 @@ from factory.render import (
 )
 from factory.render.settings import (
     ALWAYS,
+    DENOISED,
     GEOMETRY,
     PIXELS,
+    PORTION,
     TIERS,
     Setting,
     apply,
     assign,
     effective,
 )
+from factory.render.ways.halves import Portion
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
 from manifests.schema import Camera, LightResolution, Tier
@@ -279,6 +282,43 @@ class Studio:
         visible, passes = self._render_passes(lens)
         rgba = window.paste(passes["Combined"], visible, lens.size)
         return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
+
+    def portion(
+        self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
+    ) -> Portion:
+        """Return samples first … first + count − 1 of a seed's sequence; others as for `picture`.
+
+        Portions of one sequence, weighted by their counts, give the picture of all their samples to
+        float32's rounding. The sequence is not the one of `picture`, which depends on its length.
+        """
+        self._show("picture")
+        self._set_tier(tier)
+        passes = self._scene.view_layers[0].cycles
+        earlier = {s.path: self._scene.path_resolve(s.path) for s in PORTION}
+        try:
+            apply(self._scene, PORTION)
+            assign(self._scene, "cycles.sample_offset", int(first))
+            assign(self._scene, "cycles.sample_subset_length", int(count))
+            assign(self._scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
+            if denoise:
+                apply(self._scene, DENOISED)
+                assign(self._scene, "cycles.use_denoising", True)
+                assign(passes, "denoising_store_passes", True)  # the noisy picture is one of them
+            lens = self._require_camera()
+            visible, rendered = self._render_passes(lens)
+        finally:
+            for path, value in earlier.items():
+                assign(self._scene, path, value)
+            assign(self._scene, "cycles.sample_offset", 0)
+            assign(self._scene, "cycles.use_denoising", False)
+            assign(passes, "denoising_store_passes", False)
+        rgba = window.paste(rendered["Combined"], visible, lens.size)
+        alpha = np.ascontiguousarray(rgba[..., 3])
+        if not denoise:
+            return Portion(np.ascontiguousarray(rgba[..., :3]), alpha)
+        noisy = window.paste(rendered["Noisy Image"], visible, lens.size)
+        smooth = np.maximum(rgba[..., :3], np.float32(0))
+        return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
 
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""

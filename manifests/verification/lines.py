@@ -152,7 +152,7 @@ class Judge:
             record.light,
             record.light_hash,
             record.camera,
-            record.samples,
+            ids.sampling(record),
             record.split,
         )
         group = self._groups.get(key) or self._new_group(key, record)
@@ -218,6 +218,7 @@ class Judge:
     def _new_group(self, key, record):
         """Return the _Group of a record's combination."""
         camera = ids.camera_words(record.camera)
+        sampling = ids.sampling(record)
         entries = self._material_entries(record)
         materials = tuple(entry.hash for entry in entries) if entries is not None else None
         hashings = [
@@ -225,7 +226,7 @@ class Judge:
                 render,
                 hashes,
                 ids.shots_digest(
-                    render, record.shape_hash, hashes, record.light_hash, camera, record.samples
+                    render, record.shape_hash, hashes, record.light_hash, camera, sampling
                 ),
             )
             for hashes in (materials, self._label_hashes(record.materials, materials))

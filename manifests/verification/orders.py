@@ -61,7 +61,7 @@ class Orders:
             record.materials,
             record.light_hash,
             record.camera,
-            record.samples,
+            ids.sampling(record),
         )
         if key not in self._combinations:
             if len(self._combinations) >= MOST_COMBINATIONS:
@@ -73,7 +73,7 @@ class Orders:
                 for index, job in enumerate(self._jobs)
                 if job.pictures
                 and (job.camera_ranges or job.camera == record.camera)
-                and job.samples == record.samples
+                and ids.sampling(job) == ids.sampling(record)
             ]
         return self._combinations[key]
 

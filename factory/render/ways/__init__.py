@@ -1,0 +1,12 @@
+"""Ways to render a picture to a display error that a job asks for; one file and one card each.
+
+choice     takes the cheapest way for a shot, from a few samples of it
+plain      path tracing, with as many samples as the shot needs
+denoised   path tracing with fewer samples and Open Image Denoise
+
+error   display L2 (shaders.tone) over the object's mask, of noise and bias together, under the
+        exposure that brings the 99th percentile of luminance over the mask to 1
+halves  each shot is rendered twice with independent seeds. Both halves together are the picture,
+        so that no sample is spent on the estimate of the error, which is what their difference says
+Nothing is decided by a clock: the same seed takes the same way on every machine.
+"""

@@ -1,0 +1,26 @@
+"""Path tracing with the number of samples that the shot needs.
+
+what      both halves grow until the error that their difference shows is kept
+bias      of the picture none; its display values are those of a noisy mean, which the tone curve
+          darkens
+cost      the samples
+fails     light that few paths find: if neither half has met it, their difference does not show it
+"""
+
+import math
+
+from factory.render.ways.halves import Estimate
+
+NAME = "plain"
+AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
+GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
+
+
+def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
+    """Return the error at `samples` of each half: noise is in proportion to 1/samples."""
+    return max(pilot.error, 0.0) * pilot_samples / samples
+
+
+def needed(now: Estimate, samples: int, error: float) -> int:
+    """Return the samples of each half that keep an error, by the estimate at `samples`."""
+    return max(samples + 1, math.ceil(AIM * samples * now.bound / error))
