@@ -33,7 +33,7 @@ def render_fingerprint(by_error: bool = False) -> str:
         blender = ".".join(version("bpy").split(".")[:2])
     except PackageNotFoundError:  # planning alone needs no Blender
         blender = "none"
-    parts = [*map(values, groups), tiers, blender]
+    parts: list[object] = [*map(values, groups), tiers, blender]
     if by_error:
         parts += [values(settings.PORTION), values(settings.DENOISED), choice.identity()]
     text = json.dumps(parts, sort_keys=True)

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from factory.render.ways.halves import Portion
 from shaders import frames
 
 
@@ -73,3 +74,11 @@ class Studio:
         if f"nan:{name}" in self._wrong:
             radiance[0, 0] = np.nan
         return radiance, self._mask.astype(np.float32)
+
+    def portion(self, first, count, seed, tier="direct", denoise=False):
+        _, alpha = self.picture(count, seed, tier)
+        radiance = self._normals[..., 2:] * np.float32(self._colour) * np.ones(3, np.float32)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
+        noise = rng.normal(size=radiance.shape).astype(np.float32) / np.float32(np.sqrt(count))
+        noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
+        return Portion(noisy, alpha, radiance if denoise else None)

@@ -13,6 +13,7 @@ import numpy as np
 
 from factory.render.ways import denoised, plain
 from factory.render.ways.halves import Estimate, Halves, Shown
+from manifests.schema import Way
 
 VERSION = 1  # of the rules; a change makes new pictures
 PILOT = 4  # samples of each half
@@ -33,7 +34,7 @@ class Picture:
 
     radiance: np.ndarray
     alpha: np.ndarray
-    way: str
+    way: Way
     samples: int
     predicted: float
     estimated: Estimate
@@ -49,7 +50,7 @@ def identity() -> list[object]:
     ]
 
 
-def picture(shown: Shown, error: float, ways: tuple[str, ...] = ("plain", "denoised")) -> Picture:
+def picture(shown: Shown, error: float, ways: tuple[Way, ...] = ("plain", "denoised")) -> Picture:
     """Return a picture whose estimated error is at most `error` with 95 % confidence.
 
     The estimate is larger if MOST_SAMPLES do not suffice.

@@ -10,8 +10,9 @@ fails     sharp reflections, whose detail no guide shows: there it needs as many
 import math
 
 from factory.render.ways.halves import Estimate
+from manifests.schema import Way
 
-NAME = "denoised"
+NAME: Way = "denoised"
 # error of the denoised picture: SCALE · (error of the same samples without denoiser)^POWER,
 # measured by factory.render.validation.error_promise
 SCALE, POWER = 2.8, 0.55

@@ -10,8 +10,9 @@ fails     light that few paths find: if neither half has met it, their differenc
 import math
 
 from factory.render.ways.halves import Estimate
+from manifests.schema import Way
 
-NAME = "plain"
+NAME: Way = "plain"
 AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 

@@ -1,0 +1,109 @@
+"""Pictures to an error, rendered by Cycles: their portions, their errors, and the folder."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from factory.render.settings import PORTION
+from factory.render.ways import choice
+from factory.render.ways.halves import Halves, Shown
+from manifests.schema import Camera
+from manifests.store import Store
+from shaders import tone
+from shaders.mixture import Mixture
+
+pytestmark = pytest.mark.blender
+SIZE = 40
+
+
+@pytest.fixture(scope="module")
+def chair(studio):
+    """A studio that shows a small chair of plastic under a sunrise."""
+    from factory.lights import load as load_light
+    from factory.shapes.catalogue import load
+
+    mesh = load("chair:2")
+    studio.set_camera(Camera(size=(SIZE, SIZE)))
+    studio.set_shape(mesh)
+    studio.set_light(load_light("sunrise").L64, 9)
+    studio.set_materials([Mixture.lambert([0.4, 0.5, 0.6])] * mesh.segments)
+    studio.set_view(0.5)
+    return studio
+
+
+def test_portions_of_a_sequence_together_are_the_whole(chair):
+    whole = chair.portion(0, 16, 3, "full").noisy
+    parts = [chair.portion(first, count, 3, "full").noisy for first, count in ((0, 4), (4, 12))]
+    assert not np.allclose(parts[0], parts[1], rtol=0.01)
+    np.testing.assert_allclose((4 * parts[0] + 12 * parts[1]) / 16, whole, rtol=1e-4, atol=1e-5)
+
+
+def test_the_denoiser_leaves_the_noisy_pixels_and_smooths_its_own(chair):
+    plain = chair.portion(0, 4, 3, "shadow")
+    both = chair.portion(0, 4, 3, "shadow", denoise=True)
+    np.testing.assert_allclose(both.noisy, plain.noisy, rtol=1e-4, atol=1e-5)
+    assert plain.denoised is None and both.denoised.min() >= 0
+    exact = chair.portion(0, 1024, 4, "shadow").noisy
+    mask = chair.geometry().mask
+    errors = [tone.display_l2(each, exact, 1.0, mask) for each in (both.denoised, both.noisy)]
+    assert errors[0] < errors[1] / 2
+
+
+def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):
+    before, _ = chair.picture(4, 3, "full")
+    settings = {s.path: chair._scene.path_resolve(s.path) for s in PORTION}
+    chair.portion(4, 8, 3, "full", denoise=True)
+    after, _ = chair.picture(4, 3, "full")
+    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-6)
+    held = {s.path: chair._scene.path_resolve(s.path) for s in PORTION if "subset" in s.path}
+    assert held == {path: settings[path] for path in held}
+
+
+@pytest.mark.parametrize("tier", ["direct", "full"])
+def test_a_picture_keeps_its_error_beside_a_reference(chair, tier):
+    mask = chair.geometry().mask
+    reference = Halves(Shown(chair, 77, tier, mask))
+    reference.grow(512)
+    exposure = tone.auto_exposure(reference.picture, mask)
+    for asked in (8.0, 60.0):
+        made = choice.picture(Shown(chair, 5, tier, mask), asked)
+        a, r1, r2 = (
+            tone.display(each[mask], exposure) for each in (made.radiance, *reference.pictures)
+        )
+        achieved = float(((a - r1) * (a - r2)).mean())
+        assert achieved <= asked
+        assert made.estimated.error == pytest.approx(achieved, rel=0.5)
+
+
+def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
+    def factory(*words):
+        done = subprocess.run(
+            [sys.executable, "-m", "factory", *words], capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    data = str(tmp_path / "data")
+    words = ["render", "--mesh", "sphere:4", "--material", "brass", "--material", "nickel"]
+    words += ["--light", "city", "--size", "24", "--device", "cpu", "--out", data]
+    assert factory(*words, "--error", "30").startswith("2 pictures made")
+    records = list(Store(data).records())
+    assert {record.promise.asked for record in records} == {30.0}
+    assert all(record.promise.estimated <= 30 for record in records)
+    assert "2 were there already" in factory(*words, "--error", "30")
+    factory(*words, "--error", "90")
+    factory(*words, "--samples", "2")
+    assert "6 records, clean" in factory("verify", data)
+    status = factory("status", data)
+    assert "error ≤ 30" in status and "error ≤ 90" in status
+    by_asked = {}
+    for record in Store(data).records():
+        key = record.promise.asked if record.promise else None
+        by_asked.setdefault(key, []).append(record.samples)
+    assert by_asked[None] == [2, 2] and sum(by_asked[30.0]) >= sum(by_asked[90.0])
+    settings = Store(data).dataset().settings
+    assert sorted("ways" in each for each in settings.values()) == [False, True]
+    factory("preview", data, "--out", str(tmp_path / "p"), "--count", "6", "--size", "48")
+    assert "of 30" in (tmp_path / "p" / "index.html").read_text()
