@@ -17,7 +17,15 @@ from tests.support import whole_dataset
 STRUCTS = {
     each.__name__: each
     for each in (
-        *(schema.Record, schema.Camera, schema.Statistics, schema.View, schema.Failure, schema.Job),
+        *(
+            schema.Record,
+            schema.Promise,
+            schema.Camera,
+            schema.Statistics,
+            schema.View,
+            schema.Failure,
+            schema.Job,
+        ),
         schema.CameraRanges,
         *(schema.Dataset, schema.Order, schema.ShapeEntry, schema.MaterialEntry, schema.LightEntry),
         *(
