@@ -24,9 +24,9 @@ from learn.layer import predictions
 from learn.methods import reflectance_map
 from shaders import tone
 
-SIDES = (16, 32, 64, 128)
+SIDES = (16, 32, 64, 128, 256)
 MARGIN = reflectance_map.MARGIN
-LIMIT = 1.0  # grey levels, root mean square
+LIMIT = 1.2  # grey levels, root mean square
 STEPS, BEND, BRIGHTEST = 768, 32.0, 1e4
 RIM = 0.999  # |p| of the outermost normals that the layer is asked for
 

@@ -92,9 +92,15 @@ class Browser:
         with urllib.request.urlopen(request, timeout=180) as answer:
             return json.load(answer)["value"]
 
-    def open(self, path: Path) -> None:
-        """Load a file of this machine."""
-        self._call("POST", "/url", {"url": path.absolute().as_uri()})
+    def open(self, path: Path, fragment: str = "") -> None:
+        """Load a file of this machine; fragment: "#…" or nothing."""
+        self._call("POST", "/url", {"url": path.absolute().as_uri() + fragment})
+
+    def resize(self, width: int, height: int) -> None:
+        """Show pages as on a screen of a size in pixels, which may be a telephone's."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        command = {"cmd": "Emulation.setDeviceMetricsOverride", "params": size}
+        self._call("POST", "/goog/cdp/execute", command)
 
     def run(self, script: str) -> Any:
         """Return what the body of an asynchronous JavaScript function returns."""

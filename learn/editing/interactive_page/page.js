@@ -86,7 +86,7 @@ function values(l, m) {  // linear, as stored
 function upsampled(l, m) {
   const cache = lights[l].fine;
   if (cache.has(m)) return cache.get(m);
-  const side = H.lights[l].sides[m], size = side + 5, factor = side < 32 ? 8 : 4, M = side * factor + 1;
+  const side = H.lights[l].sides[m], size = side + 5, factor = side < 32 ? 8 : side < 256 ? 4 : 2, M = side * factor + 1;
   const source = values(l, m), wide = new Float32Array(size * M * 3), out = new Float32Array(M * M * 3);
   const weights = [];
   for (let f = 0; f < factor; f++) {
@@ -157,6 +157,7 @@ function mixture(r) {  // [first, second, share of the second]; −1: as photogr
 const canvas = $("picture");
 canvas.width = W;
 canvas.height = HT;
+canvas.style.width = `min(100%, ${66 * W / HT}vh)`;
 function webgl() {
   if (/[?#&]canvas\b/.test(location.href)) return null;
   const gl = canvas.getContext("webgl2", {premultipliedAlpha: false, preserveDrawingBuffer: true, antialias: false});
@@ -365,7 +366,8 @@ function refresh() {
   $("edge").hidden = state.split >= 1 || state.split <= 0;
   const text = state.regions.map((_, r) => {
     const [x, y, share] = mixture(r), name = x < 0 ? "unchanged" : spoken(H.materials[x].name);
-    return share ? `${Math.round(100 * (1 - share))} % ${name} with ${Math.round(100 * share)} % ${spoken(H.materials[y].name)}` : name;
+    const part = state.regions.length > 1 ? `Part ${r + 1}: ` : "";
+    return part + (share ? `${Math.round(100 * (1 - share))} % ${name} with ${Math.round(100 * share)} % ${spoken(H.materials[y].name)}` : name);
   }).join("; ");
   canvas.setAttribute("aria-label", `The photograph with its object as: ${text}`);
   status(`${text}${state.light ? `, under another light: ${H.lights[state.light].name}` : ""}${accelerated ? "" : " (drawn without WebGL)"}`);
