@@ -59,7 +59,9 @@ def reserve(
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]
-    files.reserve_outputs(out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs))
+    files.reserve_outputs(
+        out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs)
+    )
     return names
 
 

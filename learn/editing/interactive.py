@@ -31,8 +31,8 @@ import torch
 from PIL import Image
 from tqdm import tqdm
 
-from learn.data import photographs
 from learn.data import lights as light_maps
+from learn.data import photographs
 from learn.data.devices import array
 from learn.editing import drawing, reflectance_store, targets
 from learn.editing.compositor import CLEAR, LARGEST_DETAIL, Compositor, nearest
@@ -126,7 +126,12 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     result_page = assembled(header, chunks)
     if len(result_page.encode()) > LARGEST_FILE:
         size = f"{len(result_page) / 1e6:.1f} MB"
-        raise InputError("--interactive", f"a page of at most {LARGEST_FILE / 1e6:g} MB", size, "reduce the photograph")
+        raise InputError(
+            "--interactive",
+            f"a page of at most {LARGEST_FILE / 1e6:g} MB",
+            size,
+            "reduce the photograph",
+        )
     return result_page
 
 
@@ -272,7 +277,9 @@ def materials_of(result: "EditResult") -> list[dict]:
     not in the catalogue, then the catalogue's.
     """
     own = result.decomposition.label
-    names = ["own material"] if len(own) == 1 else [f"own material {s + 1}" for s in range(len(own))]
+    names = (
+        ["own material"] if len(own) == 1 else [f"own material {s + 1}" for s in range(len(own))]
+    )
     here = dict(zip(names, own, strict=True))
     catalogue = load_catalogue()
     for edit in result.edits:
@@ -309,16 +316,19 @@ def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
     ]
 
 
-def parts_of(result: "EditResult") -> list[montage.Tile]:
+def parts_of(result: "EditResult") -> list[tuple[str, np.ndarray]]:
     """Return captions and display pictures of the decomposition."""
     decomposed, opened = result.decomposition, result.decomposition.photograph
     n, L = (array(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light))
-    again = drawing.on_ground(
-        tone.display(result.rendering, drawing.exposure_of(opened)), opened
+    again = drawing.on_ground(tone.display(result.rendering, drawing.exposure_of(opened)), opened)
+    names = (
+        ["material"] if opened.count == 1 else [f"material {s + 1}" for s in range(opened.count)]
     )
-    names = ["material"] if opened.count == 1 else [f"material {s + 1}" for s in range(opened.count)]
     return [
-        ("normals: which way the surface faces", montage.normals_picture(n, decomposed.framed.mask)),
+        (
+            "normals: which way the surface faces",
+            montage.normals_picture(n, decomposed.framed.mask),
+        ),
         ("light: all directions, as a map", montage.light_picture(L)),
         *(
             (f"{name}, on a sphere", drawing.material_sphere(label, decomposed))
@@ -331,7 +341,9 @@ def parts_of(result: "EditResult") -> list[montage.Tile]:
 def assembled(header: dict, chunks: Chunks) -> str:
     """Return the page: its files and the data as one HTML text."""
     text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts = {name: (FOLDER / name).read_text("utf-8") for name in ("page.css", "shader.glsl", "page.js")}
+    parts = {
+        name: (FOLDER / name).read_text("utf-8") for name in ("page.css", "shader.glsl", "page.js")
+    }
     parts |= {"header": text, "data": base64.b64encode(chunks.data).decode()}
     result = (FOLDER / "page.html").read_text("utf-8")
     for name, part in parts.items():

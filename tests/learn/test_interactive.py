@@ -3,6 +3,7 @@ be read back, and it asks for nothing outside itself.
 """
 
 import base64
+import io
 import json
 import re
 import zlib
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from learn.editing import decomposition, edit, edit_files, interactive, photograph
@@ -144,10 +146,8 @@ def test_radiance_from_the_stored_maps_is_the_layers(made, name):
     n = compositor.n.reshape(-1, 3).numpy()
     mask = made.result.decomposition.photograph.regions > 0
     top, left, side = made.result.decomposition.framed.box
-    assert compositor.grid == side, "the layer renders one normal a pixel, as the page does"
-    inside = np.zeros((side, side), bool)
-    inside[-top if top < 0 else 0 :, -left if left < 0 else 0 :] = True
-    mask = mask[max(top, 0) : top + side, max(left, 0) : left + side]
+    assert top >= 0 and left >= 0 and compositor.grid == side, "one normal for each pixel"
+    mask = mask[top : top + side, left : left + side]
     picture = store.interpolated(page.values(0, name), n).reshape(side, side, 3)
     truth = compositor.radiance(label_of(name))
     a, b = (tone.display(x, 1.0) for x in (picture, truth))
@@ -156,7 +156,8 @@ def test_radiance_from_the_stored_maps_is_the_layers(made, name):
 
 def test_a_matte_material_takes_fewer_nodes_than_a_sharp_one(made):
     header = Page(made.text).header
-    sides = dict(zip((m["name"] for m in header["materials"]), header["lights"][0]["sides"]))
+    names = [material["name"] for material in header["materials"]]
+    sides = dict(zip(names, header["lights"][0]["sides"], strict=True))
     assert sides["green-fabric"] < sides["chrome"]
 
 
@@ -181,7 +182,7 @@ def test_a_page_that_would_be_too_large_is_refused(made, monkeypatch):
     monkeypatch.setattr(interactive, "LARGEST_FILE", 1000)
     monkeypatch.setattr(interactive, "load_catalogue", dict)
     monkeypatch.setattr(interactive, "MEASURED", {})
-    with pytest.raises(InputError, match="at most 0.001 MB"):
+    with pytest.raises(InputError, match=r"at most 0\.001 MB"):
         interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
 
 
@@ -206,10 +207,6 @@ PIXELS = """
 
 def pixels(window, setting):
     """The page's canvas (H, W, 3) after a JavaScript statement."""
-    import io
-
-    from PIL import Image
-
     png = base64.b64decode(window.run(f"await (async () => {{{setting}}})();" + PIXELS))
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
 
@@ -226,7 +223,7 @@ def choice(made, *names, blend=0.5, second=-2):
 @needs_browser
 @pytest.mark.long
 @pytest.mark.parametrize("address", ["", "#canvas"])
-def test_a_browser_shows_the_compositors_pictures(made, address, tmp_path):
+def test_a_browser_shows_the_compositors_pictures(made, address):
     """With WebGL, and without."""
     mask = made.result.decomposition.photograph.regions > 0
     soft = (made.compositor.coverage > 0) & (made.compositor.coverage < 1)

@@ -62,7 +62,9 @@ class Browser:
             options = {"binary": shutil.which("chromium"), "args": arguments}
             capabilities = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
             session = self._call(
-                "POST", "", {"capabilities": {"alwaysMatch": {"browserName": "chrome"} | capabilities}}
+                "POST",
+                "",
+                {"capabilities": {"alwaysMatch": {"browserName": "chrome"} | capabilities}},
             )
             self.address += f"/{session['sessionId']}"
             self._call("POST", "/timeouts", {"script": SCRIPT_MS, "pageLoad": SCRIPT_MS})
@@ -106,7 +108,8 @@ class Browser:
         """Return what the body of an asynchronous JavaScript function returns."""
         wrapped = (
             "const done = arguments[arguments.length - 1];"
-            f"(async () => {{{script}}})().then(v => done([true, v]), e => done([false, String(e)]))"
+            f"(async () => {{{script}}})()"
+            ".then(v => done([true, v]), e => done([false, String(e)]))"
         )
         good, value = self._call("POST", "/execute/async", {"script": wrapped, "args": []})
         assert good, value

@@ -48,8 +48,8 @@ const geometry = new Float32Array(W * HT * 4);
     for (let x = 0; x < W; x++) {
       const i = y * W + x;
       geometry[4 * i + 2] = coverage[i] / 255;
+      if (!coverage[i]) continue;  // region 0: background
       geometry[4 * i + 3] = region[i];
-      if (!coverage[i]) continue;
       const [c, u] = near((x + 0.5 - left) / side * N - 0.5), a = [0, 0, 0];
       for (let k = 0; k < 3; k++) {
         const j = (r * N + c) * 3 + k;
@@ -219,16 +219,29 @@ function webgl() {
     }
   };
   gl.viewport(0, 0, W, HT);
+  gl.enable(gl.SCISSOR_TEST);
+  // rectangles of the regions: left, bottom, width, height; the background is drawn when it changes
+  const boxes = Array.from({length: H.regions + 1}, () => [W, HT, 0, 0]);
+  for (let i = 0; i < W * HT; i++) {
+    const box = boxes[geometry[4 * i + 3]], x = i % W, y = HT - 1 - Math.floor(i / W);
+    box[0] = Math.min(box[0], x);
+    box[1] = Math.min(box[1], y);
+    box[2] = Math.max(box[2], x);
+    box[3] = Math.max(box[3], y);
+  }
+  for (const box of boxes) { box[2] += 1 - box[0]; box[3] += 1 - box[1]; }
+  let background = "";
   return () => {
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT);
+    const wanted = `${state.split} ${state.ground}`;
     gl.uniform1f(where.detail, shownDetail());
     gl.uniform1f(where.split, state.split);
     gl.uniform1f(where.contrast, contrast);
     gl.uniform1i(where.cutOut, H.cutOut ? 1 : 0);
     gl.uniform1i(where.ground, state.ground ? 1 : 0);
     gl.uniform3fv(where.groundColor, GROUND);
-    for (let r = 0; r <= H.regions; r++) {
+    for (let r = background === wanted ? 1 : 0; r <= H.regions; r++) {
+      if (boxes[r][2] <= 0) continue;
+      gl.scissor(...boxes[r]);
       const [a, b, share] = r ? mixture(r - 1) : [-1, -1, 0];
       gl.uniform1i(where.region, r);
       gl.uniform1i(where.unchanged, a < 0 ? 1 : 0);
@@ -236,6 +249,7 @@ function webgl() {
       if (a >= 0) { mapTexture(4, r, a); mapTexture(5, r, b); }
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
+    background = wanted;
   };
 }
 function plain() {

@@ -23,7 +23,7 @@ void main() {
   ivec2 size = textureSize(photo, 0);
   ivec2 at = ivec2(int(gl_FragCoord.x), size.y - 1 - int(gl_FragCoord.y));
   vec4 place = texelFetch(geometry, at, 0);  // point of the disk, coverage, region
-  if (int(place.w + 0.5) != region) discard;
+  if (place.w != float(region)) discard;
   vec4 before = texelFetch(photo, at, 0);  // alpha: opacity
   float alpha = before.a;
   if (gl_FragCoord.x > split * float(size.x)) { color = before; return; }
@@ -32,11 +32,12 @@ void main() {
   if (ground == 1) { back = groundColor; coverage = place.z; alpha = 1.0; }
   vec3 object = vec3(0.0);
   if (coverage > 0.0) {
-    object = unchanged == 1 ? linear(before.rgb)
-      : mix(lookUp(first, place.xy), lookUp(second, place.xy), blend);
+    object = unchanged == 1 ? linear(before.rgb) : lookUp(first, place.xy);
+    if (blend > 0.0) object = mix(object, lookUp(second, place.xy), blend);
     if (detail > 0.0 && unchanged == 0)
       object *= exp((texelFetch(fine, at, 0).rgb * 2.0 - 1.0) * contrast * detail);
   }
   if (cutOut == 1 && coverage > 0.0 && ground == 0) coverage = 1.0;
-  color = vec4(coverage > 0.0 ? srgb(mix(linear(back), object, coverage)) : back, alpha);
+  if (coverage < 1.0) object = mix(linear(back), object, coverage);
+  color = vec4(coverage > 0.0 ? srgb(object) : back, alpha);
 }
