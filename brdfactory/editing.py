@@ -244,11 +244,8 @@ def edit(
     material              one, or a list with one for each region; as `Decomposition.paint` has them
     Raises                InputError
     """
-    drawn: list[Drawn | None]
-    if isinstance(material, str | np.ndarray | Material):
-        drawn = [material]
-    else:
-        drawn = list(material)
+    one = isinstance(material, str | np.ndarray | Material)
+    drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]
     return decompose(photo, mask, **options).paint(*drawn)
 
 

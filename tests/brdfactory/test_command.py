@@ -1,4 +1,4 @@
-"""The command `brdfactory`: all commands of both programs, beside a factory.py of the user's too."""
+"""The command `brdfactory`: all commands of both programs, beside a user's factory.py."""
 
 import argparse
 import os

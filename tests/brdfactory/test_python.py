@@ -45,9 +45,9 @@ def test_an_edit_is_the_picture_that_the_command_writes(pictures, tmp_path):
     out = tmp_path / "edited"
     words = ["edit", str(folder / "photo.png"), "--mask", str(folder / "mask.png"), "--no-refine"]
     assert cli.main("learn", "", COMMANDS, [*words, "--material", "brass", "--out", str(out)]) == 0
-    assert np.array_equal(np.asarray(Image.open(out / "brass.png")), edited.display)
+    assert np.array_equal(np.asarray(Image.open(out / "edited.png")), edited.display)
     saved = edited.save(tmp_path / "deep" / "brass.png")
-    assert saved.read_bytes() == (out / "brass.png").read_bytes()
+    assert saved.read_bytes() == (out / "edited.png").read_bytes()
     assert edited.material.name == "brass" and edited.decomposition.photograph.count == 1
 
 
@@ -76,7 +76,9 @@ def test_a_blends_picture_is_the_weighted_sum(parts):
     assert parts.paint(bf.blend("brass", "red-fabric", 0)).linear == pytest.approx(first)
 
 
-def test_what_a_decomposition_tells(parts):
+def test_what_a_decomposition_tells(pictures):
+    folder, _ = pictures
+    parts = bf.decompose(folder / "photo.png", folder / "mask.png", refine=False, detail=0)
     n = parts.normals
     inside = np.linalg.norm(n, axis=-1) > 0
     np.testing.assert_allclose(np.linalg.norm(n[inside], axis=-1), 1, atol=1e-5)
