@@ -23,6 +23,8 @@ from learn.experiments import runner
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from learn.data.records import Records
     from learn.evaluation.ladder_design import Rung, Scene
     from learn.evaluation.ladder_pictures import Shown
@@ -72,7 +74,7 @@ class Case:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of pictures."""
     options.add_data(parser, "a data set of the ladder's jobs")
-    options.add_weights(parser)
+    options.add_weights(parser, options.TABLE_WEIGHTS)
     parser.add_argument(
         "--pictures",
         type=positive,
@@ -92,7 +94,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from learn.editing.predict import WEIGHTS
     from learn.evaluation import ladder, overlap
     from learn.evaluation.methods import network, training_labels
     from learn.networks import weights as checkpoint
@@ -100,7 +101,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
-    weights = arguments.weights or WEIGHTS
+    weights = arguments.weights
     net, metadata = checkpoint.load_parts(weights)
     records = Records(arguments.data)
     pictures = pictures_of(records)
@@ -279,6 +280,7 @@ class Bench:
 
         shown, made = self.results(case, name)
         return {
+            "group": scene_of(self.pictures, case.object, case.truth).group,
             "shape": case.object.shape,
             "material_of": case.material.shape,
             "material": case.truth.material,
@@ -357,6 +359,8 @@ def tables(report: runner.Report) -> str:
             chosen = [row for row in rows if (row["task"], row["rung"]) == (task, rung)]
             if chosen:
                 result += [f"## {title}; rung {rung}, {len(chosen)} pictures\n", _table(chosen)]
+                result += ["The row *predicted* by group of the object's shape:\n"]
+                result += [_groups(chosen)]
     return "\n".join(result)
 
 
@@ -370,11 +374,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 
     from learn.metrics import bootstrap
 
-    kinds = ["shape", "material", "from_light", "to_light"]
-    if any(row["shape"] != row["material_of"] for row in rows):
-        kinds.append("material_of")
-    weights = bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in rows] for kind in kinds)))
-    metal = np.array([row["metal"] for row in rows])
+    weights = _draws(rows)
     l2 = {key: np.array([row["l2"][key] for row in rows]) for key in METHODS}
     factor = {key: np.array([row["one_factor"][key] for row in rows]) for key in METHODS}
     lines = [
@@ -382,8 +382,9 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
             title,
             runner.interval(bootstrap.interval(l2[key], weights), 0),
             f"{np.median(l2[key]):.0f}",
-            *(f"{l2[key][each].mean():.0f}" if each.any() else "–" for each in (~metal, metal)),
+            *_by_metal(rows, l2[key]),
             runner.interval(bootstrap.interval(factor[key], weights), 0),
+            *_by_metal(rows, factor[key]),
             runner.interval(bootstrap.relative(l2["unchanged"], l2[key], weights), 2),
             f"{(l2[key] < l2['unchanged']).sum()} of {len(rows)}",
         ]
@@ -396,7 +397,68 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
         "without metals",
         "metals",
         "one factor free, mean",
+        "without metals",
+        "metals",
         "ratio",
         "better than unchanged",
     ]
     return runner.table(head, lines)
+
+
+def _groups(rows: Sequence[Mapping[str, Any]]) -> str:
+    """One task's predictions on one rung, for each of the groups that its objects are of."""
+    import numpy as np
+
+    from learn.evaluation.ladder_design import GROUPS
+    from learn.metrics import bootstrap
+
+    lines = []
+    for group in GROUPS:
+        chosen = [row for row in rows if row["group"] == group]
+        if not chosen:
+            continue
+        l2 = {key: np.array([row["l2"][key] for row in chosen]) for key in METHODS}
+        factor = np.array([row["one_factor"]["predicted"] for row in chosen])
+        lines.append(
+            [
+                group,
+                f"{len(chosen)}, {sum(row['metal'] for row in chosen)}",
+                runner.interval(bootstrap.interval(l2["predicted"], _draws(chosen)), 0),
+                *_by_metal(chosen, l2["predicted"]),
+                f"{factor.mean():.0f}",
+                *_by_metal(chosen, factor),
+                f"{l2['unchanged'].mean():.0f}",
+                f"{l2['true'].mean():.0f}",
+            ]
+        )
+    head = [
+        "object",
+        "pictures, of metals",
+        "display L2, mean",
+        "without metals",
+        "metals",
+        "one factor free, mean",
+        "without metals",
+        "metals",
+        "unchanged",
+        "true parts",
+    ]
+    return runner.table(head, lines)
+
+
+def _draws(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Bootstrap weights of rows: shapes, materials, and lights of both sides are drawn."""
+    from learn.metrics import bootstrap
+
+    kinds = ["shape", "material", "from_light", "to_light"]
+    if any(row["shape"] != row["material_of"] for row in rows):
+        kinds.append("material_of")
+    return bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in rows] for kind in kinds)))
+
+
+def _by_metal(rows: Sequence[Mapping[str, Any]], values: np.ndarray) -> list[str]:
+    """Means of values (one per row) without metals and of metals."""
+    import numpy as np
+
+    metal = np.array([row["metal"] for row in rows])
+    return [f"{values[each].mean():.0f}" if each.any() else "–" for each in (~metal, metal)]

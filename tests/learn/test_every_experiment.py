@@ -19,6 +19,7 @@ from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.training import allocator
 from manifests.cli import main
+from tests.support import ladder_rungs
 from tests.support.full_disk_case import RUN as SETTINGS
 from tests.support.synthetic import add_shape, matte, write_dataset
 from tests.support.two_materials import written
@@ -97,6 +98,13 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         # both tiers of this data set show the same picture, and there is no third one
         lambda r: r["rows"][0]["direct"] == 0 and r["rows"][0]["shadow"] is None,
     ),
+    "relighting": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --pictures 1",
+        lambda r: (
+            [row["task"] for row in r["rows"]] == 2 * ["relighting", "transfer"]
+            and all(row["l2"]["true"] < row["l2"]["predicted"] for row in r["rows"])
+        ),
+    ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
@@ -129,6 +137,7 @@ def room(tmp_path_factory):
             add_shape(store, "cube:1", "test")
     written(room / "exposed")
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
+    ladder_rungs.written(room / "ladder", SIZE)
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
@@ -201,10 +210,14 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
     assert "expected a folder" in capsys.readouterr().err
 
 
-REPORTS = {"normals-ablation-128": "normals-ablation", "normals-ablation-256": "normals-ablation"}
+REPORTS = {
+    "normals-ablation-128": "normals-ablation",
+    "normals-ablation-256": "normals-ablation",
+}
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
     "clipped-highlights",  # it has not been run to its end
+    "relighting",  # likewise
 }
 
 
