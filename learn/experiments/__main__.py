@@ -27,6 +27,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     },
     "Editing": {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
+        "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "relighting": "relight pictures, and put materials on other objects, against the truth",
         "upsampling": "compare strategies that bring an edit to the photograph's size",

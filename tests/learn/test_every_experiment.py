@@ -89,6 +89,15 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             <= r["settings"]["outer_iterations=1"]["image"][0]
         ),
     ),
+    "outer-iterations": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1"
+        " --outer-iterations 1 2",
+        lambda r: (
+            [row["number"] for row in r["rows"]] == 2 * [1, 2]
+            and len({row["predicted"]["edit_l2"] for row in r["rows"][:2]}) == 1
+            and len({row["refined"]["edit_l2"] for row in r["rows"][:2]}) == 2
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
@@ -218,6 +227,7 @@ NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
     "clipped-highlights",  # it has not been run to its end
     "relighting",  # likewise
+    "outer-iterations",  # likewise
 }
 
 

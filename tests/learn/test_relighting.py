@@ -87,3 +87,19 @@ def test_true_parts_give_the_truth_of_both_tasks(records, pictures, rung):
         assert errors["true"] < 0.2 * min(errors["unchanged"], errors["facing"])
         assert all(row["one_factor"][key] <= errors[key] + 1e-6 for key in errors)
         assert row["to_light"] != row["from_light"] and row["material"] == case.material.material
+
+
+def test_edits_are_of_one_view_and_light_and_shapes_take_turns(pictures):
+    edits = relighting.edits_of(pictures, 99, 0)
+    assert len(edits) == 6 and len({edit.shape for edit in edits[:2]}) == 2
+    for edit in edits:
+        for rung in relighting.RUNGS:
+            source, truth = edit.source[rung], edit.truth[rung]
+            assert source.materials != truth.materials
+            same = ("shape", "viewpoint", "light", "rotation_texels", "tier")
+            assert all(getattr(source, key) == getattr(truth, key) for key in same)
+    few = relighting.edits_of(pictures, 3, 0)
+    assert [edit.id for edit in few] == [edit.id for edit in edits[:3]]
+    one = {rung: {key: of[key] for key in sorted(of)[:1]} for rung, of in pictures.items()}
+    with pytest.raises(InputError, match="pictures of a view in two materials on the rungs direct"):
+        relighting.edits_of(one, 1, 0)
