@@ -1,5 +1,6 @@
 """Every experiment at its smallest size: its report, its page, and one relation that must hold."""
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -114,6 +115,14 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(row["l2"]["true"] < row["l2"]["predicted"] for row in r["rows"])
         ),
     ),
+    "mitsuba-comparison": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1 --longer 1",
+        lambda r: (
+            r["rows"][0]["begun"]["edit"]
+            == pytest.approx(r["rows"][0]["predicted"]["edit"], rel=0.01)
+            and 0 < r["rows"][0]["mitsuba"]["steps"] <= r["rows"][0]["longer"]["steps"]
+        ),
+    ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
@@ -182,6 +191,8 @@ def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
     name, room, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(auto_calibration, "SHARPNESS", (0.5, 32.0))
+    if name == "mitsuba-comparison" and importlib.util.find_spec("mitsuba") is None:
+        pytest.skip("mitsuba is not installed: pip install .[witness]")
     words, holds = SMALLEST[name]
     out = tmp_path / "out"
     assert run(name, words.format(room=room), out) == 0, capsys.readouterr().err
@@ -202,6 +213,15 @@ def test_a_name_that_is_not_known_is_a_line_with_the_known_ones(tmp_path, capsys
     assert "did you mean lamps" in capsys.readouterr().err
     assert run("work-precision", "--light lampz", tmp_path / "b") == 1
     assert "did you mean lamps" in capsys.readouterr().err
+
+
+def test_the_comparison_without_mitsuba_is_a_line_with_the_remedy(
+    room, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    words = f"--data {room}/ladder --weights {room}/weights.safetensors"
+    assert run("mitsuba-comparison", words, tmp_path / "out") == 1
+    assert "pip install .[witness]" in capsys.readouterr().err
 
 
 def test_a_line_through_exposures_leaves_out_draws_of_one_picture():
@@ -226,6 +246,7 @@ REPORTS = {
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
     "clipped-highlights",  # it has not been run to its end
+    "mitsuba-comparison",  # likewise
     "relighting",  # likewise
     "outer-iterations",  # likewise
 }
