@@ -322,10 +322,9 @@ def tables(report: runner.Report) -> str:
         )
     edit, *rest = FIGURES.values()
     head = ["method", edit, "ratio to refined", *rest, "steps"]
-    parts = ["# Refinement and descent through Mitsuba 3", ""]
-    for sentence in report["seen"]:
-        parts += [f"**{sentence}**", ""]
-    return "\n".join(parts) + (
+    parts = ["# Refinement and descent through Mitsuba 3"]
+    parts += [f"**{sentence}**" for sentence in report["seen"]]
+    parts.append(
         f"{len(rows)} scenes of {len(set(names[0]))} shapes, direct tier; weights"
         f" {report['weights']}. Both begin at the same prediction and use one thread. Edits are"
         " rendered by the layer from each one's light and normals; the re-rendering is each one's"
