@@ -242,6 +242,7 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
 REPORTS = {
     "normals-ablation-128": "normals-ablation",
     "normals-ablation-256": "normals-ablation",
+    "relighting-general-compact": "relighting",
 }
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
