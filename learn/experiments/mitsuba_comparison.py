@@ -332,3 +332,4 @@ def tables(report: runner.Report) -> str:
         " compiled before they are counted. Intervals are 95 %; whole shapes, target materials and"
         " lights are drawn.\n\n" + runner.table(head, lines)
     )
+    return "\n\n".join(parts)
