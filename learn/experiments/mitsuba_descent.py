@@ -77,7 +77,7 @@ def scene_of(mi: Any, start: dict[str, Any], L: np.ndarray, elevation: float) ->
         [1 / RADIUS, 1 / RADIUS, 1]
     )
     size = {"width": SPHERE, "height": SPHERE}
-    film = {"type": "hdrfilm", "rfilter": {"type": "box"}, "pixel_format": "rgb"} | size
+    output = {"type": "hdrfilm", "rfilter": {"type": "box"}, "pixel_format": "rgb"} | size
     color = {"type": "rgb", "value": [float(value) for value in start["base_color"]]}
     numbers = {key: float(start[key]) for key in ("roughness", "metallic", "specular")}
     direct = {"emitter_samples": 1, "bsdf_samples": 1, "hide_emitters": True}
@@ -88,7 +88,7 @@ def scene_of(mi: Any, start: dict[str, Any], L: np.ndarray, elevation: float) ->
             "sensor": {
                 "type": "orthographic",
                 "to_world": camera,
-                "film": film | {"component_format": "float32"},
+                "film": output | {"component_format": "float32"},
             },
             "shape": {
                 "type": "sphere",

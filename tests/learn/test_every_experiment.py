@@ -246,8 +246,6 @@ REPORTS = {
 }
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
-    "clipped-highlights",  # it has not been run to its end
-    "outer-iterations",  # likewise
 }
 
 
