@@ -196,6 +196,12 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "a picture that is written to be read as a photograph",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
+    (
+        "learn/experiments/mitsuba_comparison.py",
+        "tempfile.TemporaryDirectory",
+    ): "what two processes hand each other",
+    ("learn/experiments/mitsuba_comparison.py", "….savez"): "the same",
+    ("learn/experiments/mitsuba_descent.py", "….savez"): "the same; the process has no manifests",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 # modules of ours whose save() goes through manifests.files
