@@ -116,8 +116,8 @@ class Decomposition:
     def material(self) -> Material:
         """The material of an object of one region. Raises InputError for more regions."""
         if len(self.computed.label) > 1:
-            found = f"{len(self.computed.label)} regions"
-            raise InputError("material", "an object of one region", found, "use materials")
+            result = f"{len(self.computed.label)} regions"
+            raise InputError("material", "an object of one region", result, "use materials")
         return self.materials[0]
 
     @cached_property

@@ -55,8 +55,8 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
     if isinstance(text, np.ndarray):
         label = np.asarray(text, np.float32)
         if label.shape != (SIZE,) or not np.isfinite(label).all():
-            rule, found = f"a label ({SIZE},) of finite numbers", f"shape {label.shape}"
-            raise InputError("material", rule, found, "bf.material('brass').label is one")
+            rule, result = f"a label ({SIZE},) of finite numbers", f"shape {label.shape}"
+            raise InputError("material", rule, result, "bf.material('brass').label is one")
         return Material(name or "label", ((1.0, label),))
 
     def refuse(path: Path) -> np.ndarray:
@@ -65,8 +65,8 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
 
     labels = targets.label_of(str(text), refuse)
     if labels is None or len(labels) != 1:
-        found = "keep" if labels is None else f"{len(labels)} materials"
-        raise InputError(f"material {text}", "one material", found, "name one")
+        result = "keep" if labels is None else f"{len(labels)} materials"
+        raise InputError(f"material {text}", "one material", result, "name one")
     shown = name or re.sub(r"\s+", " ", str(text))
     return Material(shown, ((1.0, np.asarray(labels[0], np.float32)),))
 

@@ -29,7 +29,7 @@ EPILOG = """examples:
   no job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
-Presets: agreement, demo, demo-full, finetune, geometry-general, geometry, ladder-development,
+Presets: agreement, demo-full, demo, finetune, geometry-general, geometry, ladder-development,
   ladder-test, multi-material, pretrain, smallest, test; `plan --presets` says what each is for.
 Run the same command again to continue: pictures that exist are not rendered twice.
 A second job into the same folder adds to the data set.

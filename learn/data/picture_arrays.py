@@ -27,12 +27,12 @@ def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarra
     """
     values = np.asarray(picture)
     rule = "an array (H, W, 3) or (H, W, 4), of uint8 display values or of floats"
-    found = f"{values.dtype} of shape {values.shape}"
+    result = f"{values.dtype} of shape {values.shape}"
     shaped = values.ndim == 3 and values.shape[2] in (3, 4) and values.size > 0
     linear = values.dtype.kind == "f"
     if not shaped or not (linear or values.dtype == np.uint8):
         remedy = "convert it: numpy.asarray(PIL.Image.open(FILE).convert('RGB'))"
-        raise InputError(where, rule, found, remedy)
+        raise InputError(where, rule, result, remedy)
     if values.shape[0] * values.shape[1] > MOST_PIXELS:
         rule = f"at most {MOST_PIXELS // 10**6} million pixels"
         raise InputError(where, rule, f"{values.shape[1]} × {values.shape[0]}", "make it smaller")
@@ -83,8 +83,8 @@ def read_regions(regions: np.ndarray, size: tuple[int, ...], where: str) -> np.n
     values = np.asarray(regions)
     if values.dtype.kind not in "biu" or values.shape != tuple(size):
         rule = f"an array {tuple(size)} of whole numbers, one for each region"
-        found = f"{values.dtype} of shape {values.shape}"
-        raise InputError(f"{where}: regions", rule, found, "0 is background")
+        result = f"{values.dtype} of shape {values.shape}"
+        raise InputError(f"{where}: regions", rule, result, "0 is background")
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
         rule = f"1 to {MOST_REGIONS} values besides 0"
