@@ -184,7 +184,10 @@ def told_commands(root):
     for document in pages(root):
         text = (root / document).read_text(encoding="utf-8")
         names = "|".join(command_line.COMMANDS)  # a sentence may begin with the program's name
-        programs = rf"(?:python -m (factory|learn(?:\.experiments)?)|(?:python -m )?(brdfactory)(?= (?:{names})\b))"
+        programs = (
+            rf"(?:python -m (factory|learn(?:\.experiments)?)"
+            rf"|(?:python -m )?(brdfactory)(?= (?:{names})\b))"
+        )
         inline = re.findall(rf"`{programs} ([^`]*)`", text)
         lines = re.findall(rf"^(?: {{4}}|)(?:for .*; do )?{programs} (.*)$", text, flags=re.M)
         for one, other, line in inline + lines:
