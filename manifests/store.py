@@ -7,6 +7,8 @@
     views/worker-NN.jsonl          the same for geometry alone, one line per view of a shape, in
                                    jobs without pictures
     failures.jsonl                 what failed, and why (failures-SHARD.jsonl in job arrays)
+    shape-facts/*.jsonl            what was read of shapes (factory.planning.facts); without it,
+                                   they are read again
     partial/                       unfinished files; what is there after a run can be deleted
     .lock*                         held by a run while it writes
 

@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namespace) -> Assets:
-    """Return the job's assets; a progress bar shows where reading them takes long.
+    """Return the job's assets, all shapes read; a progress bar shows where this takes long.
 
     folder  where the job's relative paths start, None: paths may lead anywhere
     """
@@ -60,7 +60,8 @@ def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namesp
     from tqdm import tqdm
 
     from factory.planning.assets import resolve
+    from factory.planning.reading import processors
 
     interval = 0.1 if sys.stderr.isatty() else 10.0
     watch = partial(tqdm, leave=False, delay=1.0, mininterval=interval)
-    return resolve(job, folder, options.lights, options.catalogue, watch)
+    return resolve(job, folder, options.lights, options.catalogue, watch, processors())

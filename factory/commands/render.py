@@ -29,8 +29,8 @@ EPILOG = """examples:
   no job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
-Presets: agreement, demo, finetune, geometry-general, geometry, ladder-development, ladder-test,
-  multi-material, pretrain, smallest, test; `plan --presets` says what each is for.
+Presets: agreement, demo-full, demo, finetune, geometry-general, geometry, ladder-development,
+  ladder-test, multi-material, pretrain, smallest, test; `plan --presets` says what each is for.
 Run the same command again to continue: pictures that exist are not rendered twice.
 A second job into the same folder adds to the data set.
 Exit status: 0 all pictures made, 1 some failed (failures.jsonl says why), 2 wrong usage."""
@@ -160,12 +160,13 @@ def run(options: argparse.Namespace) -> int:
     from msgspec import structs
 
     from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
+    from factory.planning.assets import opened
 
     job, folder = chosen_job(options)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
     shard = None if options.shard is None else parsed_shard(options.shard)
-    plan = planned(job, job_options.resolve_assets(job, folder, options))
+    plan = planned(job, opened(job, folder, options.lights, options.catalogue))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
     run_options = RunOptions(
@@ -228,7 +229,8 @@ class Progress:
 
     def __init__(self, limit: int | None = None, unit: str = "picture"):
         self.unit = unit
-        self.limit, self.failed, self.total, self.drawn = limit, 0, 0, 0.0
+        self.limit, self.drawn = limit, 0.0
+        self.failed, self.total, self.already_there, self.unread = 0, 0, 0, 0
 
     def __enter__(self) -> Self:
         from tqdm import tqdm
@@ -255,11 +257,17 @@ class Progress:
         if event == "total":
             self.total = value
         elif event == "already_there":
-            self.total -= 1
+            self.already_there += 1
+        elif event == "unread":
+            self.unread = value
         elif event == "failed":
             self.failed += 1
-            self.bar.set_postfix_str(f"{self.failed} failed")
-        self.bar.total = min(self.total, self.limit or self.total)
+        words = [f"{self.failed} failed"] if self.failed else []
+        words += [f"{self.unread} shapes to read"] if self.unread else []
+        self.bar.set_postfix_str(", ".join(words), refresh=False)
+        # the last already_there may be counted before a better estimate of the total comes
+        total = max(self.total - self.already_there, 0)
+        self.bar.total = min(total, self.limit or total)
         if event in ("made", "failed"):
             self.bar.update(1)
         elif time.monotonic() - self.drawn > 0.5:

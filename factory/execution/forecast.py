@@ -14,7 +14,7 @@ from pathlib import Path
 
 from factory.execution.pool import Pool
 from factory.execution.registration import register
-from factory.execution.run import RunOptions, assign, worker_config
+from factory.execution.run import RunOptions, assign, shape_sources, worker_config
 from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
 from manifests.schema import Draw
@@ -75,13 +75,14 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
         store = Store(folder)
-        register(store, plan)
+        register(store, plan, len(plan))
         assignment = assign(plan, run_options.library)
         pool = Pool(
             1,
             lambda _: worker_config(store, "probe", assignment, run_options),
             (),
             Path(folder) / "partial",
+            shape_sources(plan.assets.shapes),
         )
         for shot, reply in pool.run(probe_shots(plan)):
             if not reply.made:

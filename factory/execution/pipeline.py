@@ -74,12 +74,11 @@ class LightSource(msgspec.Struct, frozen=True, kw_only=True):
 class Assignment(msgspec.Struct, frozen=True, kw_only=True):
     """What a worker needs to know besides its shots.
 
-    shapes, lights  by the names that shots use
-    library         a folder of light maps, or None
+    lights   by the names that shots use
+    library  a folder of light maps, or None
     """
 
     job: Job
-    shapes: dict[str, ShapeSource]
     lights: dict[str, LightSource]
     library: str | None = None
 
@@ -103,6 +102,7 @@ class Pipeline:
     worker    this worker's name
     append    called with each finished Record or View
     mixtures  {material's name: Mixture}
+    shapes    {name: ShapeSource} of the shapes that shots use; the caller adds to it
     spent     {kind of work: seconds} of the last shot
     notes     lines for the user about the last shot
     """
@@ -118,6 +118,7 @@ class Pipeline:
     ):
         self.studio, self.assignment, self.store, self.worker = studio, assignment, store, worker
         self._append, self._mixtures = append, mixtures
+        self.shapes: dict[str, ShapeSource] = {}
         # what the studio shows
         self._shape: str | None = None
         self._view: int | None = None
@@ -162,7 +163,7 @@ class Pipeline:
 
         start  time.perf_counter when the shot was begun
         """
-        shape = self.assignment.shapes[shot.shape]
+        shape = self.shapes[shot.shape]
         return shot.repeated_in(line) | {
             "shape_hash": shape.hash,
             "category": shape.category,
@@ -219,7 +220,7 @@ class Pipeline:
     def _show_shape(self, shot: Shot) -> None:
         if shot.shape != self._shape:
             with self._timed("shape"):
-                mesh = load_shape(self.assignment.shapes[shot.shape])
+                mesh = load_shape(self.shapes[shot.shape])
                 self.studio.set_shape(mesh)
             self._shape, self._segments = shot.shape, mesh.segments
             self._view = self._materials = None
@@ -232,7 +233,7 @@ class Pipeline:
 
     def _camera(self, shot: Shot) -> Camera:
         """Return the camera of a shot."""
-        shape = self.assignment.shapes[shot.shape]
+        shape = self.shapes[shot.shape]
         return camera_of(self.assignment.job, shape.hash, shot.viewpoint)
 
     def _map(self, name: str, resolution: str) -> np.ndarray:

@@ -10,17 +10,18 @@ import contextlib
 import os
 import selectors
 import subprocess
-import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
 import msgspec
 
+from factory.execution.pipeline import ShapeSource
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot
+from manifests import subprocesses
 from manifests.errors import InputError
 
 # shots handed out at once: enough that no worker waits, few enough that all end at the same time
@@ -29,6 +30,7 @@ CHUNK = 32
 MOST_DEATHS = 8
 # seconds of silence after which a worker counts as hung; 50 times the longest shot, if that is more
 PATIENCE = 600.0
+SOON = 0.05  # seconds after which shots that were not known yet are asked for again
 
 
 def _line(message: WorkerConfig | Chunk) -> bytes:
@@ -57,23 +59,23 @@ class _Worker:
         self.pending: deque[Shot] = deque()
         with open(log, "wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "factory.execution.worker"],
+                subprocesses.command_of("factory.execution.worker"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 pass_fds=descriptors,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                env={**subprocesses.environment(), "PYTHONUNBUFFERED": "1"},
             )
         assert self.process.stdin and self.process.stdout  # pipes, as requested
         self._input, self.output = self.process.stdin, self.process.stdout
         self._rest = b""
         self._send(first)
 
-    def assign(self, shots: Sequence[Shot]) -> None:
+    def assign(self, chunk: Chunk) -> None:
         """Send shots to be made."""
-        self.pending.extend(shots)
+        self.pending.extend(chunk.shots)
         self.heard = time.monotonic()
-        self._send(_line(Chunk(list(shots))))
+        self._send(_line(chunk))
 
     def _send(self, line: bytes) -> None:
         # a worker that has died is noticed where its output ends
@@ -117,6 +119,8 @@ class Pool:
     config       called with a worker's number, returns its WorkerConfig
     descriptors  the run's locks, which workers hold too
     folder       where the standard error of running workers is written
+    shapes       {name: ShapeSource} of the shots' shapes; the caller may add to it while the pool
+                 runs
     """
 
     def __init__(
@@ -125,7 +129,9 @@ class Pool:
         config: Callable[[int], WorkerConfig],
         descriptors: Iterable[int],
         folder: Path,
+        shapes: Mapping[str, ShapeSource],
     ):
+        self._shapes, self._waiting = shapes, False
         self._config, self._descriptors, self._folder = config, tuple(descriptors), folder
         self._folder.mkdir(parents=True, exist_ok=True)
         self._count = count
@@ -136,9 +142,10 @@ class Pool:
         self._tried: set[str] = set()  # ids of shots that have failed once
         self._longest, self._deaths = 0.0, 0  # seconds of a shot; deaths since the last picture
 
-    def run(self, shots: Iterable[Shot]) -> Iterator[tuple[Shot, Reply]]:
+    def run(self, shots: Iterable[Shot | None]) -> Iterator[tuple[Shot, Reply]]:
         """Make all shots; yield (shot, Reply) for each that is made or given up.
 
+        shots   None among them: the next one is not known yet, and is asked for again soon
         Raises  InputError or OSError where every shot would fail: a full disk, a missing file
         """
         shots = iter(shots)
@@ -149,27 +156,39 @@ class Pool:
             for number in list(self._workers):
                 self._drop(number)
 
-    def _give_out(self, shots: Iterator[Shot]) -> bool:
-        """Send chunks to idle workers; return whether any shot is pending."""
+    def _give_out(self, shots: Iterator[Shot | None]) -> bool:
+        """Send chunks to idle workers; return whether any shot is pending or expected."""
+        self._waiting = False
         for number in range(self._count):
             worker = self._workers.get(number)
             if worker is not None and worker.pending:
                 continue
             chunk = self._chunk(shots)
+            if self._waiting and worker is None and not chunk:
+                self._start(number)  # it takes seconds, so that the shots may be known by then
             if chunk and worker is not None and chunk[0].id in self._tried and worker.made:
                 self._drop(number)
                 worker = None
             if chunk:
                 worker = worker or self._start(number)
-                worker.assign(chunk)
-        return any(worker.pending for worker in self._workers.values())
+                worker.assign(
+                    Chunk(chunk, {shot.shape: self._shapes[shot.shape] for shot in chunk})
+                )
+        return self._waiting or any(worker.pending for worker in self._workers.values())
 
-    def _chunk(self, shots: Iterator[Shot]) -> list[Shot]:
+    def _chunk(self, shots: Iterator[Shot | None]) -> list[Shot]:
         """Return the next shots to be made: a suspect alone, else interrupted or new ones."""
         if self._suspects:
             return [self._suspects.popleft()]
-        chunk = [self._interrupted.popleft() for _ in range(min(CHUNK, len(self._interrupted)))]
-        return chunk or list(islice(shots, CHUNK))
+        if self._interrupted:
+            return [self._interrupted.popleft() for _ in range(min(CHUNK, len(self._interrupted)))]
+        chunk: list[Shot] = []
+        for shot in islice(shots, 0 if self._waiting else CHUNK):
+            if shot is None:
+                self._waiting = True
+                break
+            chunk.append(shot)
+        return chunk
 
     def _start(self, number: int) -> _Worker:
         config = self._config(number)
@@ -188,7 +207,7 @@ class Pool:
 
     def _gather(self) -> Iterator[tuple[Shot, Reply]]:
         """Wait for replies; yield the shots that are made or given up."""
-        for key, _ in self._selector.select(timeout=5.0):
+        for key, _ in self._selector.select(timeout=SOON if self._waiting else 5.0):
             number = key.data
             worker = self._workers[number]
             replies = worker.replies()

@@ -8,36 +8,26 @@ import msgspec
 import numpy as np
 
 from factory.execution.worker import Reply
-from factory.planning.assets import Light, Material
+from factory.planning.assets import Light, Material, Shape
 from factory.planning.plan import Plan
 from manifests.arrays import encode_light, read_light
 from manifests.errors import InputError
 from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
-from manifests.schema import Dataset, LightEntry, MaterialEntry, Order, ShapeEntry
+from manifests.schema import Dataset, Job, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
 from manifests.store import Store, light_path, readable_hash
 
 
-def register(store: Store, plan: Plan) -> None:
+def register(store: Store, plan: Plan, shots: int) -> None:
     """Enter a plan and its assets in the folder's dataset.json, materials.json and lights/.
 
+    shots   number of the job's shots, as far as its shapes have been read
     Raises  InputError if the folder has another asset of the same name, or has one of the assets
             on the other side of the split
     """
     known = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
     assets = plan.assets
-    shapes = {
-        s.name: ShapeEntry(
-            hash=s.hash,
-            category=s.category,
-            side=s.side,
-            role=s.role,
-            segments=s.segments,
-            licence=s.licence,
-            report=s.report,
-        )
-        for s in assets.shapes
-    }
+    shapes = _shape_entries(assets.shapes)
     materials = {
         m.name: MaterialEntry(hash=m.hash, side=m.side, licence=m.licence, source=m.source)
         for m in assets.materials
@@ -50,17 +40,10 @@ def register(store: Store, plan: Plan) -> None:
     _require_agreement(store, "material", known.materials, materials)
     _require_agreement(store, "light", known.lights, lights)
     _write_materials(store, assets.materials, known.materials)
-    orders = known.orders
-    if not any(
-        msgspec.structs.replace(order.job, name=plan.job.name, about=plan.job.about) == plan.job
-        for order in orders
-    ):
-        orders = (
-            *orders,
-            Order(
-                job=plan.job, shots=len(plan), begun=datetime.now(UTC).isoformat(timespec="seconds")
-            ),
-        )
+    orders = _with_shots(known.orders, plan.job, shots)
+    if not any(_same_job(order.job, plan.job) for order in orders):
+        begun = datetime.now(UTC).isoformat(timespec="seconds")
+        orders = (*orders, Order(job=plan.job, shots=shots, begun=begun))
     store.write_json(
         "dataset.json",
         msgspec.structs.replace(
@@ -73,6 +56,50 @@ def register(store: Store, plan: Plan) -> None:
             lights={**known.lights, **lights},
         ),
     )
+
+
+def register_shapes(store: Store, plan: Plan, shots: int) -> None:
+    """Enter further shapes of a job that is registered already.
+
+    plan    with these shapes alone
+    shots   number of the job's shots, as far as its shapes have been read
+    Raises  InputError as `register`
+    """
+    known, shapes = store.dataset(), _shape_entries(plan.assets.shapes)
+    _require_agreement(store, "shape", known.shapes, shapes)
+    orders = _with_shots(known.orders, plan.job, shots)
+    shapes = {**known.shapes, **shapes}
+    store.write_json("dataset.json", msgspec.structs.replace(known, orders=orders, shapes=shapes))
+
+
+def _shape_entries(shapes: Iterable[Shape]) -> dict[str, ShapeEntry]:
+    return {
+        s.name: ShapeEntry(
+            hash=s.hash,
+            category=s.category,
+            side=s.side,
+            role=s.role,
+            segments=s.segments,
+            licence=s.licence,
+            report=s.report,
+        )
+        for s in shapes
+    }
+
+
+def _with_shots(orders: Iterable[Order], job: Job, shots: int) -> tuple[Order, ...]:
+    """Return the orders; that of the job has at least so many shots."""
+    return tuple(
+        msgspec.structs.replace(order, shots=max(order.shots, shots))
+        if _same_job(order.job, job)
+        else order
+        for order in orders
+    )
+
+
+def _same_job(known: Job, job: Job) -> bool:
+    """Return whether two jobs differ at most in their names and descriptions."""
+    return msgspec.structs.replace(known, name=job.name, about=job.about) == job
 
 
 def note_settings(store: Store, render: str, reply: Reply) -> None:

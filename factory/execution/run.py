@@ -1,8 +1,14 @@
-"""Carry a plan out: open its folder, leave out the shots that are there, and make the others."""
+"""Carry a plan out: open its folder, leave out the shots that are there, and make the others.
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+Shapes that the plan has not read yet are read meanwhile, in processes of their own, and the shots
+of the first ones are made while others are read. All are read before the first shot where that
+needs the number of all shots, for a part of a job array, or where a shape's role depends on the
+others (factory.planning.assets.follows_alone).
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -12,11 +18,14 @@ import msgspec
 
 from factory.execution.pipeline import Assignment, LightSource, ShapeSource
 from factory.execution.pool import Pool
-from factory.execution.registration import note_settings, register
+from factory.execution.registration import note_settings, register, register_shapes
 from factory.execution.worker import STUDIO, WorkerConfig
-from factory.planning.assets import Assets
+from factory.planning.assets import Arrivals, Assets, Shape, follows_alone, read_whole
+from factory.planning.facts import Facts, Memory
 from factory.planning.fingerprint import render_fingerprint
 from factory.planning.plan import Plan, Shot
+from factory.planning.reading import Reading, processors
+from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
 from manifests.schema import Failure, Job
@@ -56,6 +65,11 @@ class RunOptions:
     studio: str = STUDIO
 
     @property
+    def readers(self) -> int:
+        """Number of processes that read meshes: as many as workers; for one worker, as CPUs."""
+        return processors() if self.workers == 1 else self.workers
+
+    @property
     def threads_per_worker(self) -> int | None:
         """CPU threads of each worker; None, which means all, for a single worker."""
         if self.threads or self.workers == 1:
@@ -69,7 +83,9 @@ def carry_out(
     """Make every shot of a plan that the folder does not hold yet.
 
     watch   called with (event, value): "total" and the number of this run's shots, "already_there"
-            and 1, "made" and a Reply, "failed" and a Failure, "note" and a line for the user
+            and 1, "made" and a Reply, "failed" and a Failure, "note" and a line for the user,
+            "unread" and the number of shapes that are still to be read. While there are such,
+            "total" is an estimate, which comes again.
     Raises  InputError; OSError (full disk), after which everything written before is intact
     """
     watch = watch or (lambda event, value: None)
@@ -78,35 +94,95 @@ def carry_out(
         prefix += f"{run_options.shard[0]}of{run_options.shard[1]}-"
     with lock.writing(folder, run_options.shard) as descriptors:
         store.sweep(prefix if run_options.shard else "")
-        with lock.changing(folder):
-            register(store, plan)
-        return _made(plan, store, run_options, prefix, descriptors, watch)
+        memory = Memory(folder, f"{prefix}main")
+        with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
+            parts = _parts(plan, store, reading, run_options.shard, watch)
+            return _made(plan, parts, store, run_options, prefix, descriptors, watch)
+
+
+def _parts(
+    plan: Plan, store: Store, reading: Reading, shard: tuple[int, int] | None, watch: Watch
+) -> Iterator[Plan | None]:
+    """Yield plans with shapes that have been read and registered, each shape once; None: not yet.
+
+    Raises  InputError: a bad mesh, or what `register` raises
+    """
+    unread = plan.assets.unread
+    if not unread or shard is not None or not follows_alone(plan.job, unread):
+        if unread:
+            notes = len(plan.assets.notes)
+            assets = read_whole(plan.job, plan.assets, _counted(reading, watch))
+            plan = replace(plan, assets=assets)
+            for note in assets.notes[notes:]:
+                watch("note", note)
+        with lock.changing(store.folder):
+            register(store, plan, len(plan))
+        first, end = _bounds(len(plan), shard)
+        watch("total", end - first)
+        yield plan
+        return
+    arrivals, shots, count = Arrivals(plan.job), 0, 0
+    while reading.unread:
+        arrived = [arrivals.take(source, facts) for source, facts in reading.ready()]
+        while arrivals.notes:
+            watch("note", arrivals.notes.pop(0))
+        watch("unread", reading.unread)
+        if not (shapes := [shape for shape in arrived if shape is not None]):
+            if reading.unread:
+                yield None
+            continue
+        part = replace(plan, assets=replace(plan.assets, shapes=shapes, unread=()))
+        enter = register_shapes if count else register
+        shots, count = shots + len(part), count + len(shapes)
+        with lock.changing(store.folder):
+            enter(store, part, shots)
+        watch("total", shots + shots * reading.unread // count)
+        yield part
+    arrivals.finish()
+    watch("total", shots)
+
+
+def _counted(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
+    """Yield all facts of a reading; the watch is told how many are to come."""
+    for pair in reading.each():
+        watch("unread", reading.unread)
+        yield pair
 
 
 def _made(
     plan: Plan,
+    parts: Iterable[Plan | None],
     store: Store,
     run_options: RunOptions,
     prefix: str,
     descriptors: Sequence[int],
     watch: Watch,
 ) -> Outcome:
-    """Make the shots of a plan whose folder is locked and registered.
+    """Make the shots of a plan whose folder is locked.
 
+    parts        plans that together hold its shapes, registered; None: the next is not known yet
     prefix       of the workers' names
     descriptors  the locks, which workers hold too
     """
     done, hashes = store.known("records" if plan.job.pictures else "views")
-    first, end = _bounds(len(plan), run_options.shard)
-    watch("total", end - first)
+    sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
 
-    def missing() -> Iterator[Shot]:
-        for shot in islice(plan, first, end):
-            if shot.id in done:
-                counts["already_there"] += 1
-                watch("already_there", 1)
-            else:
+    def missing() -> Iterator[Shot | None]:
+        given = 0
+        for part in parts:
+            if part is None:
+                yield None
+                continue
+            sources.update(shape_sources(part.assets.shapes))
+            for shot in islice(part, *_bounds(len(part), run_options.shard)):
+                if shot.id in done:
+                    counts["already_there"] += 1
+                    watch("already_there", 1)
+                    continue
+                if given == run_options.limit:
+                    return
+                given += 1
                 known = hashes.get(geometry_path(shot.geometry))
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
@@ -116,9 +192,10 @@ def _made(
         lambda number: worker_config(store, f"{prefix}{number:02d}", assignment, run_options),
         descriptors,
         store.folder / "partial",
+        sources,
     )
     failures = None
-    for shot, reply in pool.run(islice(missing(), run_options.limit)):
+    for shot, reply in pool.run(missing()):
         if reply.settings:
             with lock.changing(store.folder):
                 note_settings(store, plan.render, reply)
@@ -139,22 +216,23 @@ def _made(
 
 
 def assign(plan: Plan, library: str | None = None) -> Assignment:
-    """Return what the plan's workers need to know besides their shots.
+    """Return what the plan's workers need to know besides their shots and shapes.
 
     library  a folder of light maps, or None
     """
     return Assignment(
         job=plan.job,
-        shapes={
-            s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category)
-            for s in plan.assets.shapes
-        },
         lights={
             light.name: LightSource(source=light.source, hash=light.hash)
             for light in plan.assets.lights.values()
         },
         library=library,
     )
+
+
+def shape_sources(shapes: Iterable[Shape]) -> dict[str, ShapeSource]:
+    """Return {name: where a worker reads the shape from}."""
+    return {s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category) for s in shapes}
 
 
 def worker_config(
@@ -175,13 +253,6 @@ def _bounds(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
     """Return the first shot and the end of a part: successive shots, which share scene data."""
     i, n = shard or (1, 1)
     return total * (i - 1) // n, total * i // n
-
-
-def processors() -> int:
-    """Return the number of CPUs that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _failure(shot: Shot, reason: str) -> Failure:

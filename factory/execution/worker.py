@@ -22,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, BadShot, Pipeline, Studio
+from factory.execution.pipeline import Assignment, BadShot, Pipeline, ShapeSource, Studio
 from factory.planning.plan import Shot
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
@@ -51,9 +51,10 @@ class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Chunk(msgspec.Struct, frozen=True):
-    """Shots to make, in this order."""
+    """Shots to make, in this order, and where their shapes are read from, by name."""
 
     shots: list[Shot]
+    shapes: dict[str, ShapeSource]
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -121,17 +122,22 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
     store = Store(config.folder)
     pictures = config.assignment.job.pictures
     lines = Lines(store.folder / ("records" if pictures else "views") / f"{config.worker}.jsonl")
+    studio = _studio(config)
+    # materials are registered before the first shot is given out, but maybe after the start
+    if (message := sys.stdin.buffer.readline()) == b"":
+        return
     mixtures = (
         {name: m.mixture for name, m in load_catalogue(store.folder / "materials.json").items()}
         if pictures
         else {}
     )
-    studio = _studio(config)
     pipeline = Pipeline(studio, config.assignment, store, config.worker, lines.append, mixtures)
     first = True
     chunks = msgspec.json.Decoder(Chunk)
-    for message in sys.stdin.buffer:
-        for shot in chunks.decode(message).shots:
+    while message:
+        chunk = chunks.decode(message)
+        pipeline.shapes = chunk.shapes
+        for shot in chunk.shots:
             try:
                 record = pipeline.make(shot)
             except OSError:
@@ -155,6 +161,7 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 notes=pipeline.notes,
                 **extra,
             )
+        message = sys.stdin.buffer.readline()
 
 
 def _studio(config: WorkerConfig) -> Studio:

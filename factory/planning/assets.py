@@ -1,22 +1,28 @@
 """The shapes, materials and lights that a job names, with their hashes, sides and licences.
 
-Meshes and light maps are read to be hashed, and are not kept.
+Meshes and light maps are read to be hashed, and are not kept. What a job's shapes are can be known
+before all of them are read (`opened`), so that a run begins with the first ones.
 
 source     where a shape or a light is read from: a spec such as "chair:17", or a path
 duplicate  the same mesh, fit or map under a second name. It is left out, because its pictures would
            be those of the first.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
+from factory.planning.facts import Facts
 from factory.planning.material_names import chosen_entries
-from factory.planning.shape_names import Source, load_mesh, local, sources
+from factory.planning.reading import Reading
+from factory.planning.shape_names import Source, local, sources
+from factory.shapes.files import require_mesh_file
+from factory.shapes.mesh_import import split_place
 from manifests import splits
 from manifests.errors import InputError
 from manifests.materials import Entry
@@ -71,12 +77,14 @@ class Assets:
 
     lights  by the names that the job uses
     notes   one line for each asset that was left out
+    unread  sources of shapes that are not among `shapes` yet; empty where all have been read
     """
 
     shapes: list[Shape]
     materials: list[Material]
     lights: dict[str, Light]
     notes: list[str] = field(default_factory=list)
+    unread: tuple[Source, ...] = ()
 
 
 Asset = TypeVar("Asset", Shape, Material)
@@ -89,30 +97,122 @@ def resolve(
     library: str | None = None,
     catalogues: Sequence[str | Path] = (),
     watch: Watch | None = None,
+    processes: int = 0,
 ) -> Assets:
-    """Return the Assets of a job.
+    """Return the Assets of a job, after all of its shapes have been read.
 
     folder      where the job's relative paths start; a path that leaves it is refused. None: paths
                 may lead anywhere
     library     a folder of the user's light maps, or None
     catalogues  files of materials besides the built-in ones
     watch       wraps an iterable to show its progress, as tqdm does, or None
+    processes   that read meshes, 0: this process reads them
     Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job
                 without shapes
+    """
+    assets = opened(job, folder, library, catalogues)
+    with closing(Reading(assets.unread, processes)) as reading:
+        facts = (watch or _unwatched)(
+            reading.each(), desc="reading shapes", unit="shape", total=reading.unread
+        )
+        return read_whole(job, assets, facts)
+
+
+def opened(
+    job: Job,
+    folder: str | Path | None = None,
+    library: str | None = None,
+    catalogues: Sequence[str | Path] = (),
+) -> Assets:
+    """Return the Assets of a job, all of its shapes unread; the arguments are those of `resolve`.
+
+    Raises  InputError as `resolve`, but for the shapes' names and paths alone
     """
     check(job)
     notes: list[str] = []
     materials = _without_duplicates(_materials(job, catalogues), "material", notes)
     lights = _lights(job, folder, library)
-    shapes = _without_duplicates(_shapes(job, folder, watch or _unwatched), "shape", notes)
+    unread = tuple(dict.fromkeys(sources(job, folder)))
+    if not unread:
+        raise _without_shapes(job)
+    for source in unread:
+        if source.is_file:  # a name that is mistyped is refused before anything is written
+            require_mesh_file(split_place(source.place)[0])
+    return Assets([], materials, lights, notes, unread)
+
+
+def read_whole(job: Job, assets: Assets, facts: Iterable[tuple[Source, Facts]]) -> Assets:
+    """Return the Assets with all shapes, of which the facts are given in the job's order.
+
+    Raises  InputError: two meshes of one name, no shape with a role of the job
+    """
+    notes = list(assets.notes)
+    shapes = _without_duplicates(_shapes(job, facts), "shape", notes)
     if not shapes:
-        raise InputError(
-            "job: shapes",
-            f"some with a role among {', '.join(job.roles)}",
-            "none",
-            "widen shapes or roles",
-        )
-    return Assets(shapes, materials, lights, notes)
+        raise _without_shapes(job)
+    return replace(assets, shapes=shapes, notes=notes, unread=())
+
+
+def follows_alone(job: Job, unread: Iterable[Source]) -> bool:
+    """Return whether each shape's role follows from the shape, whatever the others are.
+
+    It does not where a rule has ranges and there are mesh files: these stand by the rank of their
+    hashes, and a file may be a duplicate of a numbered shape.
+    """
+    return not splits.rules()[job.split]["shapes"] or not any(source.is_file for source in unread)
+
+
+class Arrivals:
+    """The shapes of a job whose roles follow from each alone, taken one by one in its order.
+
+    It keeps the same shapes as `read_whole`.
+    """
+
+    def __init__(self, job: Job):
+        self._job = job
+        self._by_name: dict[str, tuple[Source, str]] = {}
+        self._by_hash: dict[str, Shape] = {}
+        self.notes: list[str] = []
+
+    def take(self, source: Source, facts: Facts) -> Shape | None:
+        """Return the next shape, None if it is left out; notes say why where it is a duplicate.
+
+        Raises  InputError: two meshes of one name, a duplicate with another role
+        """
+        if facts.name in self._by_name:
+            _require_same(facts, source, *self._by_name[facts.name])
+            return None
+        self._by_name[facts.name] = (source, facts.hash)
+        role = splits.shape_roles([(facts.name, facts.category, facts.hash)], self._job.split)
+        shape = _shape(source, facts, role[facts.name])
+        first = self._by_hash.setdefault(facts.hash, shape)
+        if first.role != shape.role:
+            raise InputError(
+                f"shape '{shape.name}'",
+                f"role {first.role}, as '{first.name}', which is the same mesh",
+                shape.role,
+                "leave one of them out of the job",
+            )
+        if shape.role not in _requested(self._job):
+            return None
+        if first is not shape:
+            self.notes.append(_left_out("shape", shape, first))
+            return None
+        return shape
+
+    def finish(self) -> None:
+        """Raise InputError if no shape was taken, after the last one."""
+        if not any(shape.role in _requested(self._job) for shape in self._by_hash.values()):
+            raise _without_shapes(self._job)
+
+
+def _without_shapes(job: Job) -> InputError:
+    return InputError(
+        "job: shapes",
+        f"some with a role among {', '.join(job.roles)}",
+        "none",
+        "widen shapes or roles",
+    )
 
 
 def check(job: Job) -> None:
@@ -158,41 +258,50 @@ def _unwatched(items: Iterable, **_: Any) -> Iterable:
     return items
 
 
-def _shapes(job: Job, folder: str | Path | None, watch: Watch) -> list[Shape]:
-    result: dict[str, tuple[Source, str, str, int, str]] = {}
-    for source in watch(
-        list(dict.fromkeys(sources(job, folder))), desc="reading shapes", unit="shape"
-    ):
-        mesh = load_mesh(source)
-        known = result.setdefault(
-            mesh.name, (source, mesh.category, mesh.hash, mesh.segments, mesh.report.line())
-        )
-        if known[2] != mesh.hash:
-            raise InputError(
-                f"shape '{mesh.name}'",
-                "one mesh under a name",
-                f"{known[0].place} and {source.place}",
-                "rename one of the files",
-            )
+def _shapes(job: Job, read: Iterable[tuple[Source, Facts]]) -> list[Shape]:
+    """Return the shapes with a role of the job, each name once."""
+    result: dict[str, tuple[Source, Facts]] = {}
+    for source, facts in read:
+        first, known = result.setdefault(facts.name, (source, facts))
+        _require_same(facts, source, first, known.hash)
     roles = splits.shape_roles(
-        [(name, category, hash_) for name, (_, category, hash_, _, _) in result.items()], job.split
+        [(name, facts.category, facts.hash) for name, (_, facts) in result.items()], job.split
     )
-    requested = set(job.roles) or set(splits.SIDES)
     return [
-        Shape(
-            name=name,
-            source=source,
-            category=category,
-            hash=hash_,
-            segments=segments,
-            side=splits.SIDES[roles[name]],
-            role=roles[name],
-            licence=source.licence,
-            report=report,
-        )
-        for name, (source, category, hash_, segments, report) in result.items()
-        if roles[name] in requested
+        _shape(source, facts, roles[name])
+        for name, (source, facts) in result.items()
+        if roles[name] in _requested(job)
     ]
+
+
+def _requested(job: Job) -> Collection[Role]:
+    """Return the roles that a job keeps."""
+    return job.roles or splits.SIDES
+
+
+def _require_same(facts: Facts, source: Source, first: Source, hash_: str) -> None:
+    """Raise InputError if a shape's hash is not that of the first shape of its name."""
+    if facts.hash != hash_:
+        raise InputError(
+            f"shape '{facts.name}'",
+            "one mesh under a name",
+            f"{first.place} and {source.place}",
+            "rename one of the files",
+        )
+
+
+def _shape(source: Source, facts: Facts, role: Role) -> Shape:
+    return Shape(
+        name=facts.name,
+        source=source,
+        category=facts.category,
+        hash=facts.hash,
+        segments=facts.segments,
+        side=splits.SIDES[role],
+        role=role,
+        licence=source.licence,
+        report=facts.report,
+    )
 
 
 def _materials(job: Job, catalogues: Sequence[str | Path]) -> list[Material]:
@@ -232,6 +341,10 @@ def _lights(job: Job, folder: str | Path | None, library: str | None) -> dict[st
     return result
 
 
+def _left_out(kind: str, asset: Asset, first: Asset) -> str:
+    return f"{kind} '{asset.name}' is '{first.name}' again, left out"
+
+
 def _without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) -> list[Asset]:
     """Return each asset once by its hash. Raises InputError for two assets of one name."""
     by_hash: dict[str, Asset] = {}
@@ -239,9 +352,7 @@ def _without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) ->
     for asset in assets:
         if asset.hash in by_hash:
             if asset.name != by_hash[asset.hash].name:
-                notes.append(
-                    f"{kind} '{asset.name}' is '{by_hash[asset.hash].name}' again, left out"
-                )
+                notes.append(_left_out(kind, asset, by_hash[asset.hash]))
             continue
         if asset.name in names:
             raise InputError(

@@ -37,6 +37,11 @@ class Source(msgspec.Struct, frozen=True):
     category: str | None = None
     licence: str = OWN_LICENCE
 
+    @property
+    def is_file(self) -> bool:
+        """Whether the mesh is read from a file, and not made from a name such as "chair:17"."""
+        return any(mark in self.place for mark in "/\\.")
+
 
 def load_mesh(source: Source) -> Mesh:
     """Return the Mesh of a Source."""

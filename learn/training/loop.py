@@ -88,12 +88,6 @@ class Training:
             )
             self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
             self.seen = self.seen.joined(before)
-        elif run.start:
-            with tensor_file.opened(run.start) as stored:
-                weights.require_network(stored, self.network)
-                weights.fill(self.network, stored)
-                self.seen = self.seen.joined(of_metadata(stored.metadata, run.start))
-            self.average = _copies(self.network)
         else:
             self._begin()
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
@@ -174,8 +168,13 @@ class Training:
         return network.eval()
 
     def _begin(self) -> None:
-        """Give a new network what was learned elsewhere: its encoder, and the run's `heads`."""
-        if isinstance(self.network, CompactPretrained):
+        """Give a new network what the run begins with: weights, or an encoder; and heads."""
+        if self.run.start is not None:
+            with tensor_file.opened(self.run.start) as stored:
+                weights.require_network(stored, self.network)
+                weights.fill(self.network, stored)
+                self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.start))
+        elif isinstance(self.network, CompactPretrained):
             self.network.take_encoder(encoder_weights())
         if self.run.heads is not None:
             with tensor_file.opened(self.run.heads) as stored:

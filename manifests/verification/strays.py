@@ -13,7 +13,7 @@ from pathlib import Path
 from manifests.store import LINES
 from manifests.verification.faults import Fault
 
-KNOWN = ("images", "geometry", "lights", "partial", "packed", *LINES)
+KNOWN = ("images", "geometry", "lights", "partial", "packed", "shape-facts", *LINES)
 _KINDS = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a pipe",

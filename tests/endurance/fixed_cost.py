@@ -70,7 +70,7 @@ def ours(options, folder):
     """
     from factory.execution.pipeline import Pipeline
     from factory.execution.registration import register
-    from factory.execution.run import assign, planned
+    from factory.execution.run import assign, planned, shape_sources
     from factory.planning.assets import resolve
     from factory.render.studio import Studio
     from manifests.materials import load_catalogue
@@ -88,13 +88,14 @@ def ours(options, folder):
     catalogues = [options.catalogue] if options.catalogue else []
     plan = planned(job, resolve(job, catalogues=catalogues))
     store = Store(folder)
-    register(store, plan)
+    register(store, plan, len(plan))
     mixtures = {name: m.mixture for name, m in load_catalogue(folder / "materials.json").items()}
     lines = Lines(folder / "records" / "worker-00.jsonl")
     pipeline = Pipeline(
         Studio("cpu", None), assign(plan), store, "worker-00", lines.append, mixtures
     )
     shots, seconds = list(plan), []
+    pipeline.shapes = shape_sources(plan.assets.shapes)
     pipeline.make(shots[0])
     (folder / "geometry").rename(folder / "warm")
     pipeline._geometries.clear()

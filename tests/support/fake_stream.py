@@ -1,0 +1,18 @@
+"""Carry a job out with the fake studio, as a process that can be killed; all of its shapes are read
+by processes of their own.
+
+python -m tests.support.fake_stream JOB OUT CATALOGUE
+"""
+
+import sys
+
+from factory.execution.run import RunOptions, carry_out, planned
+from factory.planning import jobs, reading
+from factory.planning.assets import opened
+from tests.support.tetrahedron import FAKE
+
+if __name__ == "__main__":
+    reading.HERE = 0.0
+    job, folder = jobs.load(sys.argv[1])
+    assets = opened(job, folder, catalogues=[sys.argv[3]])
+    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))
