@@ -205,10 +205,10 @@ PIXELS = """
 """
 
 
-def pixels(window, setting):
-    """The page's canvas (H, W, 3) after a JavaScript statement."""
+def pixels(window, setting, mode="RGB"):
+    """The page's canvas (H, W, 3 or 4) after a JavaScript statement."""
     png = base64.b64decode(window.run(f"await (async () => {{{setting}}})();" + PIXELS))
-    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+    return np.asarray(Image.open(io.BytesIO(png)).convert(mode))
 
 
 def choice(made, *names, blend=0.5, second=-2):
@@ -244,6 +244,36 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
         before = pixels(window, "editPage.state.split = 0")
         np.testing.assert_array_equal(before, Page(made.text).planes[0])
         assert window.console() == []
+
+
+@needs_browser
+@pytest.mark.long
+def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
+    made, monkeypatch, tmp_path
+):
+    """Without WebGL the same: drawn twice, once each."""
+    monkeypatch.setattr(interactive, "load_catalogue", dict)
+    monkeypatch.setattr(interactive, "MEASURED", {})
+    result = result_of(cut_out=True)
+    path = tmp_path / interactive.NAME
+    path.write_text(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)), "utf-8")
+    compositor = Compositor(result.decomposition, 1e-2, 0.25)
+    opened, own = result.decomposition.photograph, result.decomposition.label
+    truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)
+    show = choice(SimpleNamespace(text=path.read_text("utf-8")), "own material 1", "own material 2")
+    for address in ("", "#canvas"):
+        with browser.Browser() as window:
+            window.open(path, address)
+            window.wait("document.documentElement.dataset.ready")
+            shown = pixels(window, show, "RGBA")
+            assert abs(shown[..., 3] - 255 * opened.coverage).max() < 1.01
+            assert distance(shown[..., :3], truth, opened.coverage > 0.9) < LIMIT
+            ground = pixels(window, "editPage.state.ground = true", "RGBA")
+            assert (ground[..., 3] == 255).all()
+            corner = ground[:5, :5, :3].reshape(-1, 3).astype(int)
+            assert len(np.unique(corner, axis=0)) == 1
+            assert distance(ground[..., :3], truth, opened.coverage == 1) < LIMIT
+            assert window.console() == []
 
 
 @needs_browser
