@@ -50,7 +50,8 @@ FOLDER = Path(__file__).parent / "interactive_page"
 LONGEST = 1024  # pixels of the photograph's longer side
 LARGEST_FILE = 15_000_000  # bytes
 SMALL = 160  # pixels of the pictures of the decomposition
-CHECKED = 192  # normals at which a map is compared with the layer
+# normals at which a map is compared with the layer; highlights of sharp materials are a few pixels
+CHECKED, CHECKED_OTHER = 512, 192
 FINEST_OTHER = 64  # intervals of maps under lights that are not the photograph's own
 MEASURED = {
     "blender_city": "City square",
@@ -247,7 +248,7 @@ def scene_of(compositor: Compositor, light: torch.Tensor, own: bool) -> reflecta
     n = n / np.linalg.norm(n, axis=-1, keepdims=True)
     facing = n[n[:, 2] > 1e-2]
     rng = np.random.default_rng(0)
-    checked = facing[rng.integers(len(facing), size=CHECKED)]
+    checked = facing[rng.integers(len(facing), size=CHECKED if own else CHECKED_OTHER)]
     return reflectance_store.Scene(
         light,
         decomposed.batch.elevation,
