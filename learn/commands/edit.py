@@ -74,7 +74,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help=(
             "also write interactive.html: one file to keep or to send, in which the object can be"
             " given any material of the catalogue, blends, and other lights, in a browser without a"
-            " network. It takes a minute or more. Example: python -m learn edit"
+            " network. It takes some minutes. Example: python -m learn edit"
             " example:espresso-cup --material brass --interactive --out edited"
         ),
     )
