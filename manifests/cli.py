@@ -64,7 +64,7 @@ def main(
     if moved and not named and first is not None and first in moved:
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
         return 2
-    if first is not None and first not in commands:
+    if first and first not in commands:
         shown = printable(first)
         remedy = closest(shown, commands)
         print(f"{program}: no command '{shown}' ({remedy} --help lists all)", file=sys.stderr)
