@@ -36,6 +36,8 @@ SMALLER = [
     (r"--samples \d+", "--samples 4"),
     (r"--workers \d+", "--workers 1"),
     (r"^(python -m (?:learn|brdfactory) agree .*)$", r"\1 --limit 2"),
+    # all materials under five lights take minutes; tests/learn/test_interactive.py makes a page
+    (r" --interactive\b", ""),
     # tests/learn/test_editing_wired.py refines
     (r"^(python -m (?:learn|brdfactory) (?:edit|transfer) .*)$", r"\1 --no-refine"),
 ]

@@ -15,6 +15,7 @@ import torch
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.editing import decomposition, edit, edit_files, interactive, photograph
 from learn.editing import reflectance_store as store
 from learn.editing.compositor import Compositor
@@ -191,6 +192,16 @@ def test_a_page_that_is_there_is_not_replaced(tmp_path):
     edit_files.reserve(tmp_path / "a.png", ["brass"], [], tmp_path, False)
     with pytest.raises(InputError, match=re.escape(interactive.NAME)):
         edit_files.reserve(tmp_path / "a.png", ["brass"], [], tmp_path, False, [interactive.NAME])
+
+
+def test_the_page_is_written_where_it_is_requested(tmp_path, monkeypatch):
+    monkeypatch.setattr(interactive, "page", lambda result, options: result.edits[0].text)
+    options = edit.EditOptions(weights_file(EDITING_WEIGHTS), None, 1e-2, 0.25)
+    cup = "example:espresso-cup"
+    for name, with_page in (("with", True), ("without", False)):
+        edit.run(cup, [], None, ["green-fabric"], tmp_path / name, options, None, False, with_page)
+    assert (tmp_path / "with" / interactive.NAME).read_text() == "green-fabric"
+    assert not (tmp_path / "without" / interactive.NAME).exists()
 
 
 needs_browser = pytest.mark.skipif(
