@@ -1,6 +1,6 @@
 """The files of `learn edit`: their names, and how they are written."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,10 +31,16 @@ PARTS = (
 
 
 def reserve(
-    path: Path, materials: Sequence[str], inputs: Sequence[str | Path], out: Path, overwrite: bool
+    path: Path,
+    materials: Sequence[str],
+    inputs: Sequence[str | Path],
+    out: Path,
+    overwrite: bool,
+    pages: Sequence[str] = (),
 ) -> list[str]:
     """Return the names, without endings, of the edited pictures, once they may be written.
 
+    pages   names of text files that are written as well
     Raises  InputError for a material named twice, or for files that are there already
     """
     if len(set(materials)) < len(materials):
@@ -53,14 +59,23 @@ def reserve(
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]
-    files.reserve_outputs(out, [*PARTS, "sheet.png", "edit.json", *edited], overwrite, list(inputs))
+    files.reserve_outputs(
+        out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs)
+    )
     return names
 
 
 def write(
-    out: Path, names: Sequence[str], result: "EditResult", edit_options: "EditOptions"
+    out: Path,
+    names: Sequence[str],
+    result: "EditResult",
+    edit_options: "EditOptions",
+    texts: Mapping[str, str] | None = None,
 ) -> dict:
-    """Write every file into the folder `out`, all or none, and return what edit.json holds."""
+    """Write every file into the folder `out`, all or none, and return what edit.json holds.
+
+    texts  {name: content} of text files that are written as well
+    """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
     n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
@@ -97,6 +112,8 @@ def write(
             out / "sheet.png",
             montage.contact_sheet(drawing.rows(result, exposure, own, maps), drawing.TILE),
         )
+        for name, text in (texts or {}).items():
+            files.write_text(out / name, text)
         files.write_json(out / "edit.json", report)
     return report
 
