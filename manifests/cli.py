@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from manifests.errors import InputError, printable
+from manifests.errors import InputError, closest, printable
 
 
 def main(
@@ -25,6 +25,9 @@ def main(
     arguments: list[str] | None = None,
     moved: Mapping[str, str] | None = None,
     prepare: Callable[[], Any] | None = None,
+    prog: str | None = None,
+    groups: Mapping[str, Sequence[str]] | None = None,
+    version: str | None = None,
 ) -> int:
     """Parse, run and return the exit status; a user's mistake is printed as one line.
 
@@ -35,6 +38,9 @@ def main(
     arguments  words, None: those of this process
     moved      {earlier name: what to type now}
     prepare    called before a command runs, and not for --help
+    prog       what the usage calls the program; None: "python -m PROGRAM"
+    groups     {title: names}: the help lists the commands so; None: in one list
+    version    printed by --version; None: there is no such option
     """
     # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
@@ -43,11 +49,13 @@ def main(
         argparse.RawDescriptionHelpFormatter if "\n\n" in description else argparse.HelpFormatter
     )
     parser = argparse.ArgumentParser(
-        prog=f"python -m {program}",
+        prog=prog or f"python -m {program}",
         description=description[:1].upper() + description[1:],
         formatter_class=layout,
     )
     parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
+    if version is not None:
+        parser.add_argument("--version", action="version", version=f"{program} {version}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
     # one command needs only its own module; --help and mistakes need all
@@ -56,12 +64,19 @@ def main(
     if moved and not named and first is not None and first in moved:
         print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
         return 2
+    if first and first not in commands:
+        shown = printable(first)
+        remedy = closest(shown, commands)
+        print(f"{program}: no command '{shown}' ({remedy} --help lists all)", file=sys.stderr)
+        return 2
     for name in named or commands:
         if isinstance(commands, Mapping):
             commands[name](subparsers)
         else:
             folder = f"{program}.commands"
             importlib.import_module(f"{folder}.{name.replace('-', '_')}").register(subparsers)
+    if groups and not named:
+        _list_in_groups(parser, subparsers, groups)
     debug, options = "--debug" in words, None
     try:
         try:
@@ -86,6 +101,21 @@ def main(
         )
         print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
         return 130
+
+
+def _list_in_groups(
+    parser: argparse.ArgumentParser,
+    subparsers: argparse._SubParsersAction,
+    groups: Mapping[str, Sequence[str]],
+) -> None:
+    """Let the help list the commands under titles. argparse itself has one list of them."""
+    listed = {action.dest: action for action in subparsers._choices_actions}
+    for title, names in groups.items():
+        group = parser.add_argument_group(title)
+        group._group_actions += [listed[name] for name in names]
+    subparsers._choices_actions.clear()
+    subparsers.help = argparse.SUPPRESS
+    parser.usage = "%(prog)s [-h] [--debug] [--version] COMMAND ..."
 
 
 def _refuse_empty(parser: argparse.ArgumentParser, words: list[str]) -> None:

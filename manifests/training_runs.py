@@ -158,6 +158,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     size             height and width of pictures; a data set's geometry may be a whole number of
                      times larger
     start            weights to begin with, as a path from where the command is run
+    heads            weights of a compact network whose heads of material and light are begun with
     stages           what is trained first, for example each part alone before all together
     mixed_precision  whether networks compute in bfloat16; the layer and the losses always compute
                      in float32
@@ -167,9 +168,9 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     version: Literal[1, 2, 3] = 3
     name: str
     about: str = ""
-    network: Literal["compact", "compact-wrapped", "paper", "separate", "encoder-decoder"] = (
-        "compact"
-    )
+    network: Literal[
+        "compact", "compact-wrapped", "compact-pretrained", "paper", "separate", "encoder-decoder"
+    ] = "compact"
     size: Size = 128
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")
     data: Data = Data()
@@ -177,6 +178,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     schedule: Schedule = Schedule()
     mixed_precision: bool = True
     start: str | None = None
+    heads: str | None = None
     stages: tuple[Stage, ...] = ()
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     skipped_steps: CountOrZero = 5

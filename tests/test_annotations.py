@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("factory", "learn", "manifests", "shaders")
+PACKAGES = ("brdfactory", "factory", "learn", "manifests", "shaders")
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = sorted({path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")})
 

@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # package → what a machine that runs it need not have
 ABSENT = {
-    "factory": ("torch", "learn"),
-    "learn": ("bpy", "factory"),
-    "shaders": ("torch", "bpy", "factory", "learn", "manifests"),
-    "manifests": ("torch", "bpy", "factory", "learn"),
+    "factory": ("torch", "learn", "brdfactory"),
+    "learn": ("bpy", "factory", "brdfactory"),
+    "shaders": ("torch", "bpy", "factory", "learn", "manifests", "brdfactory"),
+    "manifests": ("torch", "bpy", "factory", "learn", "brdfactory"),
 }
 
 # Imports every module below a package with some names made absent; prints the first failure.
@@ -67,8 +67,8 @@ def test_the_probe_sees_a_forbidden_import():
 
 def test_importing_a_package_starts_neither_blender_nor_torch():
     code = (
-        "import sys, factory, manifests, shaders, learn; sys.exit(bool({'bpy', 'torch'} &"
-        " set(sys.modules)))"
+        "import sys, brdfactory, factory, manifests, shaders, learn; sys.exit(bool({'bpy', 'torch'}"
+        " & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
@@ -81,7 +81,12 @@ def test_the_factory_imported_is_ours_and_not_factory_boys(root):
 
 
 @pytest.mark.parametrize(
-    ("program", "light"), [("factory", ("numpy", "bpy", "trimesh")), ("learn", ("numpy", "torch"))]
+    ("program", "light"),
+    [
+        ("brdfactory", ("numpy", "bpy", "torch")),
+        ("factory", ("numpy", "bpy", "trimesh")),
+        ("learn", ("numpy", "torch")),
+    ],
 )
 def test_help_loads_no_heavy_library(program, light):
     code = (
@@ -92,7 +97,7 @@ def test_help_loads_no_heavy_library(program, light):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    assert "usage: python -m" in done.stdout
+    assert "usage: " in done.stdout
 
 
 def banned(root, package):
@@ -191,6 +196,12 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "a picture that is written to be read as a photograph",
     ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
+    (
+        "learn/experiments/mitsuba_comparison.py",
+        "tempfile.TemporaryDirectory",
+    ): "what two processes hand each other",
+    ("learn/experiments/mitsuba_comparison.py", "….savez"): "the same",
+    ("learn/experiments/mitsuba_descent.py", "….savez"): "the same; the process has no manifests",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 # modules of ours whose save() goes through manifests.files

@@ -18,18 +18,28 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from brdfactory import command_line
+
 DOCUMENTS = ("README.md", "docs/conventions.md")
 # pages whose blocks of Python are run here
-WITH_CODE = ("docs/conventions.md", "docs/layer-in-a-model.md", "docs/materials.md")
+WITH_CODE = (
+    "README.md",
+    "docs/conventions.md",
+    "docs/layer-in-a-model.md",
+    "docs/materials.md",
+    "docs/python.md",
+)
 SMALLER = [
     # two pictures show that the command works
-    (r"^(python -m factory render .*)$", r"\1 --limit 2"),
+    (r"^(python -m (?:brd)?factory render .*)$", r"\1 --limit 2"),
     (r"--size \d+", "--size 24"),
     (r"--samples \d+", "--samples 4"),
     (r"--workers \d+", "--workers 1"),
-    (r"^(python -m learn agree .*)$", r"\1 --limit 2"),
+    (r"^(python -m (?:learn|brdfactory) agree .*)$", r"\1 --limit 2"),
+    # all materials under five lights take minutes; tests/learn/test_interactive.py makes a page
+    (r" --interactive\b", ""),
     # tests/learn/test_editing_wired.py refines
-    (r"^(python -m learn (edit|transfer) .*)$", r"\1 --no-refine"),
+    (r"^(python -m (?:learn|brdfactory) (?:edit|transfer) .*)$", r"\1 --no-refine"),
 ]
 USERS_FILES = {"my-chair.obj": "manifests/jobs/meshes/vase.obj"}  # what a reader has and we do not
 
@@ -84,6 +94,7 @@ def test_the_pages_with_python_blocks_are_those_whose_blocks_are_run(root):
 @pytest.mark.parametrize("document", WITH_CODE)
 def test_python_blocks_of_a_document_run_from_top_to_bottom(root, document, tmp_path, monkeypatch):
     code = blocks(root, document, "python")
+    photographs(tmp_path)
     monkeypatch.chdir(tmp_path)
     names = {}
     for block in code:
@@ -115,7 +126,8 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
                 timeout=60,
             )
         else:
-            assert re.match(r"python -m (factory|learn) ", command), (
+            command = re.sub(r"^brdfactory ", "python -m brdfactory ", command)
+            assert re.match(r"python -m (brdfactory|factory|learn) ", command), (
                 f"{document}: how is '{command}' to be run?"
             )
             for pattern, smaller in SMALLER:
@@ -142,7 +154,9 @@ def test_every_file_that_a_document_names_exists(root):
         text = re.sub(
             r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S
         )
-        named = re.findall(r"`((?:docs|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text)
+        named = re.findall(
+            r"`((?:docs|brdfactory|factory|learn|manifests|shaders|tests)/[\w./-]*)`", text
+        )
         named += re.findall(r"\]\(((?!https?:)[^)#]+)\)", text)
         base = (root / document).parent
         missing += [
@@ -171,12 +185,15 @@ def told_commands(root):
     """
     for document in pages(root):
         text = (root / document).read_text(encoding="utf-8")
-        programs = r"(factory|learn(?:\.experiments)?)"
-        inline = re.findall(rf"`python -m {programs} ([^`]*)`", text)
-        lines = re.findall(
-            rf"^(?: {{4}}|)(?:for .*; do )?python -m {programs} (.*)$", text, flags=re.M
+        names = "|".join(command_line.COMMANDS)  # a sentence may begin with the program's name
+        programs = (
+            rf"(?:python -m (factory|learn(?:\.experiments)?)"
+            rf"|(?:python -m )?(brdfactory)(?= (?:{names})\b))"
         )
-        for program, line in inline + lines:
+        inline = re.findall(rf"`{programs} ([^`]*)`", text)
+        lines = re.findall(rf"^(?: {{4}}|)(?:for .*; do )?{programs} (.*)$", text, flags=re.M)
+        for one, other, line in inline + lines:
+            program = one or other
             words = shlex.split(re.split(r"\s{2,}#|; done", line)[0])
             if words[-1] not in ("--help", "...", "…") and len(words) > 1:
                 yield document, program, words
@@ -185,10 +202,13 @@ def told_commands(root):
 def test_every_command_that_a_document_names_can_be_given_so(root, capsys):
     ran, refused = [], []
     for document, program, words in told_commands(root):
-        commands = importlib.import_module(f"{program}.__main__").COMMANDS
+        home = "brdfactory.command_line" if program == "brdfactory" else f"{program}.__main__"
+        commands = importlib.import_module(home).COMMANDS
         parser = argparse.ArgumentParser()
         subparsers = parser.add_subparsers(required=True)
-        if program == "learn.experiments":
+        if program == "brdfactory":
+            parser = command_line.parser()
+        elif program == "learn.experiments":
             commands[words[0]](subparsers)
         else:
             folder = f"{program}.commands"

@@ -117,7 +117,7 @@ def test_a_retired_name_is_seen():
 
 
 def test_no_retired_name_is_in_the_code(root):
-    packages = ("factory", "learn", "manifests", "shaders")
+    packages = ("brdfactory", "factory", "learn", "manifests", "shaders")
     paths = [path for package in packages for path in sorted((root / package).rglob("*.py"))]
     assert len(paths) > 200  # else the walk has seen nothing
     assert [

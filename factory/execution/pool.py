@@ -10,7 +10,6 @@ import contextlib
 import os
 import selectors
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ import msgspec
 from factory.execution.pipeline import ShapeSource
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot
+from manifests import subprocesses
 from manifests.errors import InputError
 
 # shots handed out at once: enough that no worker waits, few enough that all end at the same time
@@ -59,12 +59,12 @@ class _Worker:
         self.pending: deque[Shot] = deque()
         with open(log, "wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "factory.execution.worker"],
+                subprocesses.command_of("factory.execution.worker"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 pass_fds=descriptors,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                env={**subprocesses.environment(), "PYTHONUNBUFFERED": "1"},
             )
         assert self.process.stdin and self.process.stdout  # pipes, as requested
         self._input, self.output = self.process.stdin, self.process.stdout

@@ -21,6 +21,8 @@ from factory.planning.facts import Facts
 from factory.planning.material_names import chosen_entries
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source, local, sources
+from factory.shapes.files import require_mesh_file
+from factory.shapes.mesh_import import split_place
 from manifests import splits
 from manifests.errors import InputError
 from manifests.materials import Entry
@@ -133,6 +135,9 @@ def opened(
     unread = tuple(dict.fromkeys(sources(job, folder)))
     if not unread:
         raise _without_shapes(job)
+    for source in unread:
+        if source.is_file:  # a name that is mistyped is refused before anything is written
+            require_mesh_file(split_place(source.place)[0])
     return Assets([], materials, lights, notes, unread)
 
 

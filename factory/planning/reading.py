@@ -22,6 +22,7 @@ import msgspec
 
 from factory.planning.facts import Facts, Memory, facts_of
 from factory.planning.shape_names import Source
+from manifests import subprocesses
 from manifests.errors import InputError
 
 FEW = 8  # sources: more are read by other processes from the start
@@ -164,10 +165,11 @@ class _Readers:
                 if self._closed:
                     raise RuntimeError("the reading has been given up")
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "factory.planning.reading"],
+                    subprocesses.command_of("factory.planning.reading"),
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
+                    env=subprocesses.environment(),
                 )
                 self._all.append(process)
             self._own.process = process

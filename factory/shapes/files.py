@@ -19,13 +19,18 @@ from manifests.inputs import require_file
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 
 
+def require_mesh_file(path: str | Path) -> None:
+    """Raise InputError unless there is a file, and a readable one, at the path of a mesh."""
+    require_file(path, "a mesh file", _remedy(Path(path)))
+
+
 def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:
     """Return the Raw triangles of a file.
 
     Raises  InputError: missing, not a mesh, truncated, or more than `maximum` triangles
     """
     path = Path(path)
-    require_file(path, "a mesh file", _remedy(path))
+    require_mesh_file(path)
     kind = path.suffix.lower()
     check_format(path, kind)
     with open(path, "rb") as file:

@@ -25,7 +25,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " report.json and charts. Pictures rendered twice with different seeds (a job's repeats"
             " = 2) let it separate noise from disagreement. Exit status: 0 where the two renderers"
             " agree within the limit, or where the pictures do not suffice to judge it; 3 where"
-            " they disagree beyond it; 1 and 2 as for every command."
+            " they disagree beyond it; 1 and 2 as for every command. Example: python -m learn agree"
+            " demo-data --out agreement"
         ),
     )
     parser.add_argument(

@@ -68,6 +68,16 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " held out)"
         ),
     )
+    parser.add_argument(
+        "--interactive",
+        action="store_true",
+        help=(
+            "also write interactive.html: one file to keep or to send, in which the object can be"
+            " given any material of the catalogue, blends, and other lights, in a browser without a"
+            " network. It takes some minutes. Example: python -m learn edit"
+            " example:espresso-cup --material brass --interactive --out edited"
+        ),
+    )
     editing_options.add(parser)
     parser.set_defaults(run=run, continues=False)
 
@@ -87,6 +97,7 @@ def run(arguments: argparse.Namespace) -> None:
         edit_options,
         arguments.record,
         arguments.overwrite,
+        arguments.interactive,
     )
     for text, error in report["display_l2"].items():
         print(
@@ -94,3 +105,5 @@ def run(arguments: argparse.Namespace) -> None:
             " frame, against the rendered truth"
         )
     print(f"See {arguments.out / 'sheet.png'}")
+    if arguments.interactive:
+        print(f"Open {arguments.out / 'interactive.html'} in a browser")

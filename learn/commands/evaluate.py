@@ -21,7 +21,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " shape, view and light, and compares each edit with that rendering, for our method and"
             " for others. Writes index.html (open it first), report.md and report.json. Each"
             " finished edit is a line in edits.jsonl, so that the same command continues a stopped"
-            " run, and a larger --edits adds to it."
+            " run, and a larger --edits adds to it. Example: python -m learn evaluate --data"
+            " test-data --out evaluation"
         ),
     )
     options.add_data(parser, "a data set with pictures in two materials or more of each view")

@@ -21,7 +21,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " interreflection, with square pixels, as an 8-bit PNG, and from an unknown camera:"
             " normals, light and edits, for own families, held-out families and outside meshes."
             " --jobs DIR writes the jobs that render the pictures; --data and --out measure them."
-            " The same command continues a stopped run."
+            " The same command continues a stopped run. Example: python -m learn evaluate-ladder"
+            " --data ladder-data --out ladder"
         ),
     )
     parser.add_argument("--data", type=Path, metavar="DIR", help="the data set of these jobs")

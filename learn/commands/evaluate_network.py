@@ -17,7 +17,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         description=(
             "Measures weights on the test split of a data set. Writes card.md and card.json, which"
             " say what the weights were trained on and how large their errors are, and a contact"
-            " sheet (sheet.jpg)."
+            " sheet (sheet.jpg). Example: python -m learn evaluate-network run/weights.safetensors"
+            " --data geometry-data --out card"
         ),
     )
     parser.add_argument("weights", type=Path, metavar="FILE", help="weights.safetensors of a run")

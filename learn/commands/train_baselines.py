@@ -25,6 +25,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " split as weights that you have. Writes lombardi.safetensors, baseline-1.safetensors"
             " and baseline-2.safetensors into DIR: what `python -m learn evaluate --baselines DIR`"
             " reads. Run the same command again to continue; what is finished is kept."
+            " Example: python -m learn train-baselines --data geometry-data --out baselines"
         ),
     )
     options.add_data(parser)

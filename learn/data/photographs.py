@@ -145,7 +145,7 @@ def read_soft(
     Raises  InputError: no such file, no picture, no mask, an empty one, one of another size
     """
     path = Path(path)
-    radiance, alpha = _pixels(path)
+    radiance, alpha = read_pixels(path)
     if mask_path is not None:
         coverage = read_mask(mask_path, radiance.shape[:2])
     elif (alpha < 0.5).any():
@@ -154,15 +154,19 @@ def read_soft(
         coverage = (read_labels(regions, radiance.shape[:2]) > 0).astype(np.float32)
     else:
         raise InputError(path, "a mask, or transparency around the object", "neither", remedy)
-    if (coverage >= 0.5).sum() < LEAST_PIXELS:
-        result = f"{int((coverage >= 0.5).sum())}"
+    require_object(mask_path or path, coverage)
+    return radiance, coverage, alpha
+
+
+def require_object(where: str | Path, coverage: np.ndarray) -> None:
+    """Raise InputError for a mask of fewer than LEAST_PIXELS pixels."""
+    if (count := int((coverage >= 0.5).sum())) < LEAST_PIXELS:
         raise InputError(
-            mask_path or path,
+            where,
             f"an object of {LEAST_PIXELS} pixels or more in the mask",
-            result,
+            f"{count}",
             "white marks the object",
         )
-    return radiance, coverage, alpha
 
 
 def read_mask(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
@@ -171,7 +175,7 @@ def read_mask(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
     It is the display value, 0 black to 1 white, times the file's alpha. Raises InputError if the
     mask is not of that size.
     """
-    values, own = _pixels(Path(path))
+    values, own = read_pixels(Path(path))
     _require_size(path, values.shape[:2], size, "a mask")
     return tone.srgb(values.mean(-1)).astype(np.float32) * own
 
@@ -211,8 +215,11 @@ def _require_size(path, found, expected, what):
         raise InputError(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
-def _pixels(path):
-    """radiance (H, W, 3) linear, alpha (H, W) in [0, 1], upright as the file's orientation says."""
+def read_pixels(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return radiance (H, W, 3) and alpha (H, W) in [0, 1], upright as the orientation says.
+
+    Raises InputError.
+    """
     if holds_radiance(path):
         return read_exr(path)
     values = _decoded(path, _display_values)

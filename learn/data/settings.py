@@ -159,6 +159,13 @@ def require_trainable(run: Run, where: str | Path) -> None:
             f"{sum(shares):g}",
             "lower one of them; the rest are training materials",
         )
+    if run.network == "compact-pretrained" and run.size % 32:
+        raise InputError(
+            f"{where}: size",
+            "a multiple of 32, for this network's encoder halves pictures five times",
+            str(run.size),
+            "take 64, 96 or 128, or the network compact-wrapped",
+        )
     pixels = run.schedule.batch * run.size**2
     if pixels > MOST_PIXELS:
         rule = f"batches of at most {MOST_PIXELS >> 20} Mi pixels"

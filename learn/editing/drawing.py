@@ -1,5 +1,6 @@
 """How edits are shown: display pictures, material spheres, and the rows of contact sheets."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,8 +77,14 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     return tiles
 
 
-def rows(result: "EditResult", exposure: float) -> list[list[Tile]]:
-    """Return the rows of a contact sheet: the parts, the reflectance maps, and each edit."""
+def rows(
+    result: "EditResult", exposure: float, own: Sequence[np.ndarray], maps: list[Tile]
+) -> list[list[Tile]]:
+    """Return the rows of a contact sheet: the parts, the reflectance maps, and each edit.
+
+    own   the material sphere of each region
+    maps  `reflectance_maps` of the decomposition
+    """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
     before: Tile = ("photograph", on_ground(tone.display(opened.radiance, exposure), opened))
@@ -90,13 +97,10 @@ def rows(result: "EditResult", exposure: float) -> list[list[Tile]]:
         ("rendered again", on_ground(tone.display(result.rendering, exposure), opened)),
         ("normals", montage.normals_picture(array(parts.n[0].movedim(0, -1)), mask)),
         ("light", montage.light_picture(array(parts.light[0].movedim(0, -1)))),
-        *(
-            (name, material_sphere(label, decomposed))
-            for name, label in zip(names, parts.label[0], strict=True)
-        ),
+        *zip(names, own, strict=True),
     ]
     of_edits = [edit_row(edit, decomposed, before, exposure) for edit in result.edits]
-    return [first, reflectance_maps(decomposed), *of_edits]
+    return [first, maps, *of_edits]
 
 
 def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float) -> list[Tile]:

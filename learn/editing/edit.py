@@ -12,7 +12,7 @@ import torch
 from tqdm import tqdm
 
 from learn.data import pairs
-from learn.editing import decomposition, edit_files, photograph, targets
+from learn.editing import decomposition, edit_files, interactive, photograph, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import Photograph
@@ -93,15 +93,18 @@ def run(
     edit_options: EditOptions,
     record: str | None = None,
     overwrite: bool = False,
+    with_page: bool = False,
 ) -> dict:
     """Edit a photograph, write all results into the folder `out`, and return edit.json.
 
     materials  texts as `learn.editing.targets` reads them; "A+B" gives regions 1 and 2 their own
+    with_page  whether to write the page of learn.editing.interactive as well
     Raises     InputError
     """
     out = Path(out)
     inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *materials]
-    names = edit_files.reserve(path, materials, inputs, out, overwrite)
+    pages = [interactive.NAME] if with_page else []
+    names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     opened = photograph.opened(
         path, masks, regions, edit_options.balance, edit_options.exposure, record
@@ -110,7 +113,8 @@ def run(
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:
         result = compute(opened, labels, network, metadata, edit_options, progress)
         progress.set_description("writing")
-        report = edit_files.write(out, names, result, edit_options)
+        texts = {name: interactive.page(result, edit_options) for name in pages}
+        report = edit_files.write(out, names, result, edit_options, texts)
         progress.update()
     return report
 

@@ -1,6 +1,6 @@
 """The files of `learn edit`: their names, and how they are written."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,10 +31,16 @@ PARTS = (
 
 
 def reserve(
-    path: Path, materials: Sequence[str], inputs: Sequence[str | Path], out: Path, overwrite: bool
+    path: Path,
+    materials: Sequence[str],
+    inputs: Sequence[str | Path],
+    out: Path,
+    overwrite: bool,
+    pages: Sequence[str] = (),
 ) -> list[str]:
     """Return the names, without endings, of the edited pictures, once they may be written.
 
+    pages   names of text files that are written as well
     Raises  InputError for a material named twice, or for files that are there already
     """
     if len(set(materials)) < len(materials):
@@ -53,19 +59,31 @@ def reserve(
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]
-    files.reserve_outputs(out, [*PARTS, "sheet.png", "edit.json", *edited], overwrite, list(inputs))
+    files.reserve_outputs(
+        out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs)
+    )
     return names
 
 
 def write(
-    out: Path, names: Sequence[str], result: "EditResult", edit_options: "EditOptions"
+    out: Path,
+    names: Sequence[str],
+    result: "EditResult",
+    edit_options: "EditOptions",
+    texts: Mapping[str, str] | None = None,
 ) -> dict:
-    """Write every file into the folder `out`, all or none, and return what edit.json holds."""
+    """Write every file into the folder `out`, all or none, and return what edit.json holds.
+
+    texts  {name: content} of text files that are written as well
+    """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
     n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
     exposure = drawing.exposure_of(opened)
     report = report_of(result, edit_options)
+    # drawn once: each takes a third of a second where a material is sharp
+    own = [drawing.material_sphere(label, decomposed) for label in parts.label[0]]
+    maps = drawing.reflectance_maps(decomposed)
     out.mkdir(parents=True, exist_ok=True)
     with files.transaction():
         photographs.write_exr(out / "normals.exr", n * mask[..., None], "XYZ")
@@ -73,10 +91,10 @@ def write(
         save(out / "normals.png", montage.normals_picture(n, mask))
         save(out / "light.png", montage.light_picture(L))
         save(out / "rendering.png", tone.display(result.rendering, exposure))
-        save(out / "ball.png", drawing.material_sphere(parts.label[0, 0], decomposed))
+        save(out / "ball.png", own[0])
         save(
             out / "reflectance.png",
-            montage.contact_sheet([drawing.reflectance_maps(decomposed)], drawing.TILE),
+            montage.contact_sheet([maps], drawing.TILE),
         )
         material_file.write(
             out / "material.json",
@@ -92,8 +110,10 @@ def write(
                 photographs.write_exr(out / f"{name}.exr", edit.picture)
         save(
             out / "sheet.png",
-            montage.contact_sheet(drawing.rows(result, exposure), drawing.TILE),
+            montage.contact_sheet(drawing.rows(result, exposure, own, maps), drawing.TILE),
         )
+        for name, text in (texts or {}).items():
+            files.write_text(out / name, text)
         files.write_json(out / "edit.json", report)
     return report
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from learn.data import photographs
+from learn.data import photographs, picture_arrays
 from learn.data.records import Records, require_upright
 from manifests.errors import InputError, closest
 from manifests.schema import Record
@@ -162,12 +162,69 @@ def opened(
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
         coverage = without_unlabelled(coverage, labels)
+    before_background = bool(masks) or regions is not None
+    linear = photographs.holds_radiance(path)
+    return _assembled(
+        path, radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+    )
+
+
+def from_arrays(
+    picture: np.ndarray | Path,
+    mask: np.ndarray | Path | None = None,
+    regions: np.ndarray | Path | None = None,
+    balance: str | Sequence[float] = "none",
+    exposure: float | None = None,
+    name: str = "photograph",
+) -> Photograph:
+    """Return the Photograph of arrays, any of which may also be a file.
+
+    picture  (H, W, 3) uint8 display values in sRGB, or floats: linear radiance. (H, W, 4) has its
+             transparency as the fourth channel, 0 … 255 or 0 … 1
+    mask     (H, W) bool, uint8 with 255 on the object, or floats in [0, 1]; None: the transparency
+    regions  (H, W) whole numbers, one for each region, 0 in the background; None: one region
+    name     for messages
+    Raises   InputError
+    """
+    if isinstance(picture, Path):
+        radiance, alpha = photographs.read_pixels(picture)
+        name, linear = picture.name, photographs.holds_radiance(picture)
+    else:
+        radiance, alpha, linear = picture_arrays.read_picture(picture, name)
+    size, whole = radiance.shape[:2], None
+    if isinstance(regions, Path):
+        whole = photographs.read_labels(regions, size)
+    elif regions is not None:
+        whole = picture_arrays.read_regions(regions, size, name)
+    given = photographs.read_mask(mask, size) if isinstance(mask, Path) else mask
+    coverage = picture_arrays.read_coverage(given, whole, alpha, name)
+    labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
+    if whole is not None:
+        labels = whole * (coverage >= 0.5)
+        _require_pixels(labels, whole.max(), f"{name}: regions")
+        coverage = without_unlabelled(coverage, labels)
+    before_background = mask is not None or regions is not None
+    return _assembled(
+        Path(name), radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+    )
+
+
+def _assembled(
+    path: Path,
+    radiance: np.ndarray,
+    coverage: np.ndarray,
+    labels: np.ndarray,
+    alpha: np.ndarray,
+    balance: str | Sequence[float],
+    exposure: float | None,
+    before_background: bool,
+    linear: bool,
+) -> Photograph:
+    """Return a Photograph of what was read, its mask softened and its colours balanced."""
     if (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
-    before_background = bool(masks) or regions is not None
     factors = _balance(balance, radiance, coverage, before_background)
     photographs.exposure_of(radiance * factors, labels > 0, exposure, path)
-    linear = photographs.holds_radiance(path)
     own = alpha if before_background and (alpha < 1).any() else None
     return Photograph(
         path.stem,

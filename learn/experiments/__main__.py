@@ -27,7 +27,10 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     },
     "Editing": {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
+        "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
+        "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",
+        "relighting": "relight pictures, and put materials on other objects, against the truth",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
         "exposure": "measure the rule that estimates a photograph's exposure",
         "exposure-correction": "measure what re-rendering says of a photograph's exposure",

@@ -25,6 +25,7 @@ from learn.networks.compact import Compact, CompactWrapped
 from learn.networks.encoder_decoder import EncoderDecoder
 from learn.networks.paper import Paper
 from learn.networks.prediction import Coded, ThreeNetworks
+from learn.networks.pretrained import CompactPretrained
 from learn.networks.separate import Separate
 from manifests.errors import InputError
 from manifests.reading import decode
@@ -32,10 +33,12 @@ from manifests.training_runs import Part, Size
 from shaders.dsbrdf import SHAPE, SIZE
 
 NETWORKS: dict[str, type[Coded]] = {
-    network.name: network for network in (Compact, CompactWrapped, Paper, Separate, EncoderDecoder)
+    network.name: network
+    for network in (Compact, CompactWrapped, CompactPretrained, Paper, Separate, EncoderDecoder)
 }
 PARTS: tuple[Part, ...] = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
+HEADS = ("reflectance", "material", "illumination", "widen", "light")  # modules of Compact
 TRAINING_LABELS = "training_labels"  # a tensor beside the network's
 MOST_MATERIALS = 100_000
 LARGEST_IN_RANGE = 17.0  # LARGEST_LABEL of manifests.materials and the margin that Ranges.of adds
@@ -49,7 +52,9 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 class About(msgspec.Struct, frozen=True):
     """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
 
-    network: Literal["compact", "compact-wrapped", "paper", "separate", "encoder-decoder"]
+    network: Literal[
+        "compact", "compact-wrapped", "compact-pretrained", "paper", "separate", "encoder-decoder"
+    ]
     size: Size
     step: Natural | None = None
 
@@ -229,6 +234,25 @@ def fill(network: torch.nn.Module, stored: tensor_file.Stored, prefix: str = "")
     network.load_state_dict(
         {name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()}
     )
+
+
+def fill_heads(network: Coded, stored: tensor_file.Stored) -> None:
+    """Give a compact network the heads of material and light of another compact network's file.
+
+    The ranges of labels come with them, for the heads' codes are relative to these.
+    Raises InputError where either has no such heads, and as `fill`.
+    """
+    if not isinstance(network, Compact):
+        rule = "a run of a compact network, which has such heads"
+        raise InputError("heads", rule, f"'{network.name}'", "leave heads out of the run")
+    state = {
+        name: mine
+        for name, mine in network.state_dict().items()
+        if name.split(".")[0] in HEADS or name.startswith("label_")
+    }
+    stored.require({name: tuple(mine.shape) for name, mine in state.items()}, "these heads", False)
+    chosen = {name: stored.tensor(name).to(mine.dtype) for name, mine in state.items()}
+    network.load_state_dict(network.state_dict() | chosen)
 
 
 @contextlib.contextmanager

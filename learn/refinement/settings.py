@@ -51,7 +51,7 @@ class RefinementSettings:
     degree: int = 8
     trust_region: float = 0.3
     tolerance: float = 5e-3
-    outer_iterations: int = 3
+    outer_iterations: int = 2
     levels: tuple[Level, ...] = (
         Level(pixels=0, light=(32, 64), method="auto", rounds=1, iterations=6, joint_iterations=30),
         Level(pixels=0, light=(64, 128), method="auto", rounds=0, iterations=0, joint_iterations=8),

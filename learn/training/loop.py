@@ -27,6 +27,7 @@ from learn.data.sources import source_of
 from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded, Prediction
+from learn.networks.pretrained import CompactPretrained, encoder_weights
 from learn.training import checkpoints, losses, montage, processes, schedule, validation
 from learn.training.journal import Journal
 from manifests.errors import InputError
@@ -87,12 +88,8 @@ class Training:
             )
             self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
             self.seen = self.seen.joined(before)
-        elif run.start:
-            with tensor_file.opened(run.start) as stored:
-                weights.require_network(stored, self.network)
-                weights.fill(self.network, stored)
-                self.seen = self.seen.joined(of_metadata(stored.metadata, run.start))
-            self.average = _copies(self.network)
+        else:
+            self._begin()
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
         self.model: torch.nn.Module = self.network
         if self.world > 1:
@@ -169,6 +166,21 @@ class Training:
         network = self._new_network(self.network.ranges)
         network.load_state_dict(self.average)
         return network.eval()
+
+    def _begin(self) -> None:
+        """Give a new network what the run begins with: weights, or an encoder; and heads."""
+        if self.run.start is not None:
+            with tensor_file.opened(self.run.start) as stored:
+                weights.require_network(stored, self.network)
+                weights.fill(self.network, stored)
+                self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.start))
+        elif isinstance(self.network, CompactPretrained):
+            self.network.take_encoder(encoder_weights())
+        if self.run.heads is not None:
+            with tensor_file.opened(self.run.heads) as stored:
+                weights.fill_heads(self.network, stored)
+                self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.heads))
+        self.average = _copies(self.network)
 
     def _new_network(self, ranges: Ranges) -> Coded:
         network = weights.NETWORKS[self.run.network](ranges)

@@ -178,7 +178,7 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
         (["status", "nowhere"], "a data set", 1),
         (["verify", "nowhere"], "a data set", 1),
         (["preview", "nowhere"], "a data set", 1),
-        (["paint"], "invalid choice", 2),
+        (["paint"], "no command 'paint'", 2),
     ],
 )
 def test_wrong_usage_is_told_with_the_remedy(command, tmp_path, monkeypatch, words, says, status):

@@ -105,8 +105,7 @@ def test_views_of_the_first_shapes_are_made_before_the_last_one_is_read(
     stream, job, tmp_path, in_processes
 ):
     *_, last = written(tmp_path / "meshes", 4)
-    content = last.read_bytes()
-    last.unlink()
+    flag = tmp_path / "flag"
     job = msgspec.structs.replace(job, shapes=(*job.shapes, f"{last}"))
     made = []
 
@@ -114,22 +113,22 @@ def test_views_of_the_first_shapes_are_made_before_the_last_one_is_read(
         if event == "made":
             made.append(value)
             if len(made) == 6:
-                last.write_bytes(content)
+                flag.touch()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{_waiting_reader(tmp_path, last)}{os.pathsep}{ROOT}")
+        patch.setenv("PYTHONPATH", f"{_waiting_reader(tmp_path, last, flag)}{os.pathsep}{ROOT}")
         outcome = stream(job, tmp_path / "data", watch, workers=2)
     assert (outcome.made, outcome.failed) == (8, 0)
 
 
-def _waiting_reader(folder, path):
-    """Return a folder for PYTHONPATH with which Python waits for a file before it reads a mesh."""
+def _waiting_reader(folder, path, flag):
+    """Return a folder for PYTHONPATH with which Python waits for a flag before it reads a mesh."""
     (folder / "sitecustomize.py").write_text(
         "import sys, time, pathlib\n"
         "import factory.planning.shape_names as names\n"
         "load = names.load_mesh\n"
         "def load_mesh(source):\n"
-        f"    while source.place == {str(path)!r} and not pathlib.Path(source.place).exists():\n"
+        f"    while source.place == {str(path)!r} and not pathlib.Path({str(flag)!r}).exists():\n"
         "        time.sleep(0.01)\n"
         "    return load(source)\n"
         "names.load_mesh = load_mesh\n"

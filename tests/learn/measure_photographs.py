@@ -7,6 +7,8 @@ about what a picture shows, written by hand, are read from judged.json beside th
 {name: sentence}. Run it:
 
 PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine] [--weights FILE]
+
+OUT also gets hero.jpg, the README's picture: the photograph `example:espresso-cup` and two edits.
 """
 
 import argparse
@@ -17,8 +19,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import torch
 
+import brdfactory as bf
 from learn.commands.options import EDITING_WEIGHTS
 from learn.editing import decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
@@ -93,6 +97,19 @@ def page(rows, credits, judged, about):
     return html.page("Edited photographs", body, "img{max-width:100%}")
 
 
+def hero(path, weights_path, refine):
+    """Write the README's picture: a photograph and two edits side by side."""
+    parts = bf.decompose("example:espresso-cup", weights=weights_path, refine=refine)
+    pictures = [
+        tone.display(parts.photograph.radiance, 1.0),
+        parts.paint("dark-blue-paint", None).display,
+        parts.paint("gold-metallic-paint3", "dark-blue-paint").display,
+    ]
+    gap = np.full((len(pictures[0]), 8, 3), 255.0)
+    row = [part for picture in pictures for part in (gap, picture)][1:]
+    files.write_image(path, montage.eight_bit(np.concatenate(row, 1)), "JPEG")
+
+
 def main(arguments):
     """Write index.html, report.json and a row for each photograph into the folder OUT."""
     torch.set_num_threads(1)
@@ -127,6 +144,7 @@ def main(arguments):
         files.write_image(rows[name], sheet, "JPEG")
         files.write_json(report, about | {"seconds": seconds, "made": provenance(command)})
         print(f"{name}: {seconds[name]:.1f} s", flush=True)
+    hero(arguments.out / "hero.jpg", arguments.weights, settings is not None)
     judged = FOLDER / "judged.json"
     sentences = json.loads(judged.read_text()) if judged.is_file() else {}
     about |= {"made": provenance(command)}

@@ -1,5 +1,6 @@
 """Every experiment at its smallest size: its report, its page, and one relation that must hold."""
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -19,6 +20,7 @@ from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.training import allocator
 from manifests.cli import main
+from tests.support import ladder_rungs
 from tests.support.full_disk_case import RUN as SETTINGS
 from tests.support.synthetic import add_shape, matte, write_dataset
 from tests.support.two_materials import written
@@ -88,6 +90,15 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             <= r["settings"]["outer_iterations=1"]["image"][0]
         ),
     ),
+    "outer-iterations": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1"
+        " --outer-iterations 1 2",
+        lambda r: (
+            [row["number"] for row in r["rows"]] == 2 * [1, 2]
+            and len({row["predicted"]["edit_l2"] for row in r["rows"][:2]}) == 1
+            and len({row["refined"]["edit_l2"] for row in r["rows"][:2]}) == 2
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
@@ -96,6 +107,21 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         "--data {room}/tiers --pictures 1",
         # both tiers of this data set show the same picture, and there is no third one
         lambda r: r["rows"][0]["direct"] == 0 and r["rows"][0]["shadow"] is None,
+    ),
+    "relighting": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --pictures 1",
+        lambda r: (
+            [row["task"] for row in r["rows"]] == 2 * ["relighting", "transfer"]
+            and all(row["l2"]["true"] < row["l2"]["predicted"] for row in r["rows"])
+        ),
+    ),
+    "mitsuba-comparison": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1 --longer 1",
+        lambda r: (
+            r["rows"][0]["begun"]["edit"]
+            == pytest.approx(r["rows"][0]["predicted"]["edit"], rel=0.01)
+            and 0 < r["rows"][0]["mitsuba"]["steps"] <= r["rows"][0]["longer"]["steps"]
+        ),
     ),
     "upsampling": (
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
@@ -129,6 +155,7 @@ def room(tmp_path_factory):
             add_shape(store, "cube:1", "test")
     written(room / "exposed")
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
+    ladder_rungs.written(room / "ladder", SIZE)
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
@@ -164,6 +191,8 @@ def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
     name, room, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(auto_calibration, "SHARPNESS", (0.5, 32.0))
+    if name == "mitsuba-comparison" and importlib.util.find_spec("mitsuba") is None:
+        pytest.skip("mitsuba is not installed: pip install .[witness]")
     words, holds = SMALLEST[name]
     out = tmp_path / "out"
     assert run(name, words.format(room=room), out) == 0, capsys.readouterr().err
@@ -186,6 +215,15 @@ def test_a_name_that_is_not_known_is_a_line_with_the_known_ones(tmp_path, capsys
     assert "did you mean lamps" in capsys.readouterr().err
 
 
+def test_the_comparison_without_mitsuba_is_a_line_with_the_remedy(
+    room, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    words = f"--data {room}/ladder --weights {room}/weights.safetensors"
+    assert run("mitsuba-comparison", words, tmp_path / "out") == 1
+    assert "pip install .[witness]" in capsys.readouterr().err
+
+
 def test_a_line_through_exposures_leaves_out_draws_of_one_picture():
     """Otherwise the interval of few pictures is not a number."""
     Y, X = np.array([0.2, 0.5]), np.array([3.0, 1.0])
@@ -201,10 +239,13 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
     assert "expected a folder" in capsys.readouterr().err
 
 
-REPORTS = {"normals-ablation-128": "normals-ablation", "normals-ablation-256": "normals-ablation"}
+REPORTS = {
+    "normals-ablation-128": "normals-ablation",
+    "normals-ablation-256": "normals-ablation",
+    "relighting-general-compact": "relighting",
+}
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
-    "clipped-highlights",  # it has not been run to its end
 }
 
 
@@ -221,9 +262,9 @@ def test_memory_is_kept_when_a_command_runs_and_not_for_help(program, monkeypatc
     made = []
     monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
     name = program.__name__.removesuffix(".__main__")
-    for words in (["--help"], ["nothing"]):
-        with pytest.raises(SystemExit):
-            main(name, "", program.COMMANDS, words, prepare=program.prepare)
+    with pytest.raises(SystemExit):
+        main(name, "", program.COMMANDS, ["--help"], prepare=program.prepare)
+    assert main(name, "", program.COMMANDS, ["nothing"], prepare=program.prepare) == 2
     assert not made
     words = ["evaluate-network", "none", "--data", "none", "--out", "none"]
     if program is learn.experiments.__main__:

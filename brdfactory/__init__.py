@@ -1,0 +1,77 @@
+"""Material editing from one photograph, and the data factory and layer that it is made of.
+
+    import brdfactory as bf
+
+    edited = bf.edit("photo.jpg", "mask.png", material="brass")
+    edited.save("brass.png")
+    edited.decomposition.paint("red-fabric").save("fabric.png")
+
+Pictures and masks are paths or arrays; results are arrays, and nothing is written unless `save` is
+called. Importing this package is quick: torch and Blender are loaded by the first call that needs
+them.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from brdfactory.datasets import generate, load_job
+    from brdfactory.editing import Decomposition, EditedPicture, Picture, decompose, edit
+    from brdfactory.materials import Material, blend, material
+    from brdfactory.rendering import light, render
+    from learn.data.records import Records
+    from learn.layer import RenderLayer
+    from manifests.errors import InputError
+    from manifests.schema import Job
+
+# name → the module that has it
+_HOMES = {
+    "edit": "brdfactory.editing",
+    "decompose": "brdfactory.editing",
+    "Decomposition": "brdfactory.editing",
+    "EditedPicture": "brdfactory.editing",
+    "Picture": "brdfactory.editing",
+    "material": "brdfactory.materials",
+    "blend": "brdfactory.materials",
+    "Material": "brdfactory.materials",
+    "light": "brdfactory.rendering",
+    "render": "brdfactory.rendering",
+    "RenderLayer": "learn.layer",
+    "Records": "learn.data.records",
+    "Job": "manifests.schema",
+    "load_job": "brdfactory.datasets",
+    "generate": "brdfactory.datasets",
+    "InputError": "manifests.errors",
+}
+
+__all__ = [
+    "Decomposition",
+    "EditedPicture",
+    "InputError",
+    "Job",
+    "Material",
+    "Picture",
+    "Records",
+    "RenderLayer",
+    "blend",
+    "decompose",
+    "edit",
+    "generate",
+    "light",
+    "load_job",
+    "material",
+    "render",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what has this name, the first time that it is used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'brdfactory' has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

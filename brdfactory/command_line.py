@@ -1,0 +1,103 @@
+"""The commands of `brdfactory`: those of `factory` and `learn`, in groups by what people want."""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+
+from manifests import cli
+
+DESCRIPTION = (
+    "Changes the material of an object in a photograph, and makes the data sets and networks that"
+    " this needs."
+)
+# group → {command: the package that has it}
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "edit a photograph": dict.fromkeys(("edit", "predict", "transfer"), "learn"),
+    "make a data set": dict.fromkeys(
+        ("plan", "render", "status", "verify", "preview", "export"), "factory"
+    ),
+    "look through materials, shapes and lights": dict.fromkeys(
+        ("materials", "shapes", "lights"), "factory"
+    ),
+    "train, and compare the two renderers": dict.fromkeys(
+        ("train", "train-baselines", "evaluate", "evaluate-network", "evaluate-ladder", "agree"),
+        "learn",
+    ),
+    "this program": {"completion": "brdfactory"},
+}
+COMMANDS = {command: package for group in GROUPS.values() for command, package in group.items()}
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command that the arguments name and return its exit status; None: the process's."""
+    return cli.main(
+        "brdfactory",
+        DESCRIPTION,
+        {command: partial(_register, command) for command in COMMANDS},
+        arguments,
+        prepare=_prepare,
+        prog="brdfactory",
+        groups={title: tuple(group) for title, group in GROUPS.items()},
+        version=_version(),
+    )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands, for completion and for documents."""
+    result = argparse.ArgumentParser(prog="brdfactory", description=DESCRIPTION)
+    subparsers = result.add_subparsers(required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        _register(command, subparsers)
+    return result
+
+
+def _register(command: str, subparsers: argparse._SubParsersAction) -> None:
+    """Add a command's parser; its module is imported now."""
+    if command == "completion":
+        _register_completion(subparsers)
+        return
+    module = f"{COMMANDS[command]}.commands.{command.replace('-', '_')}"
+    register: Callable[[argparse._SubParsersAction], None] = importlib.import_module(
+        module
+    ).register
+    register(subparsers)
+
+
+def _register_completion(subparsers: argparse._SubParsersAction) -> None:
+    """Add the parser of `completion`."""
+    added = subparsers.add_parser(
+        "completion",
+        help="print a script that completes commands and options in your shell",
+        description=(
+            "Prints a script by which a shell completes the commands and options of brdfactory."
+            ' Example for bash: eval "$(brdfactory completion bash)"'
+        ),
+    )
+    added.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
+    added.set_defaults(run=_complete)
+
+
+def _complete(arguments: argparse.Namespace) -> None:
+    """Print the script."""
+    import shtab
+
+    print(shtab.complete(parser(), arguments.shell))
+
+
+def _prepare() -> None:
+    """Do what `python -m learn` does before its commands, if the command is one of its."""
+    if any(name.startswith("learn.commands.") for name in sys.modules):
+        from learn.__main__ import prepare
+
+        prepare()
+
+
+def _version() -> str:
+    """Return the installed version, and "from a source tree" where nothing is installed."""
+    try:
+        return version("brdfactory")
+    except PackageNotFoundError:
+        return "from a source tree"

@@ -1,0 +1,76 @@
+"""Data sets from Python: a job in, records on disk out."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from manifests.errors import InputError
+
+if TYPE_CHECKING:
+    from manifests.schema import Job
+
+
+def load_job(job: "str | Path | Mapping[str, Any] | Job") -> "Job":
+    """Return a Job: of a preset's name, a JSON file, a dict of its keys, or a Job itself.
+
+    Raises InputError for unknown keys and values out of range.
+    """
+    return _job_and_folder(job)[0]
+
+
+def generate(
+    job: "str | Path | Mapping[str, Any] | Job",
+    out: str | Path,
+    *,
+    workers: int = 1,
+    limit: int | None = None,
+    lights: str | Path | None = None,
+    progress: bool = True,
+) -> dict[str, int]:
+    """Render a job into the data set's folder `out`; return how many pictures were made.
+
+    The result is {"made", "already_there", "failed"}.
+    What the folder holds already is not rendered again, so that a stopped job continues.
+
+    workers   number of processes
+    limit     the largest number of pictures in this run, None: all
+    lights    a folder of light maps, or None
+    progress  whether a progress bar is shown
+    Raises    InputError; OSError (full disk), after which everything written before is intact
+    """
+    from factory.commands.render import Progress
+    from factory.execution.run import RunOptions, carry_out, planned
+    from factory.planning.assets import opened
+
+    if workers < 1:
+        raise InputError("generate: workers", "1 or more", f"{workers}", "2 suits two cores")
+    loaded, folder = _job_and_folder(job)
+    library = None if lights is None else str(lights)
+    plan = planned(loaded, opened(loaded, folder, library))
+    options = RunOptions(workers=workers, limit=limit, library=library)
+    if progress:
+        with Progress(limit, "picture" if loaded.pictures else "view") as bar:
+            outcome = carry_out(plan, out, options, bar)
+    else:
+        outcome = carry_out(plan, out, options)
+    return {
+        "made": outcome.made,
+        "already_there": outcome.already_there,
+        "failed": outcome.failed,
+    }
+
+
+def _job_and_folder(
+    job: "str | Path | Mapping[str, Any] | Job",
+) -> "tuple[Job, str | Path | None]":
+    import msgspec
+
+    from factory.planning import jobs
+    from manifests.reading import decode
+    from manifests.schema import Job
+
+    if isinstance(job, Job):
+        return job, None
+    if isinstance(job, Mapping):
+        return decode(msgspec.json.encode(dict(job)), Job, "job"), None
+    return jobs.load(str(job))

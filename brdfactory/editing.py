@@ -1,0 +1,298 @@
+"""Editing a photograph from Python: decompose it once, then paint its object in any material."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TypedDict, Unpack
+
+import numpy as np
+import torch
+
+from brdfactory import rendering
+from brdfactory.materials import Material, material
+from learn.commands.options import EDITING_WEIGHTS, weights_file
+from learn.data.devices import array
+from learn.editing import decomposition as decomposing
+from learn.editing import drawing, photograph
+from learn.editing.compositor import Compositor
+from learn.editing.photograph import Photograph
+from learn.figures.montage import eight_bit
+from learn.layer import predictions
+from learn.metrics.pictures import display_l2
+from learn.networks import weights as checkpoint
+from learn.networks.prediction import Coded
+from learn.refinement import RefinementSettings
+from manifests import files
+from manifests.errors import InputError
+from shaders import tone
+
+Drawn = str | np.ndarray | Material
+PictureSource = str | Path | np.ndarray
+KEPT = 0.25  # of the fine shading, as `learn edit --detail`
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture.
+
+    linear    (H, W, 3) float32 radiance, as the photograph has it
+    exposure  under which it is shown; 1 for a photograph
+    opacity   (H, W) in [0, 1], or None where it is opaque
+    """
+
+    linear: np.ndarray
+    exposure: float = 1.0
+    opacity: np.ndarray | None = None
+
+    @property
+    def display(self) -> np.ndarray:
+        """Display values (H, W, 3) uint8; (H, W, 4) where it is partly transparent."""
+        values = tone.display(self.linear, self.exposure)
+        if self.opacity is not None:
+            values = np.concatenate([values, 255.0 * self.opacity[..., None]], -1)
+        return eight_bit(values)
+
+    def save(self, path: str | Path) -> Path:
+        """Write a PNG, or an EXR of the radiance, by the path's ending; return the path.
+
+        Raises  InputError for another ending; OSError
+        """
+        path = Path(path)
+        kind = path.suffix.lower()
+        if kind not in (".png", ".exr"):
+            raise InputError(
+                path, "a file ending in .png or .exr", kind or "no ending", "rename it"
+            )
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if kind == ".exr":
+            from learn.data import photographs
+
+            photographs.write_exr(path, self.linear)
+        else:
+            files.write_image(path, self.display, "PNG")
+        return path
+
+
+@dataclass(frozen=True)
+class EditedPicture(Picture):
+    """A photograph with its object in another material, and what the edit was made from."""
+
+    decomposition: "Decomposition | None" = None
+    material: Material | None = None
+
+
+class Decomposition:
+    """A photograph's normals, light and material, in which its object can be painted again.
+
+    photograph, computed  as learn.editing has them
+    detail                share of the photograph's fine shading that edits keep
+    """
+
+    def __init__(self, photograph: Photograph, computed: decomposing.Decomposition, detail: float):
+        self.photograph, self.computed = photograph, computed
+        self._compositor = Compositor(computed, predictions.SHOWN.tolerance, detail)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Unit normals (h, w, 3), camera frame, at the network's size; 0 outside the object."""
+        n = array(self.computed.parts.n[0].movedim(0, -1))
+        return n * self.computed.framed.mask[..., None]
+
+    @property
+    def light(self) -> np.ndarray:
+        """The light (64, 128, 3), linear, of unit mean luminance, light frame."""
+        return array(self.computed.parts.light[0].movedim(0, -1))
+
+    @property
+    def materials(self) -> list[Material]:
+        """The material of each region."""
+        return [
+            material(label, f"region {number}")
+            for number, label in enumerate(self.computed.label, 1)
+        ]
+
+    @property
+    def material(self) -> Material:
+        """The material of an object of one region. Raises InputError for more regions."""
+        if len(self.computed.label) > 1:
+            result = f"{len(self.computed.label)} regions"
+            raise InputError("material", "an object of one region", result, "use materials")
+        return self.materials[0]
+
+    @cached_property
+    def rendering(self) -> Picture:
+        """The photograph with its object rendered again from its own parts."""
+        return self._picture(self._compositor.rendered_again())
+
+    @property
+    def error(self) -> float:
+        """Display L2 over the object between the photograph and its rendering."""
+        return display_l2(self.rendering.linear, self.photograph.radiance, self.photograph.mask)
+
+    def paint(self, *materials: Drawn | None) -> EditedPicture:
+        """Return the photograph with its object in another material.
+
+        materials  one for all regions, or one for each; None leaves a region as it is. Each is a
+                   name, an expression, a label or a Material, also a blend
+        Raises     InputError
+        """
+        count = len(self.computed.label)
+        if len(materials) not in (1, count):
+            rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
+            raise InputError("paint", rule, f"{len(materials)}", "None leaves a region as it is")
+        chosen = [None if m is None else material(m) for m in materials]
+        linear: np.ndarray | float = 0.0
+        for weight, labels in _weighted(chosen):
+            linear = linear + weight * self._compositor.edited(labels)
+        shown = self._picture(np.asarray(linear, np.float32))
+        single = chosen[0] if len(chosen) == 1 else None
+        return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
+
+    def relight(self, light: str | np.ndarray, *materials: Drawn | None) -> Picture:
+        """Return the object alone (its background is transparent) under another light.
+
+        light      as `brdfactory.light` takes or returns it
+        materials  as of `paint`; none: its own
+        Raises     InputError
+        """
+        L = rendering.light(light) if isinstance(light, str) else np.asarray(light, np.float32)
+        if L.shape != (64, 128, 3):
+            raise InputError(
+                "relight: light", "an array (64, 128, 3)", f"{L.shape}", "use bf.light"
+            )
+        own = self.computed.label
+        requested = list(materials) or [None]
+        requested = requested * len(own) if len(requested) == 1 else requested
+        if len(requested) != len(own):
+            raise InputError(
+                "relight", f"{len(own)} materials", f"{len(requested)}", "one a region"
+            )
+        chosen = [None if m is None else material(m) for m in requested]
+        linear: np.ndarray | float = 0.0
+        for weight, labels in _weighted(chosen):
+            label = np.stack(
+                [mine if new is None else new for mine, new in zip(own, labels, strict=True)]
+            )
+            linear = linear + weight * self._compositor.relit(label, L)
+        radiance = np.asarray(linear, np.float32)
+        exposure = tone.auto_exposure(radiance, self.photograph.mask)
+        return Picture(radiance, exposure, self.photograph.coverage)
+
+    def _picture(self, linear: np.ndarray) -> Picture:
+        return Picture(linear, drawing.exposure_of(self.photograph), self.photograph.opacity)
+
+
+class Options(TypedDict, total=False):
+    """Keywords of `decompose`, which `edit` takes as well."""
+
+    regions: PictureSource | None
+    refine: bool
+    detail: float
+    exposure: float | None
+    white_balance: str | Sequence[float]
+    weights: str | Path
+    device: str | torch.device
+
+
+def decompose(
+    photo: PictureSource,
+    mask: PictureSource | None = None,
+    *,
+    regions: PictureSource | None = None,
+    refine: bool = True,
+    detail: float = KEPT,
+    exposure: float | None = None,
+    white_balance: str | Sequence[float] = "none",
+    weights: str | Path = EDITING_WEIGHTS,
+    device: str | torch.device = "cpu",
+) -> Decomposition:
+    """Return the decomposition of a photograph into normals, light and material.
+
+    photo          a file; "example:espresso-cup"; or an array (H, W, 3 or 4): uint8 display values,
+                   or floats of linear radiance
+    mask           a file that is white on the object, or an array (H, W): bool, uint8, or floats in
+                   [0, 1]; None: the photograph's transparency
+    regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
+    refine         whether the prediction is refined until its rendering looks like the photograph
+    detail         share of the photograph's fine shading that edits keep, 0 to 1
+    exposure       factor from the photograph's radiance to the network's; None: estimated
+    white_balance  "none", "grey", or three factors
+    weights        a file, or the name of weights that come with the program
+    device         of the network and the layer
+    Raises         InputError
+    """
+    from learn.commands.editing_options import check, check_exposure
+
+    check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
+    check_exposure(exposure)
+    opened = _opened(photo, mask, regions, white_balance, exposure)
+    network, size = _network(str(weights_file(str(weights))), str(device))
+    settings = RefinementSettings() if refine else None
+    return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
+
+
+def edit(
+    photo: PictureSource,
+    mask: PictureSource | None = None,
+    material: Drawn | Sequence[Drawn | None] = "brass",
+    **options: Unpack[Options],
+) -> EditedPicture:
+    """Return a photograph with its object in another material.
+
+    photo, mask, options  as `decompose` takes them
+    material              one, or a list with one for each region; as `Decomposition.paint` has them
+    Raises                InputError
+    """
+    one = isinstance(material, str | np.ndarray | Material)
+    drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]
+    return decompose(photo, mask, **options).paint(*drawn)
+
+
+def _opened(
+    photo: PictureSource,
+    mask: PictureSource | None,
+    regions: PictureSource | None,
+    balance: str | Sequence[float],
+    exposure: float | None,
+) -> Photograph:
+    """Return the Photograph of files or of arrays."""
+    if not any(isinstance(given, np.ndarray) for given in (photo, mask, regions)):
+        masks = [] if mask is None else [Path(str(mask))]
+        return photograph.opened(
+            str(photo), masks, None if regions is None else Path(str(regions)), balance, exposure
+        )
+    files_or_arrays = [
+        given if given is None or isinstance(given, np.ndarray) else Path(str(given))
+        for given in (photo, mask, regions)
+    ]
+    picture, covered, parted = files_or_arrays
+    if picture is None:
+        raise InputError("photo", "a file or an array", "None", "give the photograph")
+    if isinstance(picture, Path):
+        picture = photograph.example(picture, [], None)[0]
+    return photograph.from_arrays(picture, covered, parted, balance, exposure)
+
+
+@lru_cache(maxsize=2)
+def _network(path: str, device: str) -> tuple[Coded, int]:
+    """Return a network and its pictures' size; the last two stay in memory."""
+    network, metadata = checkpoint.load_parts(path, device)
+    return network, metadata["size"]
+
+
+def _weighted(
+    chosen: Sequence[Material | None],
+) -> list[tuple[float, list[np.ndarray | None]]]:
+    """Return (weight, label of each region or None) whose weighted pictures sum to the edit.
+
+    Regions are blended independently of each other: every combination of their parts counts with
+    the product of its weights.
+    """
+    result: list[tuple[float, list[np.ndarray | None]]] = [(1.0, [])]
+    for each in chosen:
+        parts: Sequence[tuple[float, np.ndarray | None]] = (
+            ((1.0, None),) if each is None else each.parts
+        )
+        result = [(w * v, [*labels, label]) for w, labels in result for v, label in parts]
+    return result

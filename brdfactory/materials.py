@@ -1,0 +1,87 @@
+"""Materials: names, expressions, labels, and exact blends of them.
+
+label  (108,) float32 natural logarithms of κ and γ control values, docs/materials.md
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from learn.editing import targets
+from manifests.errors import InputError
+from shaders.dsbrdf import SIZE
+
+PHOTOGRAPH = "give material(…).label of bf.decompose(photo, mask).materials[0] instead"
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material, or a blend of several.
+
+    name   for messages and files
+    parts  (weight, label (108,)) of each; the weights sum to 1
+
+    Radiance is linear in the reflectance, so a blend's picture is the weighted sum of its parts'
+    pictures, exactly.
+    """
+
+    name: str
+    parts: tuple[tuple[float, np.ndarray], ...]
+
+    @property
+    def label(self) -> np.ndarray:
+        """The label (108,) of a material that is no blend. Raises InputError for a blend."""
+        if len(self.parts) > 1:
+            rule = "one material, which has a label"
+            raise InputError(
+                f"material {self.name}", rule, f"a blend of {len(self.parts)}", "use its parts"
+            )
+        return self.parts[0][1]
+
+
+def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Material:
+    """Return a Material.
+
+    text    a name of the catalogue, an expression such as
+            "principled(base_color=#a03020, roughness=.35)", a material.json, a label (108,), or a
+            Material, which is returned as it is
+    name    for messages and files; "": the text itself
+    Raises  InputError: an unknown name (with the closest ones), a picture
+    """
+    if isinstance(text, Material):
+        return text
+    if isinstance(text, np.ndarray):
+        label = np.asarray(text, np.float32)
+        if label.shape != (SIZE,) or not np.isfinite(label).all():
+            rule, result = f"a label ({SIZE},) of finite numbers", f"shape {label.shape}"
+            raise InputError("material", rule, result, "bf.material('brass').label is one")
+        return Material(name or "label", ((1.0, label),))
+
+    def refuse(path: Path) -> np.ndarray:
+        rule = "a material's name, an expression, or a material.json"
+        raise InputError(f"material {path}", rule, "a picture", PHOTOGRAPH)
+
+    labels = targets.label_of(str(text), refuse)
+    if labels is None or len(labels) != 1:
+        result = "keep" if labels is None else f"{len(labels)} materials"
+        raise InputError(f"material {text}", "one material", result, "name one")
+    shown = name or re.sub(r"\s+", " ", str(text))
+    return Material(shown, ((1.0, np.asarray(labels[0], np.float32)),))
+
+
+def blend(
+    first: str | np.ndarray | Material, second: str | np.ndarray | Material, share: float = 0.5
+) -> Material:
+    """Return a blend that has the share `share` of the second material, from 0 to 1.
+
+    Raises InputError for another share, and as `material`.
+    """
+    if not 0 <= share <= 1:
+        raise InputError("blend: share", "a number from 0 to 1", f"{share:g}", "0.5 is half each")
+    a, b = material(first), material(second)
+    weighted = [(w * (1 - share), m) for w, m in a.parts] + [(w * share, m) for w, m in b.parts]
+    return Material(
+        f"{a.name} and {b.name}, {share:.0%}", tuple((w, m) for w, m in weighted if w > 0)
+    )

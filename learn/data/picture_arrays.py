@@ -1,0 +1,103 @@
+"""Pictures, masks and regions that come as arrays instead of files.
+
+What they mean follows from their type: whole numbers are display values, as a file of 8 bits has
+them, and floats are linear radiance, as an EXR has it. Results are those of learn.data.photographs.
+"""
+
+import numpy as np
+
+from learn.data.photographs import (
+    LARGEST_RADIANCE,
+    MASK_REMEDY,
+    MOST_PIXELS,
+    MOST_REGIONS,
+    require_object,
+)
+from manifests.errors import InputError
+from shaders import tone
+
+
+def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return radiance (H, W, 3) float32, alpha (H, W) and whether the array held radiance.
+
+    picture  (H, W, 3) or, with transparency, (H, W, 4): uint8, or floats of which the fourth
+             channel is in [0, 1]
+    where    what errors call it
+    Raises   InputError
+    """
+    values = np.asarray(picture)
+    rule = "an array (H, W, 3) or (H, W, 4), of uint8 display values or of floats"
+    result = f"{values.dtype} of shape {values.shape}"
+    shaped = values.ndim == 3 and values.shape[2] in (3, 4) and values.size > 0
+    linear = values.dtype.kind == "f"
+    if not shaped or not (linear or values.dtype == np.uint8):
+        remedy = "convert it: numpy.asarray(PIL.Image.open(FILE).convert('RGB'))"
+        raise InputError(where, rule, result, remedy)
+    if values.shape[0] * values.shape[1] > MOST_PIXELS:
+        rule = f"at most {MOST_PIXELS // 10**6} million pixels"
+        raise InputError(where, rule, f"{values.shape[1]} × {values.shape[0]}", "make it smaller")
+    if linear:
+        values = values.astype(np.float32)
+        if not (values.min() >= 0 and values.max() <= LARGEST_RADIANCE):
+            rule = f"radiance from 0 to {LARGEST_RADIANCE:g}"
+            result = f"{values.min():g} to {values.max():g}"
+            raise InputError(where, rule, result, "check for NaN, infinity and negative values")
+        radiance, alpha = values[..., :3], values[..., 3:].clip(0, 1)
+    else:
+        table = tone.linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+        radiance, alpha = table[values[..., :3]], values[..., 3:].astype(np.float32) / 255
+    if not alpha.size:
+        return radiance, np.ones(radiance.shape[:2], np.float32), linear
+    return np.ascontiguousarray(radiance), alpha[..., 0], linear
+
+
+def read_coverage(
+    mask: np.ndarray | None,
+    regions: np.ndarray | None,
+    alpha: np.ndarray,
+    where: str,
+) -> np.ndarray:
+    """Return the coverage (H, W) float32 in [0, 1] of an object.
+
+    mask     (H, W) bool, uint8 with 255 on the object, or floats in [0, 1]; None: the transparency
+    regions  as `read_regions` returns them, or None: without a mask and transparency the object is
+             all its regions
+    alpha    (H, W) of the picture
+    Raises   InputError
+    """
+    if mask is None and not (alpha < 0.5).any():
+        if regions is None:
+            rule = "a mask, or transparency around the object"
+            raise InputError(where, rule, "neither", MASK_REMEDY.replace("--mask FILE", "a mask"))
+        coverage = (regions > 0).astype(np.float32)
+    elif mask is None:
+        coverage = alpha
+    else:
+        coverage = _shares(np.asarray(mask), alpha.shape, f"{where}: mask")
+    require_object(where if mask is None else f"{where}: mask", coverage)
+    return coverage
+
+
+def read_regions(regions: np.ndarray, size: tuple[int, ...], where: str) -> np.ndarray:
+    """Return regions (H, W) uint8: 0 background, 1 … S by rising value. Raises InputError."""
+    values = np.asarray(regions)
+    if values.dtype.kind not in "biu" or values.shape != tuple(size):
+        rule = f"an array {tuple(size)} of whole numbers, one for each region"
+        result = f"{values.dtype} of shape {values.shape}"
+        raise InputError(f"{where}: regions", rule, result, "0 is background")
+    levels = [level for level in np.unique(values) if level != 0]
+    if not 1 <= len(levels) <= MOST_REGIONS:
+        rule = f"1 to {MOST_REGIONS} values besides 0"
+        raise InputError(f"{where}: regions", rule, f"{len(levels)}", "0 is background")
+    return np.searchsorted([0, *levels], values).astype(np.uint8)
+
+
+def _shares(mask, size, where):
+    """A mask's coverage (H, W) float32."""
+    rule = f"an array {tuple(size)} of bool, of uint8, or of floats from 0 to 1"
+    remedy = "it must have the picture's height and width"
+    if mask.shape != tuple(size) or (mask.dtype.kind not in "bf" and mask.dtype != np.uint8):
+        raise InputError(where, rule, f"{mask.dtype} of shape {mask.shape}", remedy)
+    if mask.dtype.kind == "f" and not (mask.min() >= 0 and mask.max() <= 1):
+        raise InputError(where, rule, f"{mask.min():g} to {mask.max():g}", "divide it by 255")
+    return mask.astype(np.float32) / (255 if mask.dtype == np.uint8 else 1)

@@ -1,0 +1,352 @@
+"""A web page to edit a photograph in, as one file that needs neither a server nor a network.
+
+The page holds the photograph, its object's normals and coverage, and the reflectance maps of every
+material under some lights (learn.editing.reflectance_store). A shader looks radiance up by normal
+and composes the picture as learn.editing.compositor does; without WebGL 2 the same is done in
+JavaScript. Blends of two materials are exact, because radiance is linear in the BRDF.
+
+The page differs from `learn edit` in these points:
+
+- A photograph larger than LONGEST is reduced to that. One normal is looked up for each pixel, also
+  where the compositor renders several and averages them, for objects under 256 pixels.
+- The background behind the object is as bright as white at most.
+- Under another light than the photograph's own the background remains as it is, or is hidden. The
+  other lights have unit mean luminance and the photograph's exposure, and the photograph's fine
+  shading, which belongs to its own light, is left out.
+- The viewer is distant, as for all edits.
+
+Data are chunks, each compressed by zlib, one after the other, as base64. Arrays are stored as
+differences between neighbours, modulo 2^8 or 2^16, in the order of the header's "arrays".
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from PIL import Image
+from tqdm import tqdm
+
+from learn.data import lights as light_maps
+from learn.data import photographs
+from learn.data.devices import array
+from learn.editing import drawing, reflectance_store, targets
+from learn.editing.compositor import CLEAR, LARGEST_DETAIL, Compositor, nearest
+from learn.figures import html, montage, spheres
+from manifests.errors import InputError
+from manifests.material_words import ALIKE
+from manifests.materials import load_catalogue
+from shaders import tone
+
+if TYPE_CHECKING:
+    from learn.editing.edit import EditOptions, EditResult
+
+NAME = "interactive.html"
+FOLDER = Path(__file__).parent / "interactive_page"
+LONGEST = 1024  # pixels of the photograph's longer side
+LARGEST_FILE = 15_000_000  # bytes
+SMALL = 160  # pixels of the pictures of the decomposition
+# normals at which a map is compared with the layer; highlights of sharp materials are a few pixels
+CHECKED, CHECKED_OTHER = 512, 192
+FINEST_OTHER = 64  # intervals of maps under lights that are not the photograph's own
+MEASURED = {
+    "blender_city": "City square",
+    "blender_sunset": "Sunset",
+    "blender_interior": "Hotel interior",
+}
+MEASURED_FILE = Path(light_maps.__file__).parents[2] / "manifests" / "measured-lights" / "maps.npz"
+# everyday words by which people look for a family
+FAMILY_WORDS = {
+    "fabric": "cloth textile soft",
+    "metal": "metallic shiny steel",
+    "metallic paint": "car lacquer glitter",
+    "paint": "painted lacquer",
+    "plastic": "synthetic toy",
+    "phenolic": "plastic bakelite billiard glossy",
+    "rubber": "soft elastic",
+    "wood": "wooden timber furniture varnish",
+    "stone and ceramic": "ceramic mineral rock porcelain",
+    "paper": "card matte",
+    "colour-changing paint": "color iridescent pearl car",
+    "vinyl wrap": "foil car film",
+}
+
+
+class Chunks:
+    """Compressed data, one after the other."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def add(self, data: bytes) -> tuple[int, int]:
+        """Append data, and return where they begin and how many bytes they take."""
+        packed = zlib.compress(data, 9)
+        self.data += packed
+        return len(self.data) - len(packed), len(packed)
+
+
+def page(result: "EditResult", edit_options: "EditOptions") -> str:
+    """Return the page of an EditResult, and show progress.
+
+    Raises  InputError: it is larger than LARGEST_FILE
+    """
+    decomposed = result.decomposition
+    compositor = Compositor(decomposed, edit_options.tolerance, edit_options.detail)
+    chunks = Chunks()
+    header = {
+        "title": decomposed.photograph.name,
+        "detail": edit_options.detail,
+        "largestDetail": LARGEST_DETAIL,
+        "cutOut": decomposed.photograph.cut_out,
+        "regions": decomposed.photograph.count,
+        "steps": reflectance_store.STEPS,
+        "bend": reflectance_store.BEND,
+    }
+    header |= picture_data(compositor, chunks)
+    materials = materials_of(result)
+    header["materials"] = [
+        {key: value for key, value in material.items() if key != "label"} for material in materials
+    ]
+    header["chosen"] = chosen_materials(result, materials)
+    labels = [material["label"] for material in materials]
+    lights = lights_of(decomposed.parts.light)
+    with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
+        header["lights"] = [
+            {"name": name}
+            | light_data(labels, scene_of(compositor, L, own=number == 0), chunks, progress)
+            for number, (name, L) in enumerate(lights.items())
+        ]
+    header["parts"] = [
+        {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
+        for caption, picture in parts_of(result)
+    ]
+    result_page = assembled(header, chunks)
+    if len(result_page.encode()) > LARGEST_FILE:
+        size = f"{len(result_page) / 1e6:.1f} MB"
+        raise InputError(
+            "--interactive",
+            f"a page of at most {LARGEST_FILE / 1e6:g} MB",
+            size,
+            "reduce the photograph",
+        )
+    return result_page
+
+
+def light_data(
+    labels: Sequence[np.ndarray], scene: reflectance_store.Scene, chunks: Chunks, progress: tqdm
+) -> dict:
+    """Add the reflectance maps of labels under one light; return their header."""
+    sides, errors, codes = [], [], []
+    for label in labels:
+        values, error = reflectance_store.values_of(label, scene)
+        sides.append(len(values) - 5)
+        errors.append(round(error, 2))
+        codes.append(differences(reflectance_store.codes_of(values), 2).ravel())
+        progress.update()
+    picture = montage.light_picture(array(scene.light[0].movedim(0, -1)))
+    return {
+        "sides": sides,
+        "errors": errors,
+        "data": chunks.add(split_bytes(np.concatenate(codes))),
+        "picture": html.encoded_picture(picture[:: len(picture) // 32, :: len(picture) // 32]),
+    }
+
+
+def differences(values: np.ndarray, axes: int) -> np.ndarray:
+    """Return an array (H, W, C) of whole numbers as differences between neighbours.
+
+    axes  1: along columns; 2: along rows as well. Differences are modulo the type's range
+    """
+    result = np.diff(values, axis=1, prepend=values.dtype.type(0))
+    if axes == 2:
+        result = np.diff(result, axis=0, prepend=values.dtype.type(0))
+    return result
+
+
+def split_bytes(values: np.ndarray) -> bytes:
+    """Return uint16 differences as their low bytes, then their high ones.
+
+    Small differences of either sign have a high byte of 0: the sign is the lowest bit.
+    """
+    signed = values.astype(np.uint16).view(np.int16).astype(np.int32)
+    zigzag = ((signed << 1) ^ (signed >> 15)).astype(np.uint16)
+    return (zigzag & 255).astype(np.uint8).tobytes() + (zigzag >> 8).astype(np.uint8).tobytes()
+
+
+def picture_data(compositor: Compositor, chunks: Chunks) -> dict:
+    """Add the photograph, coverage, regions, fine shading and normals; return their header."""
+    decomposed = compositor.decomposition
+    opened, box = decomposed.photograph, decomposed.framed.box
+    height, width = opened.mask.shape
+    scale = min(1.0, LONGEST / max(height, width))
+    size = max(1, round(height * scale)), max(1, round(width * scale))
+    exposure = drawing.exposure_of(opened)
+
+    def small(picture: np.ndarray) -> np.ndarray:
+        return reduced(montage.eight_bit(picture), size)
+
+    frame = np.zeros((height, width), np.float32)
+    coverage = photographs.put_back(frame, compositor.coverage, box)
+    regions = photographs.put_back(frame.astype(np.uint8), compositor.filled, box)
+    cut = photographs.placed(opened.radiance, box)
+    soft = (compositor.coverage > 0) & (compositor.coverage < 1 - CLEAR)
+    if not opened.cut_out:
+        behind = np.where(soft[..., None], nearest(cut, compositor.coverage < CLEAR), cut)
+        cut = behind.astype(np.float32)
+    behind = small(tone.display(photographs.put_back(opened.radiance, cut, box), exposure))
+    photo = small(tone.display(opened.radiance, exposure))
+    fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
+    fine = photographs.put_back(
+        np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box
+    )
+    rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
+    columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
+    planes = [
+        photo,
+        behind - photo,  # modulo 256: 0 but along the edge
+        small(255 * coverage[..., None]),
+        regions[rows][:, columns][..., None],
+        small(fine),
+    ]
+    if opened.opacity is not None:
+        planes.append(small(255 * opened.opacity[..., None]))
+    n = array(decomposed.parts.n[0].movedim(0, -1))
+    filled = nearest(n, decomposed.framed.mask)
+    normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
+    return {
+        "height": size[0],
+        "width": size[1],
+        "box": [float(x * side) for x, side in zip(box, (scale, scale, scale), strict=True)],
+        "planes": [plane.shape[-1] for plane in planes],
+        "pictureData": chunks.add(
+            b"".join(differences(plane, 1).astype(np.uint8).tobytes() for plane in planes)
+        ),
+        "normalsSize": len(n),
+        "normalsData": chunks.add(split_bytes(differences(normals, 2).ravel())),
+    }
+
+
+def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a picture (H, W, C) uint8 averaged to a size (height, width)."""
+    if picture.shape[:2] == size:
+        return picture
+    planes = [
+        np.asarray(Image.fromarray(plane).resize(size[::-1], Image.Resampling.BOX))
+        for plane in np.moveaxis(picture, -1, 0)
+    ]
+    return np.stack(planes, -1)
+
+
+def scene_of(compositor: Compositor, light: torch.Tensor, own: bool) -> reflectance_store.Scene:
+    """Return the Scene of a light (1, 3, Hl, Wl); own: it is the photograph's."""
+    decomposed = compositor.decomposition
+    n = array(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
+    n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    facing = n[n[:, 2] > 1e-2]
+    rng = np.random.default_rng(0)
+    checked = facing[rng.integers(len(facing), size=CHECKED if own else CHECKED_OTHER)]
+    return reflectance_store.Scene(
+        light,
+        decomposed.batch.elevation,
+        drawing.exposure_of(decomposed.photograph) / decomposed.exposure,
+        compositor.tolerance,
+        checked,
+        reflectance_store.SIDES[-1] if own else FINEST_OTHER,
+    )
+
+
+def lights_of(own: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return {name: L (1, 3, Hl, Wl)}, the photograph's own light first."""
+    measured = light_maps.read_maps(MEASURED_FILE)
+    others = {"Studio window": spheres.preview_lighting()}
+    others |= {name: measured[key] for key, name in MEASURED.items()}
+    result = {"The photograph’s own": own}
+    for name, L in others.items():
+        mean, _ = light_maps.envmap.unit_mean(L)
+        result[name] = torch.from_numpy(mean).movedim(-1, 0)[None].contiguous().to(own)
+    return result
+
+
+def materials_of(result: "EditResult") -> list[dict]:
+    """Return name, family, search words and label of each material.
+
+    The materials read from the photograph are first, then those that the user named and that are
+    not in the catalogue, then the catalogue's.
+    """
+    own = result.decomposition.label
+    names = (
+        ["own material"] if len(own) == 1 else [f"own material {s + 1}" for s in range(len(own))]
+    )
+    here = dict(zip(names, own, strict=True))
+    catalogue = load_catalogue()
+    for edit in result.edits:
+        for text, label in of_regions(edit.text, edit.labels):
+            if label is not None and text not in catalogue:
+                here[targets.caption_of(text)] = label
+    materials = [
+        {"name": name, "family": "this photograph", "words": "own original", "label": label}
+        for name, label in here.items()
+    ]
+    for name, material in catalogue.items():
+        alike = " ".join(word for word, names_ in ALIKE.items() if name in names_)
+        words = f"{FAMILY_WORDS.get(material.family, '')} {alike}".strip()
+        family, label = material.family, material.label.reshape(-1)
+        materials.append({"name": name, "family": family, "words": words, "label": label})
+    return materials
+
+
+def of_regions(text: str, labels: list[np.ndarray | None]) -> list[tuple[str, np.ndarray | None]]:
+    """Return (text, label) of each region of a target material as the user named it."""
+    named = targets.parts_of(text)
+    return list(
+        zip(named if len(named) == len(labels) else [text] * len(labels), labels, strict=True)
+    )
+
+
+def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
+    """Return the index of each region's material in the first edit; −1: it stays as it is."""
+    index = {material["name"]: number for number, material in enumerate(materials)}
+    first = result.edits[0]
+    return [
+        -1 if label is None else index.get(targets.caption_of(text), index.get(text, 0))
+        for text, label in of_regions(first.text, first.labels)
+    ]
+
+
+def parts_of(result: "EditResult") -> list[tuple[str, np.ndarray]]:
+    """Return captions and display pictures of the decomposition."""
+    decomposed, opened = result.decomposition, result.decomposition.photograph
+    n, L = (array(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light))
+    again = drawing.on_ground(tone.display(result.rendering, drawing.exposure_of(opened)), opened)
+    names = (
+        ["material"] if opened.count == 1 else [f"material {s + 1}" for s in range(opened.count)]
+    )
+    return [
+        (
+            "normals: which way the surface faces",
+            montage.normals_picture(n, decomposed.framed.mask),
+        ),
+        ("light: all directions, as a map", montage.light_picture(L)),
+        *(
+            (f"{name}, on a sphere", drawing.material_sphere(label, decomposed))
+            for name, label in zip(names, decomposed.parts.label[0], strict=True)
+        ),
+        ("rendered again from these", again),
+    ]
+
+
+def assembled(header: dict, chunks: Chunks) -> str:
+    """Return the page: its files and the data as one HTML text."""
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts = {
+        name: (FOLDER / name).read_text("utf-8") for name in ("page.css", "shader.glsl", "page.js")
+    }
+    parts |= {"header": text, "data": base64.b64encode(chunks.data).decode()}
+    result = (FOLDER / "page.html").read_text("utf-8")
+    for name, part in parts.items():
+        result = result.replace("{{" + name + "}}", part, 1)
+    return result

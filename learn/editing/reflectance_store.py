@@ -1,0 +1,191 @@
+"""Reflectance maps of many materials under one light, small enough to be sent.
+
+For a distant viewer, one material and one light, radiance is a function of the normal alone. Nodes
+are those of learn.methods.reflectance_map: p = (n_x, n_y) / √(1 + n_z), on a grid of `side`
+intervals across the disk |p| ≤ 1 and MARGIN nodes beyond it. A material has as few nodes as keep
+its picture: sides are tried from coarse to fine until Catmull–Rom interpolation at normals of the
+picture differs from the layer's radiance there by LIMIT grey levels at most.
+
+values  (side + 5, side + 5, 3) float32, radiance times the exposure of the display: 1 is white
+codes   the same shape, uint16: STEPS · log(1 + BEND · values) / log(1 + BEND), so that a step is
+        about as visible in the dark as in the light, and highlights far above white remain, which
+        blends of two materials need
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.ndimage import distance_transform_edt
+
+from learn.data.devices import array
+from learn.layer import predictions
+from learn.methods import lobe_shapes, reflectance_map
+from learn.methods.quadrature import BROAD
+from shaders import tone
+from shaders.dsbrdf import SHAPE
+
+SIDES = (16, 32, 64, 128, 256)
+MARGIN = reflectance_map.MARGIN
+LIMIT = 1.2  # grey levels, root mean square
+STEPS, BEND, BRIGHTEST = 768, 32.0, 1e4
+NOTHING = -40.0  # natural logarithm of κ: a lobe that reflects nothing
+RIM = 0.999  # |p| of the outermost normals that the layer is asked for
+
+
+class Scene(NamedTuple):
+    """What the maps of all materials share.
+
+    light      (1, 3, Hl, Wl) radiance, light frame
+    elevation  of the camera, radians
+    exposure   (3,) factors from the layer's radiance to a display's
+    tolerance  of the layer
+    checked    (N, 3) unit normals, camera frame, where maps are compared with the layer
+    finest     largest side of a map
+    """
+
+    light: torch.Tensor
+    elevation: float
+    exposure: np.ndarray
+    tolerance: float
+    checked: np.ndarray
+    finest: int = SIDES[-1]
+
+
+def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
+    """Return the reflectance map of a label (108,), and its error in grey levels."""
+    truth = radiance(scene.checked, label, scene, "")
+    shown, error = tone.display(truth, 1.0), 0.0
+    # where the cheaper method shows the same, nodes are rendered by it
+    cheaper = _distance(radiance(scene.checked, label, scene, "auto"), shown)
+    parts = [(label, "auto")] if cheaper < LIMIT / 2 else separate_lobes(label)
+    for side in (side for side in SIDES if side <= scene.finest):
+        # twice as many nodes reduce the error to a quarter at best
+        if error > 4 * LIMIT and side < scene.finest:
+            error /= 4
+            continue
+        values = np.sum([rendered(part, scene, side, method) for part, method in parts], 0)
+        error = _distance(interpolated(values, scene.checked), shown)
+        if error <= LIMIT:
+            break
+    return values, error
+
+
+def separate_lobes(label: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    """Return labels (108,) whose radiances add up to a label's, each with its method.
+
+    Lobes add up. The sum over texels is right for broad ones, and much cheaper than the integral,
+    which is left for narrow ones.
+    """
+    lobes = np.asarray(label, np.float32).reshape(SHAPE)
+    narrow = lobe_shapes.sharpness(np.exp(lobes)) > BROAD
+    if narrow.all() or not narrow.any():
+        return [(lobes.ravel(), "")]
+    result = []
+    for part, method in ((~narrow, "auto"), (narrow, "")):
+        only = lobes.copy()
+        only[:, ~part, 0] = NOTHING
+        result.append((only.ravel(), method))
+    return result
+
+
+def _distance(values: np.ndarray, shown: np.ndarray) -> float:
+    """Return the root mean square difference in grey levels."""
+    return float(np.sqrt(np.mean((tone.display(values, 1.0) - shown) ** 2)))
+
+
+def radiance(n: np.ndarray, label: np.ndarray, scene: Scene, method: str) -> np.ndarray:
+    """Return the layer's radiance (N, 3) at normals (N, 3), times the exposure of the display.
+
+    method  of the layer; "": that which suits the material
+    """
+    device = scene.light.device
+    picture = predictions.picture(
+        torch.from_numpy(np.ascontiguousarray(n.T, np.float32))[None, :, None].to(device),
+        torch.from_numpy(np.asarray(label, np.float32).reshape(1, 1, -1)).to(device),
+        scene.light,
+        torch.ones(1, 1, len(n), dtype=torch.long, device=device),
+        scene.elevation,
+        predictions.Policy(method, scene.tolerance),
+    )
+    return array(picture[0, 0]) * scene.exposure.astype(np.float32)
+
+
+class Nodes(NamedTuple):
+    """The nodes of a grid.
+
+    n        (N, 3) normals at which the layer is asked: nodes on the disk, then two for each beyond
+    inside   flat indices of nodes on the disk
+    beyond   flat indices of nodes beyond it that interpolation on the disk reads
+    share    (len(beyond), 1) of radiance at the rim in the linear continuation
+    nearest  (size²) flat index of the nearest node that is read
+    """
+
+    n: np.ndarray
+    inside: np.ndarray
+    beyond: np.ndarray
+    share: np.ndarray
+    nearest: np.ndarray
+
+
+@functools.cache
+def nodes_of(side: int) -> Nodes:
+    """Return the Nodes of a grid of `side` intervals across the disk."""
+    size, h = side + 5, 2 / side
+    line = (np.arange(size) - MARGIN) * h - 1
+    p = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    r = np.linalg.norm(p, axis=-1)
+    inside = np.flatnonzero(r <= RIM)
+    # interpolation at |p| ≤ 1 reads nodes up to two columns and two rows away
+    beyond = np.flatnonzero((r > RIM) & (r < 1 + 2.9 * h))
+    out = p[beyond] / r[beyond, None]
+    # the layer has no radiance where the normal looks away: it is continued linearly from between
+    # the rim and a point as far within
+    step = np.maximum(r[beyond] - RIM, h)
+    share = 1 + (r[beyond] - RIM) / step
+    n = normals(np.concatenate([p[inside], out * RIM, out * (RIM - step)[:, None]]))
+    read = np.zeros(size * size, bool)
+    read[inside] = read[beyond] = True
+    index = distance_transform_edt(
+        ~read.reshape(size, size), return_distances=False, return_indices=True
+    )
+    nearest = (index[0] * size + index[1]).ravel()
+    return Nodes(n, inside, beyond, share[:, None], nearest)
+
+
+def normals(p: np.ndarray) -> np.ndarray:
+    """Return unit normals (N, 3) of points (N, 2) of the disk."""
+    z = 1 - (p * p).sum(-1, keepdims=True)
+    return np.concatenate([p * np.sqrt(1 + z), z], -1)
+
+
+def places(n: np.ndarray) -> np.ndarray:
+    """Return the points (…, 2) of the disk of unit normals (…, 3): the inverse of `normals`."""
+    return n[..., :2] / np.sqrt(1 + np.maximum(n[..., 2:], 0))
+
+
+def rendered(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndarray:
+    """Return values of a map of `side` intervals, by a method of the layer."""
+    nodes, size = nodes_of(side), side + 5
+    result = radiance(nodes.n, label, scene, method)
+    first, second = len(nodes.inside), len(nodes.inside) + len(nodes.beyond)
+    rim, within = result[first:second], result[second:]
+    values = np.zeros((size * size, 3), np.float32)
+    values[nodes.inside] = result[:first]
+    values[nodes.beyond] = np.maximum(nodes.share * rim + (1 - nodes.share) * within, 0)
+    return values[nodes.nearest].reshape(size, size, 3)
+
+
+def interpolated(values: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Return values (N, 3) of a map at unit normals (N, 3), by Catmull–Rom weights."""
+    size = len(values)
+    n_, table = torch.from_numpy(np.ascontiguousarray(n, np.float32)), torch.from_numpy(values)
+    nodes = torch.arange(size * size)
+    return reflectance_map.look_up(n_, table.reshape(-1, 3), nodes, size).numpy()
+
+
+def codes_of(values: np.ndarray) -> np.ndarray:
+    """Return codes of values."""
+    scaled = np.log1p(BEND * np.clip(values, 0, BRIGHTEST)) * (STEPS / np.log1p(BEND))
+    return np.rint(scaled).astype(np.uint16)

@@ -1,0 +1,492 @@
+"""Measure relighting, and materials of one picture on another object, under a given light.
+
+Both are shown under a light that is in no input picture, and compared with Cycles' picture of the
+same. Relighting: a picture is decomposed, and its predicted normals and material are rendered under
+the other, true light. Transfer (Fig. 4 of the paper): the material that is predicted from one
+picture is rendered on the normals that are predicted from a picture of another object, which is in
+another material under another light. Both are measured on the rungs `direct` and `8-bit` of the
+ladder, on a data set of its jobs (`python -m learn evaluate-ladder --jobs DIR` names them).
+rows.jsonl keeps a line per result: the same command continues, and a larger --pictures adds to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from learn.commands import options
+from learn.experiments import runner
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from learn.data.records import Records
+    from learn.evaluation.ladder_design import Rung, Scene
+    from learn.evaluation.ladder_pictures import Shown
+    from learn.networks.prediction import Prediction
+    from manifests.schema import Record
+
+RUNGS = ("direct", "8-bit")  # of learn.evaluation.ladder_design
+TASKS = {
+    "relighting": "Relighting: the object under another light",
+    "transfer": "Transfer: the material of one picture on another object, under a third light",
+}
+METHODS = {
+    "unchanged": "the object's picture unchanged",
+    "facing": "normals facing the viewer, mean training material",
+    "predicted": "predicted normals and material",
+    "normals": "predicted normals, true material",
+    "material": "true normals, predicted material",
+    "true": "true normals and material",
+}
+
+
+class Key(NamedTuple):
+    """What a picture shows; light is the name of a map and its rotation in texels."""
+
+    shape: str
+    viewpoint: int
+    light: tuple[str, int]
+    material: str
+
+
+@dataclass(frozen=True)
+class Case:
+    """A picture to be made.
+
+    task      one of TASKS
+    material  the picture whose material is predicted
+    object    the picture whose normals are predicted; in relighting the same
+    truth     the object in that material under the light that is given
+    """
+
+    task: str
+    material: Key
+    object: Key
+    truth: Key
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, the weights and the number of pictures."""
+    options.add_data(parser, "a data set of the ladder's jobs")
+    options.add_weights(parser, options.TABLE_WEIGHTS)
+    parser.add_argument(
+        "--pictures",
+        type=positive,
+        default=72,
+        metavar="N",
+        help="number of input pictures of each task on each rung (default 72)",
+    )
+    options.add_seed(parser, "seed by which pictures and lights are drawn")
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows": […], "weights", "seen", "available"}, with rows as of `row_of`.
+
+    Raises InputError for a data set without two shapes in two materials under three lights.
+    """
+    import numpy as np
+    import torch
+
+    from learn.data.records import Records
+    from learn.evaluation import ladder, overlap
+    from learn.evaluation.methods import network, training_labels
+    from learn.networks import weights as checkpoint
+    from manifests import files
+    from manifests.store import file_hash
+
+    torch.set_num_threads(1)
+    weights = arguments.weights
+    net, metadata = checkpoint.load_parts(weights)
+    records = Records(arguments.data)
+    pictures = pictures_of(records)
+    available = sorted(set.intersection(*(set(each) for each in pictures.values())))
+    cases = cases_of(available, arguments.pictures, arguments.seed, arguments.data)
+    scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
+    seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
+    about = {
+        "data": file_hash(Path(arguments.data) / "materials.json"),
+        "weights": file_hash(weights),
+        "seed": arguments.seed,
+    }
+    files.pin_settings(arguments.out / "settings.json", about)
+    mean = torch.from_numpy(np.mean(training_labels(None, "built-in"), 0)).float()[None]
+    bench = Bench(records, pictures, network(net), metadata["size"], mean)
+    todo = [
+        ({"task": case.task, "rung": rung, "of": _name(case)}, (case, rung))
+        for rung in pictures
+        for case in cases
+    ]
+    rows = runner.resume(arguments.out / "rows.jsonl", todo, lambda c: bench.row(*c), "result")
+    return {
+        "rows": rows,
+        "weights": Path(weights).name,
+        "seen": seen,
+        "available": len(available),
+    }
+
+
+def pictures_of(records: Records) -> dict[str, dict[Key, Record]]:
+    """Return {rung: {what it shows: record}} of those of RUNGS that the data set has pictures of.
+
+    Of several pictures of the same, the one with the most samples counts. Raises InputError where
+    there is none.
+    """
+    import msgspec
+
+    from learn.evaluation import ladder_design
+    from manifests.errors import InputError
+
+    cameras = ladder_design.cameras(ladder_design.preset("development"))
+    result: dict[str, dict[Key, Record]] = {}
+    for record in sorted(records.records, key=lambda record: (record.samples, record.id)):
+        if len(set(record.materials)) > 1:
+            continue
+        for rung in _rungs():
+            camera = msgspec.structs.replace(cameras[rung.cameras], size=record.camera.size)
+            if (camera, rung.tier, rung.light_resolution) == (
+                record.camera,
+                record.tier,
+                record.light_resolution,
+            ):
+                light = (record.light, record.rotation_texels)
+                key = Key(record.shape, record.viewpoint, light, record.materials[0])
+                result.setdefault(rung.name, {})[key] = record
+    if not result:
+        raise InputError(
+            records.folder, f"pictures of the rungs {' and '.join(RUNGS)}", "none", _remedy()
+        )
+    return {name: result[name] for name in RUNGS if name in result}
+
+
+def _rungs() -> list[Rung]:
+    from learn.evaluation import ladder_design
+
+    return [rung for rung in ladder_design.RUNGS if rung.name in RUNGS]
+
+
+def _remedy() -> str:
+    from learn.evaluation import ladder_design
+
+    return f"render them: {ladder_design.REMEDY}"
+
+
+def cases_of(available: Sequence[Key], count: int, seed: int, where: Path) -> list[Case]:
+    """Return up to `count` cases of each task.
+
+    Input pictures take turns by shape. Each gives its material and, in relighting, its object; the
+    light, and in transfer the other object, are drawn. A larger count adds to the same cases.
+
+    available  sorted; where: for messages
+    Raises     InputError if the pictures allow none of one of TASKS
+    """
+    import numpy as np
+
+    from manifests.errors import InputError
+
+    known = set(available)
+    by_shape: dict[str, list[Key]] = defaultdict(list)
+    for index in np.random.default_rng(seed).permutation(len(available)):
+        by_shape[available[index].shape].append(available[index])
+    turns = [(turn, key) for keys in by_shape.values() for turn, key in enumerate(keys)]
+    order = [key for _, key in sorted(turns, key=lambda each: each[0])]
+    result: dict[str, list[Case]] = {task: [] for task in TASKS}
+    for number, key in enumerate(order):
+        possible = {
+            "relighting": _objects(known, key, [key]),
+            "transfer": _objects(known, key, [each for each in available if each != key]),
+        }
+        for stream, (task, pairs) in enumerate(possible.items()):
+            if pairs and len(result[task]) < count:
+                rng = np.random.default_rng(
+                    np.random.SeedSequence(seed, spawn_key=(number, stream))
+                )
+                result[task].append(Case(task, key, *pairs[rng.integers(len(pairs))]))
+        if min(map(len, result.values())) >= count:
+            break
+    for task, cases in result.items():
+        if not cases:
+            rule = f"pictures for {task}: two shapes, each in two materials under three lights"
+            raise InputError(where, rule, "too few", _remedy())
+    return [case for cases in result.values() for case in cases]
+
+
+def _objects(
+    known: Collection[Key], material: Key, candidates: Sequence[Key]
+) -> list[tuple[Key, Key]]:
+    """Pairs of an object's picture and the truth of it in the material under a light that is in
+    neither input.
+
+    Another object than the material's is in another shape, material and light.
+    """
+    lights = sorted({key.light for key in known})
+    return [
+        (each, truth)
+        for each in candidates
+        if each == material
+        or all(
+            getattr(each, what) != getattr(material, what) for what in ("shape", *Key._fields[2:])
+        )
+        for light in lights
+        if light not in (each.light, material.light)
+        and (truth := Key(each.shape, each.viewpoint, light, material.material)) in known
+    ]
+
+
+def scene_of(pictures: Mapping[str, Mapping[Key, Record]], source: Key, truth: Key) -> Scene:
+    """Return the ladder's Scene of an input picture and another picture of the same object."""
+    from learn.evaluation.ladder_design import Scene, group_of
+
+    first = next(iter(pictures.values()))[source]
+    return Scene(
+        source.shape,
+        source.light[0],
+        *group_of(source.shape, first.category),
+        {rung: of[source] for rung, of in pictures.items()},
+        {rung: of[truth] for rung, of in pictures.items()},
+    )
+
+
+def edits_of(pictures: Mapping[str, Mapping[Key, Record]], count: int, seed: int) -> list[Scene]:
+    """Return up to `count` edits that every rung has: a picture, and its truth in another material.
+
+    Shapes take turns; which lights and materials come first is drawn. A larger count adds to the
+    same edits.
+
+    pictures  as of `pictures_of`
+    Raises    InputError where no view was rendered in two materials under one light
+    """
+    import numpy as np
+
+    from manifests.errors import InputError
+
+    views: dict[tuple[Any, ...], list[Key]] = defaultdict(list)
+    for key in sorted(set.intersection(*(set(each) for each in pictures.values()))):
+        views[key[:3]].append(key)
+    both = [keys for keys in views.values() if len(keys) > 1]
+    if not both:
+        rule = f"pictures of a view in two materials on the rungs {' and '.join(pictures)}"
+        raise InputError("--data", rule, "none", _remedy())
+    rng, by_shape = np.random.default_rng(seed), defaultdict(list)
+    for index in rng.permutation(len(both)):
+        source, truth = (both[index][k] for k in rng.permutation(len(both[index]))[:2])
+        by_shape[source.shape].append(scene_of(pictures, source, truth))
+    turns = [(turn, each) for of in by_shape.values() for turn, each in enumerate(of)]
+    return [each for _, each in sorted(turns, key=lambda pair: pair[0])][:count]
+
+
+def _name(case: Case) -> str:
+    """Name a case for rows.jsonl."""
+    return " < ".join(
+        f"{key.shape} {key.viewpoint} {key.light[0]}+{key.light[1]} {key.material}"
+        for key in (case.truth, case.object, case.material)
+    )
+
+
+@dataclass
+class Bench:
+    """Records and a network, which make and measure pictures.
+
+    pictures  as of `pictures_of`; predict: of learn.evaluation.methods; size of its pictures
+    mean      (1, 108) label of the baseline's material
+    """
+
+    records: Records
+    pictures: Mapping[str, Mapping[Key, Record]]
+    predict: Any
+    size: int
+    mean: Any
+
+    def row(self, case: Case, name: str) -> dict[str, Any]:
+        """Return what a result is of, and {"l2", "one_factor": {method: value}} of METHODS."""
+        from learn.metrics.pictures import aligned, display_l2
+
+        shown, made = self.results(case, name)
+        return {
+            "group": scene_of(self.pictures, case.object, case.truth).group,
+            "shape": case.object.shape,
+            "material_of": case.material.shape,
+            "material": case.truth.material,
+            "metal": self.records.material(case.truth.material).family == "metal",
+            "from_light": _light(case.material.light),
+            "to_light": _light(case.truth.light),
+            "l2": {key: display_l2(each, shown.target, shown.mask) for key, each in made.items()},
+            "one_factor": {
+                key: aligned(each, shown.target, shown.mask)["l2_one_factor"]
+                for key, each in made.items()
+            },
+        }
+
+    def results(self, case: Case, name: str) -> tuple[Shown, dict[str, Any]]:
+        """Return the object with its truth, and {method: radiance (H, W, 3)} of METHODS."""
+        import numpy as np
+        import torch
+
+        from learn.data.devices import array
+        from learn.evaluation.methods import rendered
+        from learn.networks.prediction import required
+        from shaders.envmap import roll
+
+        shown, prediction = self.decomposed(case.object, case.truth, name)
+        label = required(prediction.label)
+        if case.material != case.object:
+            _, other = self.decomposed(case.material, case.material, name)
+            label = required(other.label)
+        L = roll(self.records.light(case.truth.light[0]), case.truth.light[1])
+        light = torch.from_numpy(np.ascontiguousarray(L)).movedim(-1, 0)[None]
+        batch, true_label = shown.batch, torch.from_numpy(shown.label)
+        facing = torch.zeros_like(batch.n)
+        facing[:, 2] = 1.0
+        n = required(prediction.n)
+        parts = {
+            "facing": (facing, self.mean),
+            "predicted": (n, label),
+            "normals": (n, true_label),
+            "material": (batch.n, label),
+            "true": (batch.n, true_label),
+        }
+        made = {"unchanged": array((batch.image * batch.mask)[0].movedim(0, -1))}
+        made |= {key: rendered(*each, light, batch) for key, each in parts.items()}
+        return shown, made
+
+    def decomposed(self, source: Key, truth: Key, name: str) -> tuple[Shown, Prediction]:
+        """Return a picture on a rung beside its truth, and its prediction."""
+        from learn.evaluation.ladder_pictures import shown
+
+        rung = next(rung for rung in _rungs() if rung.name == name)
+        picture = shown(self.records, scene_of(self.pictures, source, truth), rung, self.size)
+        return picture, self.predict(picture.batch)
+
+
+def _light(light: tuple[str, int]) -> str:
+    return light[0] if not light[1] else f"{light[0]} by {light[1]} texels"
+
+
+def tables(report: runner.Report) -> str:
+    """Return a table for each task and rung, with a row for each of METHODS."""
+    rows = report["rows"]
+    result = ["# Relighting, and materials on other objects\n"]
+    result += [f"**{sentence}**\n" for sentence in report["seen"]]
+    result.append(
+        f"Weights {report['weights']}; {report['available']} pictures are there on every rung:"
+        f" {_counted(rows, 'shape', 'shapes')}, {_counted(rows, 'material', 'materials')},"
+        f" {_counted(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
+        " light that is given, which no input shows. *One factor free*: L2 after the factor on the"
+        " result's radiance that makes it least. *Ratio*: of means, to the object's picture"
+        " unchanged. Intervals draw shapes (in transfer those of both pictures), materials, and"
+        " lights of both sides. The layer has neither shadows nor interreflection, which the truth"
+        " of the rung 8-bit has: the last row is that error. Predictions are not refined.\n"
+    )
+    for task, title in TASKS.items():
+        for rung in RUNGS:
+            chosen = [row for row in rows if (row["task"], row["rung"]) == (task, rung)]
+            if chosen:
+                result += [f"## {title}; rung {rung}, {len(chosen)} pictures\n", _table(chosen)]
+                result += ["The row *predicted* by group of the object's shape:\n"]
+                result += [_groups(chosen)]
+    return "\n".join(result)
+
+
+def _counted(rows: Sequence[Mapping[str, Any]], key: str, what: str) -> str:
+    return f"{len({row[key] for row in rows})} {what}"
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """One task's methods on one rung."""
+    import numpy as np
+
+    from learn.metrics import bootstrap
+
+    weights = _draws(rows)
+    l2 = {key: np.array([row["l2"][key] for row in rows]) for key in METHODS}
+    factor = {key: np.array([row["one_factor"][key] for row in rows]) for key in METHODS}
+    lines = [
+        [
+            title,
+            runner.interval(bootstrap.interval(l2[key], weights), 0),
+            f"{np.median(l2[key]):.0f}",
+            *_by_metal(rows, l2[key]),
+            runner.interval(bootstrap.interval(factor[key], weights), 0),
+            *_by_metal(rows, factor[key]),
+            runner.interval(bootstrap.relative(l2["unchanged"], l2[key], weights), 2),
+            f"{(l2[key] < l2['unchanged']).sum()} of {len(rows)}",
+        ]
+        for key, title in METHODS.items()
+    ]
+    head = [
+        "result",
+        "display L2, mean",
+        "median",
+        "without metals",
+        "metals",
+        "one factor free, mean",
+        "without metals",
+        "metals",
+        "ratio",
+        "better than unchanged",
+    ]
+    return runner.table(head, lines)
+
+
+def _groups(rows: Sequence[Mapping[str, Any]]) -> str:
+    """One task's predictions on one rung, for each of the groups that its objects are of."""
+    import numpy as np
+
+    from learn.evaluation.ladder_design import GROUPS
+    from learn.metrics import bootstrap
+
+    lines = []
+    for group in GROUPS:
+        chosen = [row for row in rows if row["group"] == group]
+        if not chosen:
+            continue
+        l2 = {key: np.array([row["l2"][key] for row in chosen]) for key in METHODS}
+        factor = np.array([row["one_factor"]["predicted"] for row in chosen])
+        lines.append(
+            [
+                group,
+                f"{len(chosen)}, {sum(row['metal'] for row in chosen)}",
+                runner.interval(bootstrap.interval(l2["predicted"], _draws(chosen)), 0),
+                *_by_metal(chosen, l2["predicted"]),
+                f"{factor.mean():.0f}",
+                *_by_metal(chosen, factor),
+                f"{l2['unchanged'].mean():.0f}",
+                f"{l2['true'].mean():.0f}",
+            ]
+        )
+    head = [
+        "object",
+        "pictures, of metals",
+        "display L2, mean",
+        "without metals",
+        "metals",
+        "one factor free, mean",
+        "without metals",
+        "metals",
+        "unchanged",
+        "true parts",
+    ]
+    return runner.table(head, lines)
+
+
+def _draws(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Bootstrap weights of rows: shapes, materials, and lights of both sides are drawn."""
+    from learn.metrics import bootstrap
+
+    kinds = ["shape", "material", "from_light", "to_light"]
+    if any(row["shape"] != row["material_of"] for row in rows):
+        kinds.append("material_of")
+    return bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in rows] for kind in kinds)))
+
+
+def _by_metal(rows: Sequence[Mapping[str, Any]], values: np.ndarray) -> list[str]:
+    """Means of values (one per row) without metals and of metals."""
+    import numpy as np
+
+    metal = np.array([row["metal"] for row in rows])
+    return [f"{values[each].mean():.0f}" if each.any() else "–" for each in (~metal, metal)]

@@ -1,0 +1,24 @@
+"""How processes of this program's own are started.
+
+`python -m MODULE` puts the working folder first on the search path, where a user may have a
+factory.py or a folder learn/. Such a process therefore leaves the working folder out (`-P`), and is
+told where this process's packages are.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+PACKAGES = Path(__file__).resolve().parents[1]
+
+
+def command_of(module: str) -> list[str]:
+    """Return the words that start a module of this program in a process of its own."""
+    return [sys.executable, "-P", "-m", module]
+
+
+def environment() -> dict[str, str]:
+    """Return this process's environment variables, with the folder of its packages on the path."""
+    inherited = os.environ.get("PYTHONPATH")
+    path = os.pathsep.join([str(PACKAGES), *([inherited] if inherited else [])])
+    return {**os.environ, "PYTHONPATH": path}

@@ -1,0 +1,96 @@
+"""The command `brdfactory`: all commands of both programs, beside a user's factory.py."""
+
+import argparse
+import os
+import subprocess
+import sys
+
+import pytest
+
+from brdfactory import __main__, command_line
+from factory.__main__ import COMMANDS as FACTORY
+from learn.__main__ import COMMANDS as LEARN
+
+
+def test_it_has_every_command_of_the_two_programs_and_completion():
+    assert set(command_line.COMMANDS) == {*FACTORY, *LEARN, "completion"}
+
+
+def test_help_lists_all_commands_in_groups(capsys):
+    with pytest.raises(SystemExit) as end:
+        command_line.run(["--help"])
+    text = capsys.readouterr().out
+    assert end.value.code == 0
+    for title, group in command_line.GROUPS.items():
+        block = text.split(f"\n{title}:\n")[1].split("\n\n")[0]
+        for command in group:
+            assert f"\n  {command} " in f"\n{block}"
+    assert text.count("\n  edit ") == 1
+
+
+def test_every_commands_help_has_an_example():
+    parsers = command_line.parser()
+    choices = next(a for a in parsers._actions if isinstance(a, argparse._SubParsersAction)).choices
+    without = [
+        name
+        for name, parser in choices.items()
+        if "xample" not in f"{parser.description} {parser.epilog}"
+    ]
+    assert not without
+
+
+def test_an_unknown_command_names_the_closest_ones(capsys):
+    assert command_line.run(["edti", "x"]) == 2
+    line = capsys.readouterr().err
+    assert "no command 'edti'" in line and "did you mean edit" in line and line.count("\n") == 1
+
+
+def test_the_version_is_the_packages(capsys):
+    with pytest.raises(SystemExit) as end:
+        command_line.run(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.split()[0] == "brdfactory"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_commands_and_options(shell, capsys):
+    assert command_line.run(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "evaluate-ladder" in script and "white-balance" in script
+
+
+def test_it_works_in_a_folder_with_modules_of_the_same_names(tmp_path, root):
+    (tmp_path / "factory.py").write_text("raise SystemExit('the wrong factory')")
+    for name in ("learn", "manifests"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(f"raise SystemExit('the wrong {name}')")
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    for words in (["lights", "list"], ["plan", "smallest", "--quick"][:2], ["edit", "--help"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "brdfactory", *words],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.blender
+def test_workers_too_find_the_right_packages_there(tmp_path, root):
+    (tmp_path / "factory.py").write_text("raise SystemExit('the wrong factory')")
+    words = ["render", "smallest", "--limit", "1", "--out", "data"]
+    done = subprocess.run(
+        [sys.executable, "-m", "brdfactory", *words],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "1 pictures made" in done.stdout
+
+
+def test_the_entry_point_is_the_packages_main(root):
+    assert f'brdfactory = "{__main__.__name__}:main"' in (root / "pyproject.toml").read_text()
+    assert __main__.main(["lights", "list"]) == 0

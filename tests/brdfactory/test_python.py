@@ -1,0 +1,180 @@
+"""The Python package: what it edits is what the command line edits, bit by bit, from files and
+arrays; blends are exact; nothing heavy is imported before it is needed.
+"""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import brdfactory as bf
+
+torch = pytest.importorskip("torch", reason="torch is not installed")
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """A shaded ball with its mask and two regions, as files and as arrays."""
+    folder = tmp_path_factory.mktemp("pictures")
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    inside = x * x + y * y < 0.6
+    shade = np.where(inside, 80 + 90 * np.sqrt(np.clip(0.6 - x * x - y * y, 0, 1)) - 50 * y, 30)
+    photo = np.stack([shade, 0.8 * shade, 0.6 * shade], -1).clip(0, 255).astype(np.uint8)
+    mask = (255 * inside).astype(np.uint8)
+    regions = np.where(x < 0, 1, 2).astype(np.uint8) * inside
+    arrays = {"photo": photo, "mask": mask, "regions": regions}
+    for name, array in arrays.items():
+        Image.fromarray(array).save(folder / f"{name}.png")
+    return folder, arrays
+
+
+@pytest.fixture(scope="module")
+def parts(pictures):
+    folder, _ = pictures
+    return bf.decompose(folder / "photo.png", folder / "mask.png", refine=False)
+
+
+def test_an_edit_is_the_picture_that_the_command_writes(pictures, tmp_path):
+    from learn.__main__ import COMMANDS
+    from manifests import cli
+
+    folder, _ = pictures
+    edited = bf.edit(folder / "photo.png", folder / "mask.png", material="brass", refine=False)
+    out = tmp_path / "edited"
+    words = ["edit", str(folder / "photo.png"), "--mask", str(folder / "mask.png"), "--no-refine"]
+    assert cli.main("learn", "", COMMANDS, [*words, "--material", "brass", "--out", str(out)]) == 0
+    assert np.array_equal(np.asarray(Image.open(out / "edited.png")), edited.display)
+    saved = edited.save(tmp_path / "deep" / "brass.png")
+    assert saved.read_bytes() == (out / "edited.png").read_bytes()
+    assert edited.material.name == "brass" and edited.decomposition.photograph.count == 1
+
+
+def test_arrays_and_files_in_any_mixture_give_the_same_picture(pictures):
+    folder, arrays = pictures
+    results = [
+        bf.edit(photo, mask, ["brass", None], regions=regions, refine=False).display
+        for photo, mask, regions in (
+            (folder / "photo.png", folder / "mask.png", folder / "regions.png"),
+            (arrays["photo"], arrays["mask"] > 127, arrays["regions"]),
+            (folder / "photo.png", arrays["mask"], str(folder / "regions.png")),
+        )
+    ]
+    assert np.array_equal(results[0], results[1]) and np.array_equal(results[0], results[2])
+    right = arrays["regions"] == 2
+    interior = right & (np.mgrid[0:64, 0:64][1] > 36)
+    assert abs(results[0].astype(int) - arrays["photo"])[interior].max() <= 1  # stays as it is
+    assert abs(results[0].astype(int) - arrays["photo"])[arrays["regions"] == 1].mean() > 10
+
+
+def test_a_blends_picture_is_the_weighted_sum(parts):
+    first, second = parts.paint("brass").linear, parts.paint("red-fabric").linear
+    blended = parts.paint(bf.blend("brass", "red-fabric", 0.25))
+    np.testing.assert_allclose(blended.linear, 0.75 * first + 0.25 * second, rtol=1e-5, atol=1e-7)
+    assert abs(first - second).max() > 0.01
+    assert parts.paint(bf.blend("brass", "red-fabric", 0)).linear == pytest.approx(first)
+
+
+def test_what_a_decomposition_tells(pictures):
+    folder, _ = pictures
+    parts = bf.decompose(folder / "photo.png", folder / "mask.png", refine=False, detail=0)
+    n = parts.normals
+    inside = np.linalg.norm(n, axis=-1) > 0
+    np.testing.assert_allclose(np.linalg.norm(n[inside], axis=-1), 1, atol=1e-5)
+    assert parts.light.shape == (64, 128, 3) and (parts.light >= 0).all()
+    assert parts.material.label.shape == (108,)
+    again = parts.paint(parts.material)
+    np.testing.assert_allclose(again.linear, parts.rendering.linear, atol=1e-6, rtol=1e-4)
+    assert 0 < parts.error < 20_000
+    relit = parts.relight("city", "brass")
+    assert relit.display.shape[-1] == 4 and relit.display[0, 0, 3] == 0
+    assert abs(relit.linear - parts.relight("city").linear).max() > 0.01
+
+
+def test_rendering_of_own_normals_under_lights_by_name():
+    n = np.zeros((8, 8, 3), np.float32)
+    n[2:6, 2:6, 2] = 1
+    gold = bf.render(n, bf.light("city"), "gold-metallic-paint3")
+    turned = bf.render(n, bf.light("city", rotation_deg=90), "gold-metallic-paint3")
+    assert gold[3, 3, 0] > gold[3, 3, 2] > 0 and not gold[0, 0].any()
+    assert abs(gold - turned).max() > 1e-3
+    half = bf.render(n, bf.light("city"), bf.blend("brass", "gold-metallic-paint3"))
+    both = (gold + bf.render(n, bf.light("city"), "brass")) / 2
+    np.testing.assert_allclose(half, both, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda f, a: bf.material("bras"), "did you mean brass"),
+        (lambda f, a: bf.material(f / "photo.png"), "a picture"),
+        (lambda f, a: bf.material(np.zeros(3)), r"shape \(3,\)"),
+        (lambda f, a: bf.blend("brass", "red-fabric", 2), "from 0 to 1, found 2"),
+        (lambda f, a: bf.light("citty"), "did you mean city"),
+        (lambda f, a: bf.edit(a["photo"][..., 0]), r"\(H, W, 3\) or \(H, W, 4\)"),
+        (lambda f, a: bf.edit(a["photo"]), "a mask, or transparency"),
+        (lambda f, a: bf.edit(a["photo"].astype(float) - 200, a["mask"]), "radiance from 0"),
+        (lambda f, a: bf.edit(a["photo"], a["mask"][:9]), "picture's height and width"),
+        (lambda f, a: bf.edit(a["photo"], a["mask"] * 0), "16 pixels or more"),
+        (lambda f, a: bf.edit(a["photo"], a["mask"].astype(float)), "divide it by 255"),
+        (lambda f, a: bf.edit(a["photo"], regions=a["mask"] / 2.0), "whole numbers"),
+        (lambda f, a: bf.edit(f / "no.png"), "no such file"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], detail=2), "from 0 to 1"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], exposure=-1), "above 0"),
+        (lambda f, a: bf.render(np.ones((4, 4)), bf.light("city")), "height, width, 3"),
+        (lambda f, a: bf.render(np.ones((4, 4, 3)), bf.light("city")), "unit"),
+        (lambda f, a: bf.load_job("demos"), "did you mean demo"),
+        (lambda f, a: bf.load_job({"shapes": 3}), "expected array"),
+        (lambda f, a: bf.generate("smallest", f / "data", workers=0), "1 or more"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(pictures, call, words):
+    with pytest.raises(bf.InputError, match=words) as caught:
+        call(*pictures)
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_with_a_decomposition(parts, tmp_path):
+    with pytest.raises(bf.InputError, match="expected one material, found 2"):
+        parts.paint("brass", "red-fabric")
+    with pytest.raises(bf.InputError, match=r"\(64, 128, 3\)"):
+        parts.relight(np.ones((4, 8, 3)))
+    with pytest.raises(bf.InputError, match=r"\.png or \.exr, found \.gif"):
+        parts.paint("brass").save(tmp_path / "x.gif")
+    with pytest.raises(bf.InputError, match="a blend of 2"):
+        _ = bf.blend("brass", "red-fabric").label
+
+
+def test_importing_the_package_loads_nothing_heavy_and_lists_its_names():
+    code = (
+        "import sys, brdfactory as bf\n"
+        "assert not {'numpy', 'torch', 'bpy', 'learn', 'factory'} & set(sys.modules)\n"
+        "assert set(bf.__all__) <= set(dir(bf)) and 'edit' in dir(bf)\n"
+        "try: bf.no_such_name\n"
+        "except AttributeError: pass\n"
+        "else: raise SystemExit('a name that is not there was found')\n"
+        "for name in bf.__all__: getattr(bf, name)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.blender
+def test_a_job_is_rendered_and_continued(tmp_path):
+    job = {
+        "name": "one",
+        "shapes": ["sphere"],
+        "materials": ["green-latex"],
+        "lights": ["city"],
+        "views": [0, 6],
+        "tiers": ["direct"],
+        "samples": 4,
+        "camera": {"size": [24, 24]},
+    }
+    assert bf.generate(job, tmp_path, limit=1, progress=False)["made"] == 1
+    assert bf.generate(job, tmp_path, progress=False) == {
+        "made": 1,
+        "already_there": 1,
+        "failed": 0,
+    }
+    assert len(bf.Records(tmp_path)) == 2

@@ -1,0 +1,140 @@
+"""Headless Chromium, driven through ChromeDriver's HTTP interface (W3C WebDriver)."""
+
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+import urllib.request
+from pathlib import Path
+from typing import Any, Self
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+SCRIPT_MS = 120_000
+
+
+def is_available() -> bool:
+    """Return whether this machine has Chromium and its driver."""
+    return bool(shutil.which("chromium") and shutil.which("chromedriver"))
+
+
+class Browser:
+    """A browser window of a size in pixels; a context manager that ends it."""
+
+    def __init__(self, width: int = 1300, height: int = 900, *flags: str):
+        self.size, self.flags = (width, height), flags
+
+    def __enter__(self) -> Self:
+        self.profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self.driver = subprocess.Popen(
+            [shutil.which("chromedriver") or "chromedriver", "--port=0"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self.driver.stdout is not None
+        try:
+            port = next(
+                line.rsplit("port ", 1)[1].strip(". \n")
+                for line in self.driver.stdout
+                if "successfully on port" in line
+            )
+            self.address = f"http://127.0.0.1:{port}/session"
+            width, height = self.size
+            arguments = [
+                *FLAGS,
+                f"--window-size={width},{height}",
+                f"--user-data-dir={self.profile.name}",
+                *self.flags,
+            ]
+            options = {"binary": shutil.which("chromium"), "args": arguments}
+            capabilities = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+            session = self._call(
+                "POST",
+                "",
+                {"capabilities": {"alwaysMatch": {"browserName": "chrome"} | capabilities}},
+            )
+            self.address += f"/{session['sessionId']}"
+            self._call("POST", "/timeouts", {"script": SCRIPT_MS, "pageLoad": SCRIPT_MS})
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        try:
+            self._call("DELETE", "")
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        self.driver.terminate()
+        self.driver.wait(30)
+        if self.driver.stdout is not None:
+            self.driver.stdout.close()
+        self.profile.cleanup()
+
+    def _call(self, method: str, path: str, body: dict | None = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(
+            self.address + path, data, {"Content-Type": "application/json"}, method=method
+        )
+        with urllib.request.urlopen(request, timeout=180) as answer:
+            return json.load(answer)["value"]
+
+    def open(self, path: Path, fragment: str = "") -> None:
+        """Load a file of this machine; fragment: "#…" or nothing."""
+        self._call("POST", "/url", {"url": path.absolute().as_uri() + fragment})
+
+    def resize(self, width: int, height: int) -> None:
+        """Show pages as on a screen of a size in pixels, which may be a telephone's."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        command = {"cmd": "Emulation.setDeviceMetricsOverride", "params": size}
+        self._call("POST", "/goog/cdp/execute", command)
+
+    def run(self, script: str) -> Any:
+        """Return what the body of an asynchronous JavaScript function returns."""
+        wrapped = (
+            "const done = arguments[arguments.length - 1];"
+            f"(async () => {{{script}}})()"
+            ".then(v => done([true, v]), e => done([false, String(e)]))"
+        )
+        good, value = self._call("POST", "/execute/async", {"script": wrapped, "args": []})
+        assert good, value
+        return value
+
+    def wait(self, condition: str) -> None:
+        """Wait until a JavaScript expression is true."""
+        self.run(f"while (!({condition})) await new Promise(r => setTimeout(r, 50));")
+
+    def click(self, selector: str) -> None:
+        """Click on the element that a CSS selector finds."""
+        self._call("POST", f"/element/{self._element(selector)}/click", {})
+
+    def type(self, selector: str, keys: str) -> None:
+        """Press keys in an element."""
+        self._call("POST", f"/element/{self._element(selector)}/value", {"text": keys})
+
+    def _element(self, selector: str) -> str:
+        body = {"using": "css selector", "value": selector}
+        return next(iter(self._call("POST", "/element", body).values()))
+
+    def console(self) -> list[str]:
+        """Return the console's messages since the last call."""
+        return [entry["message"] for entry in self._call("POST", "/se/log", {"type": "browser"})]
+
+    def screenshot(self) -> bytes:
+        """Return a PNG of the window."""
+        return base64.b64decode(self._call("GET", "/screenshot"))
