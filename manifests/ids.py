@@ -110,7 +110,7 @@ def sampling(line: Job | Record) -> int | str:
     """Return what decides the samples of a job's or record's pictures: their number or an error."""
     if isinstance(line, Job):
         return line.samples if line.error is None else f"error {float(line.error)!r}"
-    return line.samples if line.promise is None else f"error {float(line.promise.asked)!r}"
+    return line.samples if line.accuracy is None else f"error {float(line.accuracy.requested)!r}"
 
 
 def shot_id(

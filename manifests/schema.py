@@ -19,7 +19,7 @@ Side = Literal["train", "test"]
 # mixed: shape and materials stand on different sides; neither for training nor for testing
 Split = Literal["train", "test", "mixed"]
 Counts = Literal["hash", "paper", "multi-material", "general"]
-Way = Literal["plain", "denoised"]
+Estimator = Literal["path-tracing", "denoised"]
 Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -118,8 +118,8 @@ class Job(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     camera_ranges      ranges from which each view of each shape draws its own camera; None: all
                        views have `camera`
     error              display L2 over the object's mask, of noise and bias together, that each
-                       picture may have. The factory chooses way and samples of each shot, and
-                       `samples` is ignored; None: all shots have `samples`
+                       picture may have. The factory chooses estimator and samples of each shot;
+                       `samples` is then ignored; None: all shots have `samples`
     pictures           False: geometry alone, of every shape in every view once. The data set
                        includes the materials and lights, for relighting; rotations, tiers, samples
                        and other settings of pictures are ignored
@@ -160,22 +160,22 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True):
     max: Amount
 
 
-class Promise(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a picture keeps the error that its job asks for. Errors are display L2 over the mask.
+class Accuracy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How exact a picture is, of a job that limits its error. Errors are display L2 over the mask.
 
-    asked      the job's `error`, which is part of the id
-    way        factory.render.ways: plain path tracing, or denoised
-    predicted  by the way's model from the first few samples
-    estimated  of the finished picture, from two halves of independent seeds
-    deviation  standard error of `estimated`
-    seconds    that the picture took, without geometry and files
+    requested       the job's `error`, which is part of the id
+    estimator       factory.render.estimators: path tracing alone, or denoised
+    predicted       by the estimator's model from the first few samples
+    estimated       of the finished picture, from two halves of independent seeds
+    standard_error  of `estimated`
+    seconds         that the picture took, without geometry and files
     """
 
-    asked: DisplayError
-    way: Way
+    requested: DisplayError
+    estimator: Estimator
     predicted: Amount
     estimated: Amount
-    deviation: Amount
+    standard_error: Amount
     seconds: Amount
 
 
@@ -214,7 +214,7 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=F
     split: Split
     statistics: Statistics
     seconds: Amount
-    promise: Promise | None = None
+    accuracy: Accuracy | None = None
 
     @property
     def coverage(self) -> float:

@@ -51,7 +51,7 @@ LEFT_OUT = (
     (b',"roll_deg":0.0}', b"}"),
     (b',"camera_ranges":null', b""),
     (b',"error":null', b""),
-    (b',"promise":null', b""),
+    (b',"accuracy":null', b""),
 )
 
 

@@ -64,11 +64,11 @@ def run(options: argparse.Namespace) -> int:
                 for key, (low, high) in report["cameras"].items()
             )
         )
-    for asked, kept in report["errors"].items():
-        ways = ", ".join(f"{count} {way}" for way, count in kept["ways"].items())
+    for requested, kept in report["errors"].items():
+        counts = ", ".join(f"{count} {name}" for name, count in kept["estimators"].items())
         print(
-            f"  {'error ≤ ' + asked:<16} {ways}; estimated {kept['mean']:.3g} on average, at most"
-            f" {kept['largest']:.3g}; {kept['above']} above; {kept['samples']:.0f} samples on"
+            f"  {'error ≤ ' + requested:<16} {counts}; estimated {kept['mean']:.3g} on average,"
+            f" at most {kept['largest']:.3g}; {kept['above']} above; {kept['samples']:.0f} samples on"
             " average"
         )
     print(
@@ -145,17 +145,17 @@ def counted(folder: str) -> dict[str, Any]:
 
 
 def _count_error(errors: dict[str, dict[str, Any]], record: Record) -> None:
-    """Add a record to the counts of pictures that keep an error, by the error asked for."""
-    if (promise := record.promise) is None:
+    """Add a record to the counts of pictures whose error is limited, by that limit."""
+    if (accuracy := record.accuracy) is None:
         return
-    empty = {"ways": {}, "mean": 0.0, "largest": 0.0, "above": 0, "samples": 0.0}
-    kept = errors.setdefault(f"{promise.asked:g}", empty)
-    kept["ways"][promise.way] = kept["ways"].get(promise.way, 0) + 1
-    share = 1 / sum(kept["ways"].values())
-    kept["mean"] += share * (promise.estimated - kept["mean"])
+    empty = {"estimators": {}, "mean": 0.0, "largest": 0.0, "above": 0, "samples": 0.0}
+    kept = errors.setdefault(f"{accuracy.requested:g}", empty)
+    kept["estimators"][accuracy.estimator] = kept["estimators"].get(accuracy.estimator, 0) + 1
+    share = 1 / sum(kept["estimators"].values())
+    kept["mean"] += share * (accuracy.estimated - kept["mean"])
     kept["samples"] += share * (record.samples - kept["samples"])
-    kept["largest"] = max(kept["largest"], promise.estimated)
-    kept["above"] += promise.estimated > promise.asked
+    kept["largest"] = max(kept["largest"], accuracy.estimated)
+    kept["above"] += accuracy.estimated > accuracy.requested
 
 
 def _widen(spans: dict[str, tuple[float, float]], camera: Camera) -> None:

@@ -24,12 +24,12 @@ import numpy as np
 from factory.planning.plan import TEXELS, Shot
 from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
-from factory.render.ways import choice
-from factory.render.ways.halves import Portion, Shown
+from factory.render.estimators import choice
+from factory.render.estimators.halves import Portion, Shown
 from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
 from manifests.ids import camera_of
-from manifests.schema import Camera, Job, Promise, Record, Statistics, Tier, View
+from manifests.schema import Accuracy, Camera, Job, Record, Statistics, Tier, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
@@ -184,7 +184,7 @@ class Pipeline:
         self._show(shot)
         geometry = self._geometry(shot)
         with self._timed("picture"):
-            radiance, alpha, samples, promise = self._picture(shot, geometry)
+            radiance, alpha, samples, accuracy = self._picture(shot, geometry)
         if faults := checks.picture(radiance, geometry.coverage, alpha):
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
@@ -198,32 +198,32 @@ class Pipeline:
             image=image,
             image_hash=image_hash,
             statistics=statistics,
-            promise=promise,
+            accuracy=accuracy,
         )
 
     def _picture(
         self, shot: Shot, geometry: _StoredGeometry
-    ) -> tuple[np.ndarray, np.ndarray, int, Promise | None]:
+    ) -> tuple[np.ndarray, np.ndarray, int, Accuracy | None]:
         """Return radiance, coverage per pixel, samples, and how the job's error is kept."""
         job, start = self.assignment.job, time.perf_counter()
         if job.error is None:
             return *self.studio.picture(job.samples, shot.seed, shot.tier), job.samples, None
         made = choice.picture(Shown(self.studio, shot.seed, shot.tier, geometry.mask), job.error)
-        promise = Promise(
-            asked=job.error,
-            way=made.way,
+        accuracy = Accuracy(
+            requested=job.error,
+            estimator=made.estimator,
             predicted=round(made.predicted, 4),
             estimated=round(max(made.estimated.error, 0.0), 4),
-            deviation=round(made.estimated.deviation, 4),
+            standard_error=round(made.estimated.standard_error, 4),
             seconds=round(time.perf_counter() - start, 4),
         )
         if made.estimated.bound > job.error:
             self.notes.append(
-                f"{shot.id}: its error is about {promise.estimated:g} ± {promise.deviation:.2g}"
-                f" after {made.samples} samples, the most that are taken; {job.error:g} was asked"
-                " for"
+                f"{shot.id}: its error is about {accuracy.estimated:g} ±"
+                f" {accuracy.standard_error:.2g} after {made.samples} samples, the largest number allowed; the job limits it to"
+                f" {job.error:g}"
             )
-        return made.radiance, made.alpha, made.samples, promise
+        return made.radiance, made.alpha, made.samples, accuracy
 
     @contextmanager
     def _timed(self, what: str) -> Iterator[None]:

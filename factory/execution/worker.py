@@ -165,15 +165,15 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
 
 
 def _settings(studio: Studio, config: WorkerConfig) -> dict[str, Any]:
-    """Return the studio's settings, and those of the ways where the job names an error."""
+    """Return the studio's settings, and those of the estimators where the job limits the error."""
     settings = msgspec.to_builtins(studio.settings)
     if config.assignment.job.error is None:
         return settings
+    from factory.render.estimators import choice
     from factory.render.settings import DENOISED, PORTION
-    from factory.render.ways import choice
 
-    ways = {s.path: {"value": s.value, "reason": s.reason} for s in (*PORTION, *DENOISED)}
-    return settings | {"ways": ways, "rules": choice.identity()}
+    estimators = {s.path: {"value": s.value, "reason": s.reason} for s in (*PORTION, *DENOISED)}
+    return settings | {"estimators": estimators, "rules": choice.identity()}
 
 
 def _studio(config: WorkerConfig) -> Studio:

@@ -16,10 +16,10 @@ def render_fingerprint(by_error: bool = False) -> str:
 
     Of a setting, path and value count, not the reason; of the version, the first two numbers.
 
-    by_error  True: of jobs that name an error, with the rules by which a way is chosen
+    by_error  True: of jobs that limit the error, with the rules by which an estimator is chosen
     """
     from factory.render import settings
-    from factory.render.ways import choice
+    from factory.render.estimators import choice
 
     def values(group: Iterable[settings.Setting]) -> list[list[object]]:
         return [[s.path, s.value] for s in group]

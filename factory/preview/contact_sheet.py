@@ -162,8 +162,8 @@ def caption(record: Record) -> str:
     if posed := pose(record.camera):
         where += f" ({posed})"
     kept = ""
-    if (promise := record.promise) is not None:
-        kept = f" {promise.way}, error {promise.estimated:.3g} of {promise.asked:g}"
+    if (accuracy := record.accuracy) is not None:
+        kept = f" {accuracy.estimator}, error {accuracy.estimated:.3g} of {accuracy.requested:g}"
     return (
         f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution} "
         f" {record.samples} spp{kept}  {record.split}"

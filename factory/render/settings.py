@@ -123,7 +123,7 @@ PIXELS = {
 }
 PICTURE = PIXELS["square"]
 
-# for pictures to an error that a job asks for (factory.render.ways)
+# for pictures to an error that a job asks for (factory.render.estimators)
 WHOLE_SEQUENCE = 8192  # the longest that Cycles tabulates
 PORTION = (
     Setting(

@@ -28,6 +28,7 @@ from factory.render import (
     render_result,
     window,
 )
+from factory.render.estimators.halves import Portion
 from factory.render.settings import (
     ALWAYS,
     DENOISED,
@@ -40,7 +41,6 @@ from factory.render.settings import (
     assign,
     effective,
 )
-from factory.render.ways.halves import Portion
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
 from manifests.schema import Camera, LightResolution, Tier

@@ -19,7 +19,7 @@ STRUCTS = {
     for each in (
         *(
             schema.Record,
-            schema.Promise,
+            schema.Accuracy,
             schema.Camera,
             schema.Statistics,
             schema.View,

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from factory.render.ways.halves import Portion
+from factory.render.estimators.halves import Portion
 from shaders import frames
 
 

@@ -1,8 +1,9 @@
-"""The choice of a way for one shot.
+"""The choice of an estimator for one shot.
 
-A pilot of a few samples of each half says how noisy the shot is. Then, until the error is kept, the
-way is taken that needs the fewest further samples by its model, with the denoiser's time counted as
-samples. Samples of a try that failed count for `plain`, so that only the denoiser's time is lost.
+A pilot of a few samples of each half says how noisy the shot is. Then the estimator
+that needs the fewest further samples by its model is tried, until the error is at most the limit;
+the denoiser's time counts as samples. Samples of a try that failed are kept for path tracing, so
+that only the denoiser's time is lost.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factory.render.ways import denoised, plain
-from factory.render.ways.halves import Estimate, Halves, Shown
-from manifests.schema import Way
+from factory.render.estimators import denoised, path_tracing
+from factory.render.estimators.halves import Estimate, Halves, Shown
+from manifests.schema import Estimator
 
 VERSION = 1  # of the rules; a change makes new pictures
 PILOT = 4  # samples of each half
@@ -26,15 +27,15 @@ class Picture:
 
     radiance   (height, width, 3) float32
     alpha      (height, width) the object's coverage
-    way        the name of one
+    estimator  its name
     samples    per pixel that were rendered, of both halves
-    predicted  error by the way's model from the pilot
+    predicted  error by the estimator's model from the pilot
     estimated  error of the finished picture, with its standard error
     """
 
     radiance: np.ndarray
     alpha: np.ndarray
-    way: Way
+    estimator: Estimator
     samples: int
     predicted: float
     estimated: Estimate
@@ -44,26 +45,28 @@ def identity() -> list[object]:
     """Return everything in these rules that alters pixels, for the fingerprint."""
     return [
         ["choice", VERSION, PILOT, MOST_SAMPLES],
-        [plain.NAME, plain.AIM, plain.GROWTH],
+        [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         sorted(denoised.COST.items()),
     ]
 
 
-def picture(shown: Shown, error: float, ways: tuple[Way, ...] = ("plain", "denoised")) -> Picture:
+def picture(
+    shown: Shown, error: float, estimators: tuple[Estimator, ...] = ("path-tracing", "denoised")
+) -> Picture:
     """Return a picture whose estimated error is at most `error` with 95 % confidence.
 
     The estimate is larger if MOST_SAMPLES do not suffice.
 
-    ways  that may be taken; "plain" is always one of them
+    estimators  that may be chosen; "path-tracing" is always one of them
     """
     halves = Halves(shown)
     halves.grow(PILOT)
     now = pilot = halves.estimate()
     tried: tuple[Estimate, int] | None = None
-    tries = 0 if denoised.NAME in ways else denoised.MOST_TRIES
+    tries = 0 if denoised.NAME in estimators else denoised.MOST_TRIES
     while now.bound > error and halves.samples < MOST_SAMPLES:
-        target = min(plain.needed(now, halves.samples, error), MOST_SAMPLES)
+        target = min(path_tracing.needed(now, halves.samples, error), MOST_SAMPLES)
         smooth = (
             denoised.needed(now, halves.samples, error)
             if tried is None
@@ -82,20 +85,20 @@ def picture(shown: Shown, error: float, ways: tuple[Way, ...] = ("plain", "denoi
                 return Picture(
                     radiance=(pair[0] + pair[1]) / 2,
                     alpha=halves.alpha,
-                    way=denoised.NAME,
+                    estimator=denoised.NAME,
                     samples=2 * halves.samples,
                     predicted=denoised.predicted(pilot, PILOT, smooth),
                     estimated=estimate,
                 )
             tried = estimate, smooth
         else:
-            halves.grow(min(target, plain.GROWTH * halves.samples) - halves.samples)
+            halves.grow(min(target, path_tracing.GROWTH * halves.samples) - halves.samples)
         now = halves.estimate()
     return Picture(
         radiance=halves.picture,
         alpha=halves.alpha,
-        way=plain.NAME,
+        estimator=path_tracing.NAME,
         samples=2 * halves.samples,
-        predicted=plain.predicted(pilot, PILOT, halves.samples),
+        predicted=path_tracing.predicted(pilot, PILOT, halves.samples),
         estimated=now,
     )

@@ -1,11 +1,11 @@
-"""Whether pictures keep the error that their job asks for, and what that costs.
+"""Whether pictures keep the error to which their job limits them, and what that costs.
 
-python -m factory.render.validation.error_promise law --shots 60
-python -m factory.render.validation.error_promise promise --shots 300 --out DIR
+python -m factory.render.validation.error_target law --shots 60
+python -m factory.render.validation.error_target check --shots 300 --out DIR
 
-shots    drawn from a seed: shape, material, light, view, tier and, in turn, the error asked for
+shots    drawn from a seed: shape, material, light, view, tier and, in turn, the error requested
 law      of the denoiser: its error as a power of the error without it, and its time in samples
-promise  renders each shot twice to its error. A reference in two halves, of at least four times the
+check    renders each shot twice to its error. A reference in two halves, of at least four times the
          picture's samples, gives achieved errors as (P − R1)(P − R2) and squared biases as
          (P1 − R1)(P2 − R2), in display values: the references' noise cancels in the mean
 cost     in processor seconds, since other programs may run. It is compared with one number of
@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from factory.lights import load as load_light
+from factory.render.estimators import choice, denoised
+from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves, Shown, mean_over
 from factory.render.studio import Studio
-from factory.render.ways import choice, denoised
-from factory.render.ways.halves import CONFIDENCE, Estimate, Halves, Shown, mean_over
 from factory.shapes.catalogue import load as load_shape
 from manifests.files import write_json, write_text
 from manifests.materials import load_catalogue
@@ -47,7 +47,7 @@ TRIED = (4, 8, 16, 32)  # samples of each half at which `law` denoises
 
 @dataclass(frozen=True)
 class Scene:
-    """A shot by names; asked: the error."""
+    """A shot by names; requested: the error."""
 
     shape: str
     material: str
@@ -55,7 +55,7 @@ class Scene:
     rotation: int
     azimuth: float
     tier: Tier
-    asked: float
+    requested: float
     seed: int
 
 
@@ -71,7 +71,7 @@ def drawn(number: int, seed: int, materials: list[str]) -> Scene:
         rotation=int(rng.integers(128)),
         azimuth=float(rng.integers(24) * np.pi / 12),
         tier=TIERS[rng.integers(len(TIERS))],
-        asked=ERRORS[number % len(ERRORS)],
+        requested=ERRORS[number % len(ERRORS)],
         seed=int(rng.integers(2**31)),
     )
 
@@ -170,7 +170,7 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def promise(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
+def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
     """Return a row for each shot."""
     rows: list[dict[str, Any]] = []
     for number in range(options.shots):
@@ -180,9 +180,9 @@ def promise(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
             Shown(stage.studio, seed, scene.tier, mask) for seed in (scene.seed, scene.seed ^ 1)
         ]
         start = time.process_time()
-        first = choice.picture(shown[0], scene.asked)
+        first = choice.picture(shown[0], scene.requested)
         seconds = time.process_time() - start
-        second = choice.picture(shown[1], scene.asked)
+        second = choice.picture(shown[1], scene.requested)
         start = time.process_time()
         fixed, _ = stage.studio.picture(FIXED, scene.seed, scene.tier)
         fixed_seconds = time.process_time() - start
@@ -193,15 +193,15 @@ def promise(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
             {
                 **scene.__dict__,
                 "pixels": int(mask.sum()),
-                "way": first.way,
+                "estimator": first.estimator,
                 "samples": first.samples,
                 "seconds": seconds,
                 "predicted": first.predicted,
                 "estimated": first.estimated.error,
-                "deviation": first.estimated.deviation,
+                "standard_error": first.estimated.standard_error,
                 "achieved": achieved.error,
-                "achieved_deviation": achieved.deviation,
-                "second_way": second.way,
+                "achieved_standard_error": achieved.standard_error,
+                "second_estimator": second.estimator,
                 "second_achieved": compared(second.radiance, second.radiance, reference).error,
                 "squared_bias": compared(first.radiance, second.radiance, reference).error,
                 "reference_noise": reference.estimate().error,
@@ -211,43 +211,44 @@ def promise(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
         )
         last = rows[-1]
         print(
-            f"{number}: {last['way']} {last['samples']}, achieved {last['achieved']:.3g} of"
-            f" {scene.asked:g}, {seconds:.2f} s; {scene.shape} {scene.material} {scene.light}"
+            f"{number}: {last['estimator']} {last['samples']}, achieved {last['achieved']:.3g} of"
+            f" {scene.requested:g}, {seconds:.2f} s; {scene.shape} {scene.material} {scene.light}"
             f" {scene.tier}",
             flush=True,
         )
-    return {"groups": [_group(rows, asked) for asked in (*ERRORS, None)], "rows": rows}
+    return {"groups": [_group(rows, requested) for requested in (*ERRORS, None)], "rows": rows}
 
 
-def _group(rows: list[dict[str, Any]], asked: float | None) -> dict[str, Any]:
-    """Return the figures of the shots for which an error was asked, None: of all."""
-    of = [row for row in rows if asked in (None, row["asked"])]
+def _group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any]:
+    """Return the figures of the shots that requested an error; None: of all."""
+    of = [row for row in rows if requested in (None, row["requested"])]
     column = {
         name: np.array([row[name] for row in of])
-        for name in ("asked", "achieved", "estimated", "predicted", "squared_bias", "seconds")
+        for name in ("requested", "achieved", "estimated", "predicted", "squared_bias", "seconds")
     }
-    kept = column["achieved"] <= column["asked"]
+    kept = column["achieved"] <= column["requested"]
     fixed = np.array([row["fixed"] for row in of])
     per_sample = float(np.mean([row["fixed_seconds"] for row in of])) / FIXED
     result = {
-        "asked": asked,
+        "requested": requested,
         "shots": len(of),
-        "denoised": sum(row["way"] == denoised.NAME for row in of),
+        "denoised": sum(row["estimator"] == denoised.NAME for row in of),
         "kept": int(kept.sum()),
         "missed_beyond_doubt": sum(
-            row["achieved"] - CONFIDENCE * row["achieved_deviation"] > row["asked"] for row in of
+            row["achieved"] - CONFIDENCE * row["achieved_standard_error"] > row["requested"]
+            for row in of
         ),
-        "bias_above_a_third": int((column["squared_bias"] > column["asked"] / 3).sum()),
-        "achieved_over_asked": float((column["achieved"] / column["asked"]).mean()),
-        "bias_over_asked": float((column["squared_bias"] / column["asked"]).mean()),
+        "bias_above_a_third": int((column["squared_bias"] > column["requested"] / 3).sum()),
+        "achieved_over_requested": float((column["achieved"] / column["requested"]).mean()),
+        "bias_over_requested": float((column["squared_bias"] / column["requested"]).mean()),
         "estimated_over_achieved": _spread(column["estimated"] / column["achieved"]),
         "predicted_over_achieved": _spread(column["predicted"] / column["achieved"]),
         "samples": float(np.mean([row["samples"] for row in of])),
         "seconds": float(column["seconds"].mean()),
     }
-    if asked is not None:
+    if requested is not None:
         equal = FIXED * float(fixed.mean() / column["achieved"].mean())
-        keeping = FIXED * float(np.quantile(fixed / asked, kept.mean()))
+        keeping = FIXED * float(np.quantile(fixed / requested, kept.mean()))
         result |= {
             "fixed_samples_of_the_same_mean": equal,
             "fixed_seconds_of_the_same_mean": equal * per_sample,
@@ -264,9 +265,9 @@ def _spread(values: np.ndarray) -> list[float]:
 
 def cause(row: dict[str, Any]) -> str:
     """Return why a shot's error was not kept."""
-    if row["estimated"] + CONFIDENCE * row["deviation"] > row["asked"]:
+    if row["estimated"] + CONFIDENCE * row["standard_error"] > row["requested"]:
         return "the most samples did not suffice"
-    if row["achieved"] - CONFIDENCE * row["achieved_deviation"] <= row["asked"]:
+    if row["achieved"] - CONFIDENCE * row["achieved_standard_error"] <= row["requested"]:
         return "within the uncertainty of the reference"
     if row["squared_bias"] > row["achieved"] / 2:
         return "bias that the estimate missed"
@@ -274,17 +275,17 @@ def cause(row: dict[str, Any]) -> str:
 
 
 def report(result: dict[str, Any]) -> str:
-    """Return the page of a `promise`."""
+    """Return the page of a `check`."""
     lines = [
-        "# Errors that were asked for",
+        "# Errors to which jobs limit pictures",
         "",
         f"    {result['command']}",
         "",
         f"Commit {result['commit']}, {result['date']}, {result['machine']};"
         f" pictures of {result['size']}×{result['size']}.",
         "",
-        "| asked | shots | denoised | kept | beyond doubt not | achieved ÷ asked, mean | squared"
-        " bias ÷ asked, mean | bias above a third | estimated ÷ achieved, 5 %, median, 95 % |"
+        "| requested | shots | denoised | kept | beyond doubt not | achieved ÷ requested, mean"
+        " | squared bias ÷ requested, mean | bias above a third | estimated ÷ achieved, 5 %, median, 95 % |"
         " predicted ÷ achieved |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -294,40 +295,40 @@ def report(result: dict[str, Any]) -> str:
 
     for g in result["figures"]["groups"]:
         lines.append(
-            f"| {'all' if g['asked'] is None else format(g['asked'], 'g')} | {g['shots']}"
+            f"| {'all' if g['requested'] is None else format(g['requested'], 'g')} | {g['shots']}"
             f" | {g['denoised']} | {g['kept']} ({g['kept'] / g['shots']:.1%})"
-            f" | {g['missed_beyond_doubt']} | {g['achieved_over_asked']:.2f}"
-            f" | {g['bias_over_asked']:.3f} | {g['bias_above_a_third']}"
+            f" | {g['missed_beyond_doubt']} | {g['achieved_over_requested']:.2f}"
+            f" | {g['bias_over_requested']:.3f} | {g['bias_above_a_third']}"
             f" | {three(g['estimated_over_achieved'])} | {three(g['predicted_over_achieved'])} |"
         )
     lines += [
         "",
         "Cost in processor seconds a picture, against one number of samples for all shots:",
         "",
-        "| asked | samples | cost | fixed, same mean error: samples | cost | fixed, kept as often:"
-        " samples | cost |",
+        "| requested | samples | cost | fixed, same mean error: samples | cost | fixed, kept as"
+        " often: samples | cost |",
         "|---|---|---|---|---|---|---|",
     ]
     for g in result["figures"]["groups"]:
-        if g["asked"] is not None:
+        if g["requested"] is not None:
             lines.append(
-                f"| {g['asked']:g} | {g['samples']:.0f} | {g['seconds']:.3f}"
+                f"| {g['requested']:g} | {g['samples']:.0f} | {g['seconds']:.3f}"
                 f" | {g['fixed_samples_of_the_same_mean']:.0f}"
                 f" | {g['fixed_seconds_of_the_same_mean']:.3f}"
                 f" | {g['fixed_samples_that_keep_as_often']:.0f}"
                 f" | {g['fixed_seconds_that_keep_as_often']:.3f} |"
             )
-    missed = [row for row in result["figures"]["rows"] if row["achieved"] > row["asked"]]
+    missed = [row for row in result["figures"]["rows"] if row["achieved"] > row["requested"]]
     lines += ["", f"Shots whose error was not kept ({len(missed)}):", ""]
     lines += [
-        "| shot | way, samples | asked | estimated | achieved | cause |",
+        "| shot | estimator, samples | requested | estimated | achieved | cause |",
         "|---|---|---|---|---|---|",
     ]
-    for row in sorted(missed, key=lambda row: row["asked"] / row["achieved"]):
+    for row in sorted(missed, key=lambda row: row["requested"] / row["achieved"]):
         lines.append(
             f"| {row['shape']}, {row['material']}, {row['light']}, {row['tier']}"
-            f" | {row['way']}, {row['samples']} | {row['asked']:g} | {row['estimated']:.3g}"
-            f" | {row['achieved']:.3g} ± {row['achieved_deviation']:.2g} | {cause(row)} |"
+            f" | {row['estimator']}, {row['samples']} | {row['requested']:g}"
+            f" | {row['estimated']:.3g} | {row['achieved']:.3g} ± {row['achieved_standard_error']:.2g} | {cause(row)} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -337,7 +338,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("measure", choices=("law", "promise"))
+    parser.add_argument("measure", choices=("law", "accuracy"))
     parser.add_argument("--shots", type=positive, default=60, metavar="N")
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
     parser.add_argument("--size", type=positive, default=64, metavar="PIXELS")
@@ -345,14 +346,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="of report.json and report.md")
     options = parser.parse_args()
     stage = Stage(options.size, options.threads)
-    figures = (law if options.measure == "law" else promise)(stage, options)
+    figures = (law if options.measure == "law" else check)(stage, options)
     result = {"size": options.size, **provenance(), "figures": figures}
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         write_json(options.out / "report.json", result)
-        if options.measure == "promise":
+        if options.measure == "accuracy":
             write_text(options.out / "report.md", report(result))
-    shown = figures["groups"] if options.measure == "promise" else [figures | {"rows": None}]
+    shown = figures["groups"] if options.measure == "accuracy" else [figures | {"rows": None}]
     for each in shown:
         print(each)
 

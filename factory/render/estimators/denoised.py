@@ -4,17 +4,17 @@ what      each half is denoised by itself, and the picture is the mean of both
 bias      detail that noise hides is smoothed; the estimate includes it, because each denoised half
           is compared with the other half's noisy pixels
 cost      the samples, and a fixed time per half, here as the samples that take as long
-fails     sharp reflections, whose detail no guide shows: there it needs as many samples as `plain`
+fails     sharp reflections, whose detail no guide shows: there it saves no samples
 """
 
 import math
 
-from factory.render.ways.halves import Estimate
-from manifests.schema import Way
+from factory.render.estimators.halves import Estimate
+from manifests.schema import Estimator
 
-NAME: Way = "denoised"
+NAME: Estimator = "denoised"
 # error of the denoised picture: SCALE · (error of the same samples without denoiser)^POWER,
-# measured by factory.render.validation.error_promise
+# measured by factory.render.validation.error_target
 SCALE, POWER = 2.8, 0.55
 LEAST = 4  # samples of each half that are worth denoising
 MOST_TRIES = 3

@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
+from factory.render.estimators import choice
+from factory.render.estimators.halves import Halves, Shown
 from factory.render.settings import PORTION
-from factory.render.ways import choice
-from factory.render.ways.halves import Halves, Shown
 from manifests.schema import Camera
 from manifests.store import Store
 from shaders import tone
@@ -67,13 +67,13 @@ def test_a_picture_keeps_its_error_beside_a_reference(chair, tier):
     reference = Halves(Shown(chair, 77, tier, mask))
     reference.grow(512)
     exposure = tone.auto_exposure(reference.picture, mask)
-    for asked in (8.0, 60.0):
-        made = choice.picture(Shown(chair, 5, tier, mask), asked)
+    for requested in (8.0, 60.0):
+        made = choice.picture(Shown(chair, 5, tier, mask), requested)
         a, r1, r2 = (
             tone.display(each[mask], exposure) for each in (made.radiance, *reference.pictures)
         )
         achieved = float(((a - r1) * (a - r2)).mean())
-        assert achieved <= asked
+        assert achieved <= requested
         assert made.estimated.error == pytest.approx(achieved, rel=0.5)
 
 
@@ -90,20 +90,20 @@ def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
     words += ["--light", "city", "--size", "24", "--device", "cpu", "--out", data]
     assert factory(*words, "--error", "30").startswith("2 pictures made")
     records = list(Store(data).records())
-    assert {record.promise.asked for record in records} == {30.0}
-    assert all(record.promise.estimated <= 30 for record in records)
+    assert {record.accuracy.requested for record in records} == {30.0}
+    assert all(record.accuracy.estimated <= 30 for record in records)
     assert "2 were there already" in factory(*words, "--error", "30")
     factory(*words, "--error", "90")
     factory(*words, "--samples", "2")
     assert "6 records, clean" in factory("verify", data)
     status = factory("status", data)
     assert "error ≤ 30" in status and "error ≤ 90" in status
-    by_asked = {}
+    by_requested = {}
     for record in Store(data).records():
-        key = record.promise.asked if record.promise else None
-        by_asked.setdefault(key, []).append(record.samples)
-    assert by_asked[None] == [2, 2] and sum(by_asked[30.0]) >= sum(by_asked[90.0])
+        key = record.accuracy.requested if record.accuracy else None
+        by_requested.setdefault(key, []).append(record.samples)
+    assert by_requested[None] == [2, 2] and sum(by_requested[30.0]) >= sum(by_requested[90.0])
     settings = Store(data).dataset().settings
-    assert sorted("ways" in each for each in settings.values()) == [False, True]
+    assert sorted("estimators" in each for each in settings.values()) == [False, True]
     factory("preview", data, "--out", str(tmp_path / "p"), "--count", "6", "--size", "48")
     assert "of 30" in (tmp_path / "p" / "index.html").read_text()

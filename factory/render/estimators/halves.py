@@ -32,7 +32,7 @@ class Portion(NamedTuple):
 
 
 class Renderer(Protocol):
-    """What the ways call: factory.render.studio.Studio, or a substitute without Blender."""
+    """What the estimators call: factory.render.studio.Studio, or a substitute without Blender."""
 
     def portion(
         self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
@@ -57,12 +57,12 @@ class Estimate:
     """An estimate of a display L2, and the standard error of the picture's own about it."""
 
     error: float
-    deviation: float
+    standard_error: float
 
     @property
     def bound(self) -> float:
         """The error that is not exceeded with 95 % confidence."""
-        return max(self.error, 0.0) + CONFIDENCE * self.deviation
+        return max(self.error, 0.0) + CONFIDENCE * self.standard_error
 
 
 def half_seed(seed: int, half: int) -> int:
@@ -152,7 +152,7 @@ def mean_over(values: np.ndarray) -> Estimate:
     """Return the mean of the pixels' values (P,), and by how much the picture's error differs.
 
     Noise is independent between pixels, and an error that is estimated from one squared difference
-    is off by about itself: each value counts as its own standard deviation.
+    is off by about itself: each value counts as its own standard standard_error.
     """
     squares = float(values.astype(np.float64) @ values.astype(np.float64))
     return Estimate(float(values.mean(dtype=np.float64)), math.sqrt(OWN * squares) / len(values))

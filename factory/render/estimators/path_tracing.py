@@ -1,6 +1,6 @@
 """Path tracing with the number of samples that the shot needs.
 
-what      both halves grow until the error that their difference shows is kept
+what      both halves grow until the error that their difference shows is at most the limit
 bias      of the picture none; its display values are those of a noisy mean, which the tone curve
           darkens
 cost      the samples
@@ -9,10 +9,10 @@ fails     light that few paths find: if neither half has met it, their differenc
 
 import math
 
-from factory.render.ways.halves import Estimate
-from manifests.schema import Way
+from factory.render.estimators.halves import Estimate
+from manifests.schema import Estimator
 
-NAME: Way = "plain"
+NAME: Estimator = "path-tracing"
 AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 

@@ -1,0 +1,12 @@
+"""Estimators of pictures whose display error a job limits; one file and one card each.
+
+choice        selects the cheapest estimator for a shot, from a few samples of it
+path_tracing  with as many samples as the shot needs
+denoised      path tracing with fewer samples, and Open Image Denoise
+
+error   display L2 (shaders.tone) over the object's mask, of noise and bias together, under the
+        exposure that brings the 99th percentile of luminance over the mask to 1
+halves  each shot is rendered twice with independent seeds. Both halves together are the picture,
+        so that no sample is spent on the estimate of the error, which is what their difference says
+Nothing is decided by a clock: the same seed chooses the same estimator on every machine.
+"""
