@@ -68,8 +68,8 @@ def run(options: argparse.Namespace) -> int:
         counts = ", ".join(f"{count} {name}" for name, count in kept["estimators"].items())
         print(
             f"  {'error ≤ ' + requested:<16} {counts}; estimated {kept['mean']:.3g} on average,"
-            f" at most {kept['largest']:.3g}; {kept['above']} above; {kept['samples']:.0f} samples on"
-            " average"
+            f" at most {kept['largest']:.3g}; {kept['above']} above;"
+            f" {kept['samples']:.0f} samples on average"
         )
     print(
         f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time"

@@ -220,8 +220,8 @@ class Pipeline:
         if made.estimated.bound > job.error:
             self.notes.append(
                 f"{shot.id}: its error is about {accuracy.estimated:g} ±"
-                f" {accuracy.standard_error:.2g} after {made.samples} samples, the largest number allowed; the job limits it to"
-                f" {job.error:g}"
+                f" {accuracy.standard_error:.2g} after {made.samples} samples, the largest"
+                f" number allowed; the job limits it to {job.error:g}"
             )
         return made.radiance, made.alpha, made.samples, accuracy
 

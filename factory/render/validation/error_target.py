@@ -285,8 +285,8 @@ def report(result: dict[str, Any]) -> str:
         f" pictures of {result['size']}×{result['size']}.",
         "",
         "| requested | shots | denoised | kept | beyond doubt not | achieved ÷ requested, mean"
-        " | squared bias ÷ requested, mean | bias above a third | estimated ÷ achieved, 5 %, median, 95 % |"
-        " predicted ÷ achieved |",
+        " | squared bias ÷ requested, mean | bias above a third"
+        " | estimated ÷ achieved, 5 %, median, 95 % | predicted ÷ achieved |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
 
@@ -328,7 +328,8 @@ def report(result: dict[str, Any]) -> str:
         lines.append(
             f"| {row['shape']}, {row['material']}, {row['light']}, {row['tier']}"
             f" | {row['estimator']}, {row['samples']} | {row['requested']:g}"
-            f" | {row['estimated']:.3g} | {row['achieved']:.3g} ± {row['achieved_standard_error']:.2g} | {cause(row)} |"
+            f" | {row['estimated']:.3g}"
+            f" | {row['achieved']:.3g} ± {row['achieved_standard_error']:.2g} | {cause(row)} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -338,7 +339,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("measure", choices=("law", "accuracy"))
+    parser.add_argument("measure", choices=("law", "check"))
     parser.add_argument("--shots", type=positive, default=60, metavar="N")
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
     parser.add_argument("--size", type=positive, default=64, metavar="PIXELS")
@@ -351,9 +352,9 @@ def main() -> None:
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         write_json(options.out / "report.json", result)
-        if options.measure == "accuracy":
+        if options.measure == "check":
             write_text(options.out / "report.md", report(result))
-    shown = figures["groups"] if options.measure == "accuracy" else [figures | {"rows": None}]
+    shown = figures["groups"] if options.measure == "check" else [figures | {"rows": None}]
     for each in shown:
         print(each)
 
