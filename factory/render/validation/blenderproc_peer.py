@@ -1,0 +1,77 @@
+"""Renders saved scenes by BlenderProc, for factory.render.validation.speed_accuracy.
+
+PYTHON -m factory.render.validation.blenderproc_peer ORDER.json
+
+PYTHON must have the packages blenderproc and bpy; nothing of this project is imported. The order
+names .blend files, settings and threads; radiance is written beside each scene, and processor
+seconds per picture are printed as JSON.
+
+BlenderProc usually starts Blender itself. Here its modules are called in Blender's Python module,
+by the path of the package, because its own entrance would install packages.
+"""
+
+import contextlib
+import importlib.util
+import json
+import os
+import sys
+import time
+import types
+from pathlib import Path
+from typing import Any
+
+
+def blenderproc() -> Any:
+    """Return BlenderProc's modules (RendererUtility, CameraUtility, SetupUtility)."""
+    os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"
+    spec = importlib.util.find_spec("blenderproc")
+    if spec is None or not spec.submodule_search_locations:
+        raise SystemExit("blenderproc_peer: the package blenderproc is missing")
+    package = types.ModuleType("blenderproc")
+    package.__path__ = list(spec.submodule_search_locations)
+    sys.modules["blenderproc"] = package
+    names = ("renderer.RendererUtility", "camera.CameraUtility")
+    modules = [importlib.import_module(f"blenderproc.python.{name}") for name in names]
+    setup = importlib.import_module("blenderproc.python.utility.SetupUtility").SetupUtility
+    return *modules, setup
+
+
+def main(order: Path) -> None:
+    """Render every scene of an order under each of its settings."""
+    import bpy
+    import numpy as np
+
+    with contextlib.redirect_stdout(sys.stderr):
+        renderer, camera, setup = blenderproc()
+        words = json.loads(order.read_text())
+        temporary = order.parent / "temporary"
+        setup.setup_utility_paths(str(temporary))
+    seconds: dict[str, list[float]] = {}
+    for blend in words["scenes"]:
+        for name, settings in words["settings"].items():
+            with contextlib.redirect_stdout(sys.stderr):
+                bpy.ops.wm.open_mainfile(filepath=blend)
+                scene = next(each for each in bpy.data.scenes if each.camera)
+                bpy.context.window.scene = scene
+                scene.render.use_compositing, scene.render.use_border = True, False
+                renderer.render_init()
+                renderer.set_max_amount_of_samples(settings["samples"])
+                renderer.set_noise_threshold(settings["threshold"])
+                renderer.set_denoiser(settings["denoiser"])
+                renderer.toggle_light_tree(False)
+                renderer.set_cpu_threads(words["threads"])
+                renderer.set_output_format("OPEN_EXR", 32, True, view_transform="Raw")
+                scene.frame_start = scene.frame_end = 0
+                for _ in range(words["frames"]):
+                    camera.add_camera_pose(np.array(scene.camera.matrix_basis))
+                start = time.process_time()
+                # verbose: its progress bar waits for ever where standard output is a pipe
+                data = renderer.render(str(temporary), load_keys={"colors"}, verbose=True)
+                spent = (time.process_time() - start) / words["frames"]
+            seconds.setdefault(name, []).append(spent)
+            np.save(f"{blend}.{name}.npy", np.asarray(data["colors"][-1], np.float32)[..., :3])
+    print(json.dumps(seconds))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
