@@ -44,7 +44,7 @@ from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 
 SAMPLES = (4, 16, 64, 256)
-LIMITS = (2.0, 5.0, 20.0, 60.0, 200.0)
+LIMITS = (5.0, 20.0, 60.0, 200.0)
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
 FRAMES = 2
@@ -322,7 +322,7 @@ def main() -> None:
     parser.add_argument("--size", type=positive, default=128, metavar="PIXELS")
     parser.add_argument("--tier", choices=TIERS, help="of all scenes (default: each in turn)")
     parser.add_argument(
-        "--reference", type=positive, default=2048, metavar="N", help="samples of each half"
+        "--reference", type=positive, default=512, metavar="N", help="samples of each half"
     )
     parser.add_argument("--blenderproc", metavar="PYTHON", help="compare with BlenderProc, too")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
