@@ -69,9 +69,7 @@ def turned_links(markdown: str, source: str, page: str) -> str:
         return posixpath.relpath(home, posixpath.dirname(page) or ".") + anchor
 
     fences = re.split(r"(^```.*?^```$)", markdown, flags=re.M | re.S)
-    return "".join(
-        part if part.startswith("```") else LINK.sub(turned, part) for part in fences
-    )
+    return "".join(part if part.startswith("```") else LINK.sub(turned, part) for part in fences)
 
 
 def _as_page(text: str, source: str) -> str:

@@ -254,7 +254,9 @@ def _definition(name: str, schema: dict[str, Any]) -> Iterator[str]:
 
 def _described(text: str) -> tuple[str, dict[str, str]]:
     """Return a docstring's sentences, and {key: meaning} of its columns."""
-    sentences, meanings, keys = [], {}, []
+    sentences: list[str] = []
+    meanings: dict[str, str] = {}
+    keys: list[str] = []
     for line in text.split("\n"):
         if match := re.match(r"^([a-z]\w*(?:, \w+)*) {2,}(\S.*)$", line):
             keys = match[1].split(", ")
@@ -285,7 +287,9 @@ def _type(schema: dict[str, Any]) -> str:
     limits = [f"{sign} {schema[key]:g}" for key, sign in words.items() if key in schema]
     if "pattern" in schema:
         limits.append(f"`{schema['pattern'].replace('|', '¦')}`")
-    return " ".join([str(schema.get("type", "any")), *(["(" + ", ".join(limits) + ")"] * bool(limits))])
+    return " ".join(
+        [str(schema.get("type", "any")), *(["(" + ", ".join(limits) + ")"] * bool(limits))]
+    )
 
 
 # Results
@@ -297,13 +301,17 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
     report = json.loads((folder / "report.json").read_text())
     known = json.loads((folder / "sources.json").read_text())
     judged = json.loads((folder / "judged.json").read_text())
-    rows = dict(re.findall(r"<h2>([^<]+)</h2>\s*<img src=['\"]data:image/jpeg;base64,([^'\"]+)", text))
+    rows = dict(
+        re.findall(r"<h2>([^<]+)</h2>\s*<img src=['\"]data:image/jpeg;base64,([^'\"]+)", text)
+    )
     if set(rows) != set(known["photographs"]):
         raise KeyError("docs/results/photographs: index.html and sources.json name other pictures")
     materials, made = report["materials"], report["made"]
     verdicts = {name: judged[name].partition(":")[0].partition(" for ")[0] for name in rows}
     counts = {verdict: list(verdicts.values()).count(verdict) for verdict in VERDICTS}
-    summary = ", ".join(f"{count} photographs {VERDICTS[verdict]}" for verdict, count in counts.items())
+    summary = ", ".join(
+        f"{count} photographs {VERDICTS[verdict]}" for verdict, count in counts.items()
+    )
     refined = "refined" if report["refined"] else "not refined"
     page = [
         "# Gallery",
