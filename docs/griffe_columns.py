@@ -23,21 +23,25 @@ def _block(block: str) -> str:
     if begins is None:
         return block
     rows: list[list[str]] = []
-    for line in lines[begins:]:
+    last = max(i for i, line in enumerate(lines) if ROW.match(line) or line.startswith("  "))
+    for line in lines[begins : last + 1]:
         if match := ROW.match(line):
             rows.append([match[1], match[2]])
-        elif line.startswith("  "):
+        else:
             rows[-1][1] += f" {line.strip()}"
-        else:  # a sentence after the columns, or no columns at all
-            return block
-    before = "\n".join(lines[:begins])
+    before, after = "\n".join(lines[:begins]), "\n".join(lines[last + 1 :])
     table = ["| | |", "|---|---|", *(f"| `{name}` | {cell(text)} |" for name, text in rows)]
-    return "\n\n".join(part for part in (before, "\n".join(table)) if part)
+    return "\n\n".join(part for part in (before, "\n".join(table), after) if part)
 
 
 def cell(text: str) -> str:
     """Return text as it can stand in a cell of a table."""
-    return re.sub(r"([|*_\[\]<>])", r"\\\1", text)
+    parts = text.split("`")
+    for i in range(0, len(parts), 2):  # outside of `code`
+        parts[i] = re.sub(r"([*_\[\]<>])", r"\\\1", parts[i])
+        for character in "{}|":
+            parts[i] = parts[i].replace(character, f"&#{ord(character)};")
+    return "`".join(parts)
 
 
 class Columns(griffe.Extension):

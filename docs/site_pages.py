@@ -7,6 +7,7 @@ gallery, reports.
 import argparse
 import base64
 import html
+import inspect
 import json
 import re
 import textwrap
@@ -14,12 +15,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 import brdfactory
 from brdfactory import command_line
 from learn.experiments import __main__ as experiments
 from manifests import publish
 
 WIDTH = 88
+NO_HEADING = "    options:\n      show_root_heading: false\n"
 COLUMNS = "| | |\n|---|---|"
 BRDFACTORY = {  # heading: names of the package
     "Edit photographs": ("edit", "decompose", "Decomposition", "EditedPicture", "Picture"),
@@ -60,9 +64,20 @@ def all_files(root: Path) -> dict[str, str | bytes]:
 
 
 def cell(text: str) -> str:
-    """Return plain text as it can stand in a cell of a table of Markdown."""
-    escaped = re.sub(r"([\\`*_\[\]|])", r"\\\1", html.escape(text, quote=False))
-    return " ".join(escaped.split())
+    """Return text as it can stand in a cell of a table of Markdown; `code` stays code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return _escaped(" ".join(text.replace("`", "'").split()))
+    shown = [f"`{part}`" if i % 2 else _escaped(part) for i, part in enumerate(parts)]
+    return " ".join("".join(shown).split())
+
+
+def _escaped(text: str) -> str:
+    """Return text without a meaning in Markdown; braces would be read as attributes."""
+    escaped = re.sub(r"([\\*_\[\]])", r"\\\1", html.escape(text, quote=False))
+    for character in "{}|":
+        escaped = escaped.replace(character, f"&#{ord(character)};")
+    return escaped
 
 
 # The command line
@@ -154,7 +169,7 @@ def _option(shown: argparse.HelpFormatter, action: argparse.Action) -> str:
     words = ", ".join(action.option_strings)
     value = "" if action.nargs == 0 else shown._format_args(action, _metavar(shown, action))
     name = f"{words} {value}".strip()
-    return f"| `{name.replace('|', '¦')}` | {cell(shown._expand_help(action))} |"
+    return f"| `{name}` | {cell(shown._expand_help(action))} |"
 
 
 def _metavar(shown: argparse.HelpFormatter, action: argparse.Action) -> str:
@@ -192,6 +207,7 @@ def layer_page() -> str:
     page = [
         "# Python: the layer and its data",
         "[Choosing a rendering method](../how-to-choose.md) explains `method` and `tolerance`.",
+        f"::: learn.layer.rendering\n{NO_HEADING}      members: []",
     ]
     for title, names in LAYER.items():
         page.append(f"## {title}")
@@ -207,7 +223,7 @@ def shaders_page() -> str:
         " [Conventions](../conventions.md) defines the frames and units.",
     ]
     for title, module in SHADERS.items():
-        page += [f"## {title}", f"::: {module}\n    options:\n      show_root_heading: false"]
+        page += [f"## {title}", f"::: {module}\n{NO_HEADING}"]
     return "\n\n".join(page) + "\n"
 
 
@@ -222,10 +238,10 @@ def schemas_page() -> str:
         " [The data set on disk](../dataset.md) explains those of a data set, with examples.",
     ]
     described: set[str] = set()
-    for file, text in publish.documents().items():
-        name = file.partition(".")[0]
-        schema = json.loads(text)
+    for name, type_ in publish.TYPES.items():
+        schema = msgspec.json.schema(type_)
         top = schema.get("$ref", "").rpartition("/")[2]
+        file = f"{name}.schema.json"
         page.append(f"## {name}\n\nThe whole schema: [{file}]({file}).")
         definitions = schema["$defs"]
         for each in sorted(definitions, key=lambda key: (key != top, key)):
@@ -239,7 +255,7 @@ def schemas_page() -> str:
 def _definition(name: str, schema: dict[str, Any]) -> Iterator[str]:
     """Yield the paragraphs of one type."""
     yield f"### {name}"
-    sentences, meanings = _described(schema.get("description", ""))
+    sentences, meanings = _described(inspect.cleandoc(schema.get("description", "")))
     if sentences:
         yield html.escape(sentences, quote=False)
     required = schema.get("required", [])
@@ -284,9 +300,9 @@ def _type(schema: dict[str, Any]) -> str:
         exact = f"{lengths[0]} × " if lengths[0] is not None and lengths[0] == lengths[1] else ""
         return f"list of {exact}{_type(items)}" if items else "list"
     words = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
-    limits = [f"{sign} {schema[key]:g}" for key, sign in words.items() if key in schema]
+    limits = [f"{sign} {schema[key]:,}" for key, sign in words.items() if key in schema]
     if "pattern" in schema:
-        limits.append(f"`{schema['pattern'].replace('|', '¦')}`")
+        limits.append(f"`{schema['pattern']}`")
     return " ".join(
         [str(schema.get("type", "any")), *(["(" + ", ".join(limits) + ")"] * bool(limits))]
     )
@@ -325,8 +341,8 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
         "![A photograph of an espresso cup and two edits of it](results/photographs/hero.jpg)",
         "*At their own size, edits look like these: left the photograph"
         " (`example:espresso-cup`, which comes with the program), right two edits of its regions.*",
-        f"Made by `{made['command']}` at commit {made['commit']} on {made['date']}; the first"
-        " argument is the folder below which the pictures' packages are unpacked."
+        f"`make gallery` makes them. These are of commit {made['commit']} and {made['date']}, by"
+        f" `{made['command']}`, whose first argument is the folder of the pictures' packages."
         " [Editing a photograph](editing.md#limitations) says what to expect.",
     ]
     files: dict[str, str | bytes] = {}
@@ -338,8 +354,8 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
             files[f"gallery/{name}.jpg"] = base64.b64decode(rows[name])
             page += [
                 f"### {name.replace('-', ' ').capitalize()}",
-                f"![{name}: photograph, decomposition and edits](gallery/{name}.jpg)"
-                "{ .wide loading=lazy }",
+                f"[![{name}: photograph, decomposition and edits](gallery/{name}.jpg)"
+                f"{{ loading=lazy }}](gallery/{name}.jpg)",
                 cell(judged[name]),
                 f"*Photograph:* {cell(source)} of {package} {about['version']};"
                 f" {cell(about['licence'])}; {cell(about['credit'])}.",
@@ -353,26 +369,49 @@ TITLES = {"Works": "Edits that work", "Half works": "Edits that half work", "Fai
 
 def reports_page(results: Path) -> str:
     """Return a list of all reports, with the command and date of each."""
-    rows = ["| report | made by | date, commit |", "|---|---|---|"]
+    rows = ["| report | what it measures | made by |", "|---|---|---|"]
     for path in sorted(results.glob("*/*.md")):
-        title = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        data = path.with_suffix(".json")
-        made = json.loads(data.read_text()).get("made") if data.is_file() else None
-        made = made if isinstance(made, dict) else {}
-        command = f"`{made['command']}`" if made.get("command") else "see the report"
-        when = f"{made.get('date', '')} {str(made.get('commit', ''))[:7]}"
+        text = path.read_text(encoding="utf-8")
+        title = text.partition("\n")[0].removeprefix("# ")
         link = path.relative_to(results).as_posix()
-        rows.append(f"| [{cell(title)}]({link}) | {command.replace('|', '¦')} | {when} |")
+        name = link.removesuffix("/report.md").removesuffix(".md")
+        rows.append(f"| [{name}]({link}) | {cell(title)} | {_stamp(path, text)} |")
     return "\n\n".join(
         [
             "# Reports",
-            "Every figure of this site comes from one of these reports, which a command made."
+            "Most figures of this site come from these reports. Each was made by a command, given"
+            " as it was at its commit; [the changelog](../changelog.md#command-line) has the"
+            " names that have changed since."
             " [The gallery](../gallery.md) has edits of photographs;"
             " [training](../learning.md#the-committed-weights) says how the weights were made;"
             " [evaluation](../evaluation.md#results) summarises how good edits are.",
             "\n".join(rows),
         ]
     )
+
+
+def _stamp(path: Path, text: str) -> str:
+    """Return a report's command, commit and date, from its JSON or else from its text."""
+    data = path.with_suffix(".json")
+    made = next(_stamps(json.loads(data.read_text()) if data.is_file() else None), None)
+    if made is None:
+        line = re.search(r"`(python [^`]+)`[^\n]*?commit (\w+), (\d{4}-\d\d-\d\d)", text)
+        made = dict(zip(("command", "commit", "date"), line.groups(), strict=True)) if line else {}
+    if not made:
+        return "see the report"
+    return f"`{made['command']}`, {made['commit'][:7]}, {made['date']}"
+
+
+def _stamps(data: Any) -> Iterator[dict[str, str]]:
+    """Yield what `manifests.provenance` wrote into a report, wherever it stands."""
+    if isinstance(data, dict):
+        if {"command", "commit", "date"} <= set(data):
+            yield data
+        for value in data.values():
+            yield from _stamps(value)
+    elif isinstance(data, list):
+        for value in data:
+            yield from _stamps(value)
 
 
 def jobs_page(folder: Path) -> str:
