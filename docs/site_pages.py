@@ -339,8 +339,8 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
         " photographs. Each row shows the photograph, the picture rendered again from its"
         " decomposition, normals, light, and the edits.",
         "![A photograph of an espresso cup and two edits of it](results/photographs/hero.jpg)",
-        "*At their own size, edits look like these: left the photograph"
-        " (`example:espresso-cup`, which comes with the program), right two edits of its regions.*",
+        "*A larger example: left a photograph that comes with the program"
+        " (`example:espresso-cup`), then two edits of its regions.*",
         f"`make gallery` makes them. These are of commit {made['commit']} and {made['date']}, by"
         f" `{made['command']}`, whose first argument is the folder of the pictures' packages."
         " [Editing a photograph](editing.md#limitations) says what to expect.",
@@ -358,9 +358,15 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
                 f"{{ loading=lazy }}](gallery/{name}.jpg)",
                 cell(judged[name]),
                 f"*Photograph:* {cell(source)} of {package} {about['version']};"
-                f" {cell(about['licence'])}; {cell(about['credit'])}.",
+                f" {cell(_licence(about['licence'], source))}; {cell(about['credit'])}.",
             ]
     return files | {"gallery.md": "\n\n".join(page) + "\n"}
+
+
+def _licence(text: str, source: str) -> str:
+    """Return a package's licence, or of several, "…: a X, b Y", that of the picture `source`."""
+    stem = Path(source).stem
+    return next((part for part in re.split(r"[:,] ", text) if part.startswith(f"{stem} ")), text)
 
 
 VERDICTS = {"Works": "work", "Half works": "half work", "Fails": "fail"}
