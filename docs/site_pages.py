@@ -6,6 +6,7 @@ gallery, reports.
 
 import argparse
 import base64
+import hashlib
 import html
 import inspect
 import json
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from safetensors import safe_open
 
 import brdfactory
 from brdfactory import command_line
@@ -56,6 +58,7 @@ def all_files(root: Path) -> dict[str, str | bytes]:
         "reference/shaders.md": shaders_page(),
         "reference/schemas.md": schemas_page(),
         "results/index.md": reports_page(results),
+        "results/weights.md": weights_page(root / "learn" / "weights"),
         "jobs/index.md": jobs_page(root / "docs" / "jobs"),
     }
     for name, text in publish.documents().items():
@@ -389,11 +392,44 @@ def reports_page(results: Path) -> str:
             " as it was at its commit; [the changelog](../changelog.md#command-line) has the"
             " names that have changed since."
             " [The gallery](../gallery.md) has edits of photographs;"
-            " [training](../learning.md#the-committed-weights) says how the weights were made;"
+            " [the weights](weights.md) say how they were made;"
             " [evaluation](../evaluation.md#results) summarises how good edits are.",
             "\n".join(rows),
         ]
     )
+
+
+def weights_page(folder: Path) -> str:
+    """Return what the metadata of the committed weights say of how they were made."""
+    page = [
+        "# How the weights were made",
+        "This page is read from the weights themselves."
+        " [Training](../learning.md#the-committed-weights) has the stages, their data and what each"
+        " gained; [evaluation](../evaluation.md#data-that-the-weights-saw) says how data that"
+        " weights saw are kept out of tests. `make weights` trains new ones.",
+    ]
+    for path in sorted(folder.glob("*.safetensors")):
+        with safe_open(path, "np") as opened:
+            metadata = opened.metadata()
+        run = json.loads(metadata["run"])
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        start = run.get("start") or "from random weights"
+        facts = {
+            "network": f"`{metadata['network']}`, pictures of {metadata['size']}²",
+            "began with": start.replace(".safetensors", ""),
+            "optimiser's steps of the last stage": f"{int(metadata.get('step', 0)):,}",
+            "file": f"{path.stat().st_size / 1e6:.1f} MB, SHA-256 `{digest}…`",
+        }
+        if "step" not in metadata:
+            del facts["optimiser's steps of the last stage"]
+        page += [
+            f"## {path.stem}",
+            cell(f"{run['about'][:1].upper()}{run['about'][1:].rstrip('.')}."),
+            "\n".join([COLUMNS, *(f"| {name} | {value} |" for name, value in facts.items())]),
+            "The run of the last stage:",
+            f"```json\n{json.dumps(run, indent=1)}\n```",
+        ]
+    return "\n\n".join(page) + "\n"
 
 
 def _stamp(path: Path, text: str) -> str:

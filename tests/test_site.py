@@ -14,6 +14,7 @@ import pytest
 
 import brdfactory
 from brdfactory import command_line
+from tests.support import browser
 
 LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
 
@@ -143,6 +144,28 @@ def test_the_gallery_has_a_picture_a_judgement_and_a_licence_for_each_photograph
     assert 3 * len(rows) >= 24
     assert text.count("Photograph:") == len(rows)
     assert "Fails: " in text and "CC-BY-2.0" in text
+
+
+def test_the_weights_say_how_they_were_made(root, site):
+    page = Page(site / "results" / "weights.html")
+    for path in (root / "learn" / "weights").glob("*.safetensors"):
+        assert path.stem in page.anchors
+
+
+@pytest.mark.skipif(
+    not browser.is_available(), reason="needs Debian's packages chromium and chromium-driver"
+)
+def test_search_works_in_pages_opened_from_disk(site):
+    with browser.Browser() as window:
+        window.open(site / "first-edit.html")
+        window.wait("document.querySelector('.md-search__input')")
+        window.click(".md-search__input")
+        window.type(".md-search__input", "reflectance map")
+        window.wait("document.querySelector('.md-search-result__link')")
+        assert "matching documents" in window.run(
+            "return document.querySelector('.md-search-result__meta').textContent"
+        )
+        assert window.console() == []
 
 
 def test_links_that_leave_the_folder_of_documents_become_pages(module, root, monkeypatch):
