@@ -2,8 +2,11 @@
 it is loaded from a network.
 """
 
+import argparse
 import importlib.util
 import os
+import re
+import shlex
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -13,6 +16,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import brdfactory
+import learn.experiments.__main__
 from brdfactory import command_line
 from tests.support import browser
 
@@ -135,6 +139,28 @@ def test_the_reference_has_every_command_and_every_name(site):
         assert f"{brdfactory._HOMES[name]}.{name}" in api
     schemas = Page(site / "reference" / "schemas.html")
     assert {"job", "record", "camera", "run"} <= schemas.anchors
+
+
+def test_every_example_of_the_generated_pages_can_be_given(module, capsys):
+    pages = module("site_pages")
+    text = pages.command_page() + pages.experiments_page()
+    lines = re.findall(r"^ *python -m (factory|learn|learn\.experiments) (.*)$", text, re.M)
+    assert len(lines) > 60
+    experiments = argparse.ArgumentParser()
+    subparsers = experiments.add_subparsers(required=True)
+    for register in learn.experiments.__main__.COMMANDS.values():
+        register(subparsers)
+    parsers = {"learn.experiments": experiments}
+    refused = []
+    for program, line in lines:
+        words = shlex.split(re.split(r"\s{2,}", line)[0])
+        if words[-1] in ("COMMAND", "--help") or "[-h]" in words:  # a usage
+            continue
+        try:
+            parsers.get(program, command_line.parser()).parse_args(words)
+        except SystemExit:
+            refused.append(f"{program} {line}: {capsys.readouterr().err.splitlines()[-1]}")
+    assert refused == []
 
 
 def test_the_gallery_has_a_picture_a_judgement_and_a_licence_for_each_photograph(site):
