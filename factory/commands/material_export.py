@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 EXTENSION = Path(__file__).resolve().parents[1] / "blender_extension"
 EXTENSION_FILES = ("__init__.py", "blender_manifest.toml")
-CATALOGUES = "blender_assets.cats.txt"  # the name under which Blender looks for it
 DATE = (1980, 1, 1, 0, 0, 0)  # of every file in the zip, so that equal sources give equal bytes
 
 
@@ -106,10 +105,12 @@ def run_export(options: argparse.Namespace) -> None:
             "none",
             "add one: python -m factory materials add",
         )
-    for path, ending in ((options.blend, ".blend"), (options.materialx, ".mtlx")):
-        if path is not None:
-            beside = (CATALOGUES,) if path is options.blend else ()
-            _reserve(path, ending, options.overwrite, catalogues, beside)
+    if options.blend:
+        from factory.render.asset_library import CATALOGUES
+
+        _reserve(options.blend, ".blend", options.overwrite, catalogues, (CATALOGUES,))
+    if options.materialx:
+        _reserve(options.materialx, ".mtlx", options.overwrite, catalogues)
     if options.blend:
         _write_library(options.blend, chosen, options.light, options.size)
     if options.materialx:

@@ -81,9 +81,7 @@ def material_sphere(
     return np.round(coverage(size)[..., None] * (display - GROUND) + GROUND).astype(np.uint8)
 
 
-def _display(
-    sphere: Sphere, material: Material, size: int, of: str, exposure: float
-) -> np.ndarray:
+def _display(sphere: Sphere, material: Material, size: int, of: str, exposure: float) -> np.ndarray:
     """Return display values (size, size, 3) of a sphere that fills the square's corners too."""
     nodes = sphere.nodes()
     label = (

@@ -1,18 +1,20 @@
 """Materials of MaterialX's standard_surface that come closest to fitted mixtures.
 
-They are for programs that cannot sum many closures. All lengths of vectors are of unit directions,
-and f is a BRDF (…, 3) in 1/sr without cosine, linear Rec.709.
+They are for programs that cannot sum many closures. f is a BRDF (…, 3) in 1/sr without cosine,
+linear Rec.709.
 
 G(r)     GGX with height-correlated masking, shaders.closures.ggx, α = r²
 F(ior)   the Fresnel equations of a dielectric at cos_d
 E(r)     directional albedo of G(r) without Fresnel, at cos_o
 M        1 + F (1 − E)/E: compensates for light that is scattered more than once
 f        layer(coat, layer(specular specular_color, base_color/π)), where
-         layer(top, below) = G F M top + (1 − top's albedo) below
+         layer(top, below) = G F M top + (1 − top's albedo) below; the albedo is that of Schlick's
+         Fresnel term, times M, without the colour
 
-This is what MaterialX's own shaders compute (libraries/pbrlib, mx_dielectric_bsdf), with tables
-for the albedos. `metalness` stays 0: measured metals are darker at grazing angles than its Fresnel
-term allows, and a coloured specular layer of a high index of refraction fits them better.
+This is what MaterialX's own shaders compute (its libraries/bxdf/standard_surface.mtlx and
+libraries/pbrlib/genglsl/mx_dielectric_bsdf.glsl), with tables for the albedos. `metalness` stays 0:
+measured metals are darker at grazing angles than its Fresnel term allows, and a coloured specular
+layer of a high index of refraction fits them better.
 """
 
 from dataclasses import dataclass
@@ -40,7 +42,7 @@ INITIAL = (
     (0.5, 1.5, 0.3, 0.1),
     (0.8, 0.4, 0.0, 0.5),
 )
-EVALUATIONS = 100  # of each search
+EVALUATIONS = 60  # of each search
 DIGITS = 4  # after the point, as written
 
 Cosines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -90,7 +92,7 @@ class Approximation:
 
 def fit(mixture: Mixture) -> Approximation:
     """Return the material nearest to a mixture, by relative L1 of f · cos."""
-    samples = Samples(np.radians(VIEWS_DEG), 36, 8)
+    samples = Samples(np.radians(VIEWS_DEG), 30, 6)
     problem = _Problem(samples, mixture.evaluate(*samples.cosines))
     results = [
         minimize(
@@ -136,7 +138,12 @@ class _Problem:
                 weight = errors.reweighted(self.target, f + (coat * top)[..., None], self.samples)
         tint = shares[0] / max(level, 1e-9)
         return StandardSurface(
-            _rounded(shares[1]), round(level, DIGITS), _rounded(tint), roughness, ior, coat,
+            _rounded(shares[1]),
+            round(level, DIGITS),
+            _rounded(tint),
+            roughness,
+            ior,
+            coat,
             coat_roughness,
         )
 
@@ -165,10 +172,10 @@ def _lobe(roughness: float, ior: float, cosines: Cosines) -> tuple[np.ndarray, n
     straight, grazing = _albedos(round(roughness / TABLE_STEP), cos_o)
     whole = np.minimum(straight + grazing, 1.0)
     fresnel = _fresnel(ior, cos_d)
-    lobe = closures.ggx(max(roughness**2, MIN_ALPHA), *cosines) * fresnel
-    lobe = lobe * (1 + fresnel * (1 - whole) / whole)
-    albedo = (f0 * straight + grazing) * (1 + f0 * (1 - whole) / whole)
-    return lobe, np.minimum(albedo, 1.0)
+    facets = closures.ggx(max(roughness**2, MIN_ALPHA), *cosines)
+    compensation = 1 + fresnel * (1 - whole) / whole
+    albedo = (f0 * straight + grazing) * compensation
+    return facets * fresnel * compensation, np.minimum(albedo, 1.0)
 
 
 def _albedos(step: int, cos_o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,9 @@ The file is not the same byte for byte when it is written again, because Blender
 its memory into it.
 """
 
+import contextlib
+import errno
+import io
 import tempfile
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,7 +22,6 @@ import numpy as np
 from factory.render import materials as node_groups
 from manifests.files import replacing, transaction, write_text
 from manifests.materials import Material
-from manifests.quiet import silenced
 from shaders import nodes
 
 CATALOGUES = "blender_assets.cats.txt"  # the name under which Blender looks for it
@@ -47,12 +49,22 @@ def write(
     # Blender writes to a path, and keeps the earlier file under another name
     with tempfile.TemporaryDirectory(prefix="brdfactory-") as folder:
         draft = Path(folder) / "library.blend"
-        with silenced(1):
+        with contextlib.redirect_stdout(io.StringIO()):
             bpy.ops.wm.save_as_mainfile(filepath=str(draft), compress=True, copy=True)
+        _require_whole(draft, [material.name for material in materials])
         with transaction():
             with replacing(path) as file:
                 file.write(draft.read_bytes())
             write_text(path.parent / CATALOGUES, catalogues({m.family for m in materials}))
+
+
+def _require_whole(draft: Path, names: Sequence[str]) -> None:
+    """Raise OSError if a file lacks assets: Blender reports no error of a full disk."""
+    held: list[str] = []
+    with contextlib.suppress(OSError), bpy.data.libraries.load(str(draft)) as (content, _):
+        held = [*content.materials, *content.node_groups]
+    if sorted(held) != sorted([*names, *names]):
+        raise OSError(errno.ENOSPC, "Blender wrote a part of its file; is the disk full?", draft)
 
 
 def catalogues(families: Iterable[str]) -> str:
