@@ -52,8 +52,8 @@ def _add_export(actions: argparse._SubParsersAction) -> None:
         type=Path,
         metavar="FILE",
         help=(
-            "write approximations by MaterialX's standard_surface, each with its error; fitting one"
-            " takes about two seconds"
+            "write approximations by MaterialX's standard_surface, each with its error, and a table"
+            " of the errors beside it; fitting one takes about one second"
         ),
     )
     one.add_argument(
@@ -94,7 +94,7 @@ def run_export(options: argparse.Namespace) -> None:
         raise InputError("export", "--blend FILE or --materialx FILE", "neither", "give one")
     if not 16 <= options.size <= 512:
         raise InputError("--size", "16 to 512 pixels", f"{options.size}", "128 suits most")
-    catalogues = options.catalogue or ()
+    catalogues: list[Path] = options.catalogue or []
     materials = load_catalogue(*catalogues)
     chosen = [find(name, materials) for name in dict.fromkeys(options.material)]
     chosen = chosen or sorted(materials.values(), key=lambda m: (m.family, m.name))
@@ -110,7 +110,8 @@ def run_export(options: argparse.Namespace) -> None:
 
         _reserve(options.blend, ".blend", options.overwrite, catalogues, (CATALOGUES,))
     if options.materialx:
-        _reserve(options.materialx, ".mtlx", options.overwrite, catalogues)
+        table = _error_table(options.materialx).name
+        _reserve(options.materialx, ".mtlx", options.overwrite, catalogues, (table,))
     if options.blend:
         _write_library(options.blend, chosen, options.light, options.size)
     if options.materialx:
@@ -157,18 +158,25 @@ def _write_library(path: Path, chosen: "Sequence[Material]", light: str, size: i
     print(f"{path}: {len(chosen)} materials, {path.stat().st_size / 1e6:.1f} MB")
 
 
+def _error_table(path: Path) -> Path:
+    """Return the name of the table of errors beside a MaterialX document."""
+    return path.with_name(f"{path.stem}-errors.md")
+
+
 def _write_approximations(path: Path, chosen: "Sequence[Material]") -> None:
     import numpy as np
     from tqdm import tqdm
 
     from factory.materials import materialx, standard_surface
-    from manifests.files import write_text
+    from manifests.files import transaction, write_text
 
     results = {
         material.name: standard_surface.fit(material.mixture)
         for material in tqdm(chosen, unit="material", desc="fitting", disable=None)
     }
-    write_text(path, materialx.document(chosen, results))
+    with transaction():
+        write_text(path, materialx.document(chosen, results))
+        write_text(_error_table(path), materialx.table(chosen, results))
     errors = [result.error for result in results.values()]
     print(
         f"{path}: {len(chosen)} materials; relative L1 median {np.median(errors):.3f}, worst"

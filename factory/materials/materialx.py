@@ -7,6 +7,7 @@ and under which licence.
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from statistics import median
 
 from factory.materials.standard_surface import Approximation
 from manifests.materials import Material
@@ -54,6 +55,35 @@ def _add(root: ElementTree.Element, material: Material, approximation: Approxima
     ElementTree.SubElement(
         surface, "input", name="surfaceshader", type="surfaceshader", nodename=f"SR_{name}"
     )
+
+
+def table(materials: Sequence[Material], approximations: Mapping[str, Approximation]) -> str:
+    """Return a Markdown table of every approximation's error, with a summary by family above."""
+    by_family: dict[str, list[float]] = {}
+    for material in materials:
+        by_family.setdefault(material.family, []).append(approximations[material.name].error)
+    lines = [
+        "# Errors of the approximations",
+        "",
+        "Relative L1 of BRDF times cosine between the approximation by MaterialX's standard_surface"
+        " and the fitted mixture.",
+        "It is the mean of six view angles that no fit used; *worst view* is the largest of the"
+        " six.",
+        "",
+        "| family | materials | median | largest |",
+        "|---|---|---|---|",
+    ]
+    every = [error for errors in by_family.values() for error in errors]
+    for family, errors in [*sorted(by_family.items()), ("all", every)]:
+        lines.append(f"| {family} | {len(errors)} | {median(errors):.3f} | {max(errors):.3f} |")
+    lines += ["", "| material | family | relative L1 | worst view |", "|---|---|---|---|"]
+    for material in materials:
+        result = approximations[material.name]
+        lines.append(
+            f"| {material.name} | {material.family} | {result.error:.3f} |"
+            f" {result.views.max():.3f} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def description(material: Material, approximation: Approximation) -> str:

@@ -120,7 +120,8 @@ def test_each_material_has_its_numbers_its_error_and_its_licence(document):
         # what is in the file has the error that the file states
         own = standard_surface.distances(read, find(name).mixture)
         np.testing.assert_allclose(own, result.views, atol=1e-6)
-        text = element.get("doc")
+        text, table = element.get("doc"), document.with_name("materials-errors.md").read_text()
+        assert f"| {name} | {find(name).family} | {own.mean():.3f} | {own.max():.3f} |" in table
         assert f"{own.mean():.3f}" in text
         assert find(name).licence in text and find(name).source in text
 

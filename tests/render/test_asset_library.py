@@ -3,6 +3,7 @@ own to the factory's pixels.
 """
 
 import json
+import re
 import struct
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from factory.__main__ import COMMANDS
 from manifests.cli import main
@@ -162,6 +164,23 @@ def test_five_materials_in_a_users_scene_have_the_factorys_pixels(library, studi
         # the noise is the same: what remains is the rounding of rays, which sharp lobes magnify
         assert np.abs(picture - own).mean() < 0.02 * noise
         np.testing.assert_allclose(picture.mean((0, 1)), own.mean((0, 1)), rtol=1e-4)
+
+
+def test_the_program_in_the_document_renders_the_five(root, library, tmp_path):
+    text = (root / "docs" / "blender.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```", text, flags=re.M | re.S)
+    for full, smaller in (("= 800, 188", "= 100, 24"), ('"CYCLES", 64', '"CYCLES", 4')):
+        assert code.count(full) == 1
+        code = code.replace(full, smaller)
+    (tmp_path / "library").symlink_to(library.parent)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    picture = np.asarray(Image.open(tmp_path / "spheres.png")).astype(float)
+    assert picture.shape[:2] == (24, 100)
+    middle = picture[12, [12, 31, 50, 69, 88]]  # inside each of the spheres
+    assert len(np.unique(middle, axis=0)) == 5 and (middle[:, :3].max(1) > 10).all()
 
 
 def test_an_existing_library_is_kept_unless_it_may_be_replaced(library, capsys):
