@@ -46,7 +46,9 @@ def test_the_zip_is_the_same_whenever_it_is_built(archive, tmp_path, monkeypatch
     assert build(archive) == 1 and "--overwrite" in capsys.readouterr().err
     assert build(archive, "--overwrite") == 0
     names = {path.name for path in SOURCES.iterdir() if path.is_file()}
-    assert set(zipfile.ZipFile(archive).namelist()) == names
+    members = zipfile.ZipFile(archive).infolist()
+    assert {member.filename for member in members} == names
+    assert {member.date_time for member in members} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def test_blenders_own_check_accepts_the_zip_and_refuses_a_damaged_one(archive, tmp_path):

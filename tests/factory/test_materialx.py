@@ -65,6 +65,15 @@ def test_a_white_material_reflects_about_all_light(theta_deg, roughness):
     np.testing.assert_allclose(flux(white, theta_deg), 1.0, atol=0.04)
 
 
+@pytest.mark.parametrize("theta_deg", [5, 45, 70])
+@pytest.mark.parametrize("roughness", [0.3, 0.8])
+def test_a_mirrors_multiple_scattering_is_compensated(theta_deg, roughness):
+    mirror = surface(
+        base_color=(0.0,) * 3, specular=1.0, specular_roughness=roughness, specular_IOR=1e4
+    )
+    np.testing.assert_allclose(flux(mirror, theta_deg), mirror.specular_color, rtol=0.02)
+
+
 def test_a_coat_takes_from_what_lies_below():
     below, above = surface(specular=0.0), surface(specular=0.0, coat=1.0)
     samples = Samples(np.radians([40.0]))
@@ -158,6 +167,7 @@ document.importLibrary(library)
 valid, text = document.validate()
 materials = [each.getName() for each in document.getMaterialNodes()]
 shaders = [MaterialX.getShaderNodes(each)[0] for each in document.getMaterialNodes()]
+assert all(shader.getNodeDef() is not None for shader in shaders)
 inputs = {i.getName() for s in shaders for i in s.getInputs()}
 definition = library.getNodeDef("ND_standard_surface_surfaceshader")
 known = {i.getName() for i in definition.getActiveInputs()}
