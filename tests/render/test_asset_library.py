@@ -163,7 +163,7 @@ def test_five_materials_in_a_users_scene_have_the_factorys_pixels(library, studi
         own, other_seed = expected[name]
         noise = np.abs(own - other_seed).mean()
         assert noise > 0 and own.max() > 0.1
-        # the noise is the same: what remains is the rounding of rays, which sharp lobes magnify
+        # the noise is the same; a small remainder is largest for sharp lobes
         assert np.abs(picture - own).mean() < 0.02 * noise
         np.testing.assert_allclose(picture.mean((0, 1)), own.mean((0, 1)), rtol=1e-4)
 
