@@ -23,6 +23,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"could not import 'tensorboard'": "extra `tensorboard`",
     r"could not import 'h5py'": "extra `export` or `features`",
     r"webdataset is not installed": "extra `export`",
+    r"ray is not installed": "extra `ray`: 260 MB",
     r"the package datasets is not installed": "brings pandas; the layout is tested without it",
     r"needs the package lpips": "brings torchvision and downloads weights",
     r"hed-?tensor|HED": "extra `features`: weights that are downloaded on request",

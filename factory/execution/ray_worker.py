@@ -86,14 +86,18 @@ class RayWorker:
         """Return the Reply about the shot in hand when the process died."""
         assert self._process is not None
         status = self._process.wait()
-        self._process, how = None, f"ended by signal {-status}" if status < 0 else f"{status}"
+        assert self._process.stdin and self._process.stdout
+        with contextlib.suppress(BrokenPipeError):  # what it did not read
+            self._process.stdin.close()
+        self._process.stdout.close()
+        self._process, how = None, f"by signal {-status}" if status < 0 else f"status {status}"
         self._errors.seek(0)
         words = self._errors.read()[-2000:].decode(errors="replace").strip().splitlines()
         path = lines_path(self._config)
         if path.exists() and shot in ids_of(path.read_bytes()):
             return Reply(made=shot)
         end = f": {words[-1][:200]}" if words else ""
-        return Reply(bad=shot, reason=f"the worker ended, {how}{end}")
+        return Reply(bad=shot, reason=f"the worker ended: {how}{end}")
 
     def _end(self) -> None:
         """Let the process end after what it has in hand."""

@@ -6,12 +6,17 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from factory.execution.run import RunOptions, carry_out
+from factory.execution.ray_pool import MOST_LOSSES, RayPool, _Lost, _Worker
+from factory.execution.ray_worker import RayWorker, lines_path
+from factory.execution.registration import register
+from factory.execution.run import RunOptions, assign, carry_out, shape_sources, worker_config
+from factory.execution.worker import Chunk, Reply
 from manifests.errors import InputError
 from manifests.store import Lines, Store
 from manifests.verification import faults_of
@@ -107,6 +112,151 @@ def workers_of(folder):
         if any(each.startswith(f"{folder}/records/worker-ray") for each in open_files):
             result.append(int(path.name))
     return result
+
+
+@pytest.fixture
+def pool(plan_of, small_job, tmp_path):
+    """A RayPool whose cluster is not asked, its shots, and a function that loses a worker of it."""
+    plan = plan_of(small_job)
+    store = Store(tmp_path / "data")
+    notes = []
+
+    def config(number):
+        return worker_config(store, f"worker-ray-{number:02d}", assign(plan), RunOptions())
+
+    made = RayPool(config, shape_sources(plan.assets.shapes), 1, notes.append)
+    shots = list(plan)
+
+    def lose(number, pending, there):
+        path = lines_path(config(number))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"".join(b'{"id":"%s"}\n' % shot.id.encode() for shot in there))
+        made._lost.append(_Lost(config(number), pending, time.monotonic()))
+        return path
+
+    yield made, shots, lose
+    for fence in made._fences:
+        fence.close()
+
+
+def test_what_a_lost_worker_had_recorded_counts_and_the_rest_is_given_out_again(pool):
+    made, shots, lose = pool
+    lose(0, shots[:4], there=shots[:2])
+    yielded = list(made._give_up_waiting())
+    assert [shot.id for shot, _ in yielded] == [shot.id for shot in shots[:2]]
+    assert all(reply.made == shot.id for shot, reply in yielded)
+    assert [shot.id for shot in made._next_unit(iter(()))] == [shot.id for shot in shots[2:4]]
+    assert not made._lost
+
+
+def test_a_lost_worker_that_still_writes_is_waited_for_and_then_kept_out(pool):
+    made, shots, lose = pool
+    path = lose(0, shots[:4], there=[])
+    other = holder(path)
+    other.stdout.readline()
+    assert list(made._give_up_waiting()) == [] and made._lost and not made._units
+    other.stdin.close()
+    other.wait()
+    other.stdout.close()
+    assert list(made._give_up_waiting()) == [] and not made._lost and len(made._units[0]) == 4
+    late = holder(path)  # ends with an error instead of a line
+    assert late.stdout.readline() == b"" and late.wait() != 0
+    late.stdin.close()
+    late.stdout.close()
+
+
+def test_a_shot_whose_worker_is_lost_again_and_again_is_given_up(pool):
+    made, shots, lose = pool
+    for number in range(MOST_LOSSES):
+        lose(number, shots[:2], there=[])
+        given_up = list(made._give_up_waiting())
+        last = made._units.popleft()
+    ((shot, reply),) = given_up
+    assert shot.id == shots[0].id and reply.bad and "lost 5 times" in reply.reason
+    assert [shot.id for shot in last] == [shots[1].id]
+
+
+def test_a_unit_is_a_shape_and_an_idle_worker_takes_half_of_another_s(pool):
+    made, shots, _ = pool
+    stream = iter([*shots, None])
+    units = [made._next_unit(stream), made._next_unit(stream)]
+    assert [{shot.shape for shot in unit} for unit in units] == [{"cube"}, {"disc"}]
+    assert [len(unit) for unit in units] == [6, 6]
+    assert not made._next_unit(stream) and made._waiting and not made._ended
+    made._waiting = False  # asked again later
+    assert not made._next_unit(stream) and made._ended
+    made._workers = [_Worker(None, None, None, [], unit=deque(shots[:6]))]
+    half = made._half_of_another()
+    assert [shot.id for shot in half] == [shot.id for shot in shots[3:6]]
+    assert len(made._workers[0].unit) == 3
+    made._workers.clear()
+
+
+def test_a_shot_that_fails_is_tried_once_more_and_the_rest_of_its_slice_goes_on(pool):
+    made, shots, _ = pool
+    worker = _Worker(None, None, None, list(shots[:3]), unit=deque(shots[3:5]))
+    replies = [Reply(made=shots[0].id), Reply(bad=shots[1].id, reason="no")]
+    lines = [msgspec.json.encode(reply) for reply in replies]
+    assert [shot.id for shot, _ in made._received(worker, lines)] == [shots[0].id]
+    assert [shot.id for shot in worker.unit] == [shot.id for shot in shots[2:5]]
+    assert [shot.id for shot in made._retries] == [shots[1].id]
+    worker.pending = [made._retries.popleft()]
+    ((shot, reply),) = made._received(worker, lines[1:])
+    assert shot.id == shots[1].id and reply.bad
+
+
+def test_an_actor_s_process_that_dies_answers_for_the_shot_in_hand(
+    plan_of, small_job, tmp_path, monkeypatch
+):
+    """The second shape's pictures kill the process; before that, all goes well."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("FAKE_STUDIO", "crash:disc")
+    plan = plan_of(small_job)
+    store, shots = Store(tmp_path), list(plan)
+    register(store, plan, len(plan))
+    options = RunOptions(studio=FAKE, ray="auto")
+    actor = RayWorker(msgspec.json.encode(worker_config(store, "w", assign(plan), options)))
+    chunk = Chunk(shots[4:8], shape_sources(plan.assets.shapes))
+    replies = [
+        msgspec.json.decode(line, type=Reply) for line in actor.make(msgspec.json.encode(chunk))
+    ]
+    assert [reply.made for reply in replies] == [shots[4].id, shots[5].id, ""]
+    assert replies[2].bad == shots[6].id and "by signal 11" in replies[2].reason
+    monkeypatch.setenv("FAKE_STUDIO", "")
+    replies = actor.make(msgspec.json.encode(Chunk(shots[6:8], chunk.shapes)), is_retry=True)
+    assert len(replies) == 2 and len(lines(tmp_path)) == 4
+    actor._end()
+    actor._errors.close()
+
+
+def test_an_actor_s_chunk_ends_with_a_shot_that_fails(plan_of, small_job, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("FAKE_STUDIO", "nan:disc")
+    plan = plan_of(small_job)
+    store, shots = Store(tmp_path), list(plan)
+    register(store, plan, len(plan))
+    options = RunOptions(studio=FAKE, ray="auto")
+    actor = RayWorker(msgspec.json.encode(worker_config(store, "w", assign(plan), options)))
+    chunk = msgspec.json.encode(Chunk(shots[5:9], shape_sources(plan.assets.shapes)))
+    first, second = (msgspec.json.decode(line, type=Reply) for line in actor.make(chunk))
+    assert first.made == shots[5].id
+    assert second.bad == shots[6].id and "finite radiance" in second.reason
+    actor._end()
+    actor._errors.close()
+
+
+def holder(path):
+    """A process that holds a file of records until its input ends."""
+    hold = (
+        "import sys; from manifests.store import Lines; x = Lines(sys.argv[1]); print(flush=True)"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", f"{hold}; sys.stdin.read()", path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=ROOT,
+    )
 
 
 def test_without_ray_or_an_answer_the_command_says_what_to_do(
