@@ -321,6 +321,8 @@ class RayPool:
                 continue
             self._lost.remove(lost)
             self._fences.append(fence)
+            for draft in (path.parents[1] / "partial").glob(f"{lost.config.worker}-*"):
+                draft.unlink(missing_ok=True)
             there = ids_of(fence.read())
             left = deque(shot for shot in lost.pending if shot.id not in there)
             for shot in lost.pending:

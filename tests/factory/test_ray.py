@@ -141,8 +141,13 @@ def pool(plan_of, small_job, tmp_path):
 
 def test_what_a_lost_worker_had_recorded_counts_and_the_rest_is_given_out_again(pool):
     made, shots, lose = pool
-    lose(0, shots[:4], there=shots[:2])
+    path = lose(0, shots[:4], there=shots[:2])
+    partial = path.parents[1] / "partial"
+    partial.mkdir()
+    for name in ("worker-ray-00-x.exr", "worker-ray-01-x.exr"):
+        (partial / name).write_bytes(b"half")
     yielded = list(made._give_up_waiting())
+    assert [each.name for each in partial.iterdir()] == ["worker-ray-01-x.exr"]
     assert [shot.id for shot, _ in yielded] == [shot.id for shot in shots[:2]]
     assert all(reply.made == shot.id for shot, reply in yielded)
     assert [shot.id for shot in made._next_unit(iter(()))] == [shot.id for shot in shots[2:4]]
