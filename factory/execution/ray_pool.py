@@ -89,6 +89,8 @@ def connected(address: str) -> Iterator[None]:
     if ray.is_initialized():
         yield
         return
+    if address != "auto":
+        _require_answer(address)
     shared: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         try:
@@ -111,6 +113,22 @@ def connected(address: str) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def _require_answer(address: str) -> None:
+    """Raise InputError if nothing answers at HOST:PORT; Ray itself would try for a minute."""
+    import socket
+
+    remedy = "give HOST:PORT as `ray start --head` prints it, or --ray auto"
+    host, _, port = address.rpartition(":")
+    if not host or not (port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
+        raise InputError("--ray", "auto or HOST:PORT", f"'{address}'", remedy)
+    try:
+        socket.create_connection((host, int(port)), timeout=10.0).close()
+    except (OSError, UnicodeError) as error:
+        raise InputError(
+            "--ray", f"a Ray cluster at '{address}'", str(error)[:200], remedy
+        ) from None
 
 
 class RayPool:

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from factory.execution.ray_pool import MOST_LOSSES, RayPool, _Lost, _Worker
+from factory.execution.ray_pool import MOST_LOSSES, RayPool, _Lost, _require_answer, _Worker
 from factory.execution.ray_worker import RayWorker, lines_path
 from factory.execution.registration import register
 from factory.execution.run import RunOptions, assign, carry_out, shape_sources, worker_config
@@ -273,6 +273,13 @@ def test_without_ray_or_an_answer_the_command_says_what_to_do(
     for more in (["--shard", "1/2"], ["--workers", "2"]):
         assert run([*words, *more]) == 1
         assert "expected neither --shard nor --workers" in capsys.readouterr().err
+    for address, problem in (
+        ("127.0.0.1:1", "expected a Ray cluster at '127.0.0.1:1'"),
+        ("here", "expected auto or HOST:PORT, found 'here'"),
+        ("here:99999", "expected auto or HOST:PORT"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            _require_answer(address)
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(InputError, match="expected the package ray"):
         carry_out(plan_of(small_job), tmp_path / "b", RunOptions(studio=FAKE, ray="auto"))

@@ -31,8 +31,8 @@ def slurm(tmp_path):
             'while case "$1" in --*) true;; *) false;; esac; do shift; done\n'
             'NODE=$node exec "$@"'
         ),
-        "hostname": 'echo "10.0.0.1 10.0.0.2"',
         "python": (
+            'if [ "$1" = -c ]; then echo 10.0.0.1; exit; fi\n'
             'echo "${NODE:-batch}: $*" >> "$LOG"\n'
             'case "$*" in *--block*) echo $$ >> "$LOG.ids"; exec sleep 60;; esac\n'
             'case "$*" in *factory*) sleep 1;; esac'
@@ -71,7 +71,7 @@ def test_a_ray_cluster_is_started_used_and_ended(folder, slurm):
     log = Path(slurm["LOG"]).read_text().splitlines()
     started = sorted(line for line in log if " start " in line)
     assert [line.split(":")[0] for line in started] == ["node1", "node2", "node3"]
-    assert "--head --port=6379" in started[0] and "--num-cpus=8" in started[0]
+    assert "--head --port=6379 --node-ip-address=10.0.0.1" in started[0] and "--num-cpus=8" in started[0]
     assert all("--address=10.0.0.1:6379" in line for line in started[1:])
     words = "-m factory render job.json --out out --ray 10.0.0.1:6379 --limit 9"
     assert log[-1] == f"batch: {words}"

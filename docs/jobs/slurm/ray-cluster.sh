@@ -24,12 +24,14 @@ export RAY_USAGE_STATS_ENABLED=0
 
 nodes=$(scontrol show hostnames "$SLURM_JOB_NODELIST")
 head=$(echo "$nodes" | head -n 1)
-address=$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-address)
-address=${address%% *}:$port
+# as Ray itself sees it: `hostname` may say 127.0.0.1
+ip=$(srun --nodes=1 --ntasks=1 --nodelist="$head" "$python" -c \
+    'import ray.util; print(ray.util.get_node_ip_address())')
+address=$ip:$port
 
 start=("$python" -m ray.scripts.scripts start --num-cpus="$cpus" --disable-usage-stats --block)
 srun --nodes=1 --ntasks=1 --nodelist="$head" "${start[@]}" --head --port="$port" \
-    --include-dashboard=false &
+    --node-ip-address="$ip" --include-dashboard=false &
 started=($!)
 trap 'kill "${started[@]}" 2>/dev/null || true; wait' EXIT
 
