@@ -83,6 +83,7 @@ def connected(address: str) -> Iterator[None]:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
         import ray
+        from ray.exceptions import RayError
     except ImportError as error:
         remedy = "pip install 'ray==2.60.*'"
         raise InputError("--ray", "the package ray", str(error).split(":")[0], remedy) from None
@@ -105,7 +106,7 @@ def connected(address: str) -> Iterator[None]:
                 object_store_memory=OBJECT_STORE_BYTES,
                 **shared,
             )
-    except (ConnectionError, ValueError, RuntimeError, OSError) as error:
+    except (ConnectionError, ValueError, RuntimeError, OSError, RayError) as error:
         remedy = "start one with: ray start --head; or give --ray auto"
         reason = (str(error).strip().splitlines() or ["no answer"])[0][:200]
         raise InputError("--ray", f"a Ray cluster at '{address}'", reason, remedy) from None

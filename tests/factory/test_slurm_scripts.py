@@ -3,6 +3,7 @@ Slurm's programs.
 """
 
 import os
+import re
 import stat
 import subprocess
 from pathlib import Path
@@ -34,6 +35,7 @@ def slurm(tmp_path):
         "python": (
             'if [ "$1" = -c ]; then echo 10.0.0.1; exit; fi\n'
             'echo "${NODE:-batch}: $*" >> "$LOG"\n'
+            'echo "$RAY_AUTH_MODE $RAY_AUTH_TOKEN" >> "$LOG.tokens"\n'
             'case "$*" in *--block*) echo $$ >> "$LOG.ids"; exec sleep 60;; esac\n'
             'case "$*" in *factory*) sleep 1;; esac'
         ),
@@ -71,10 +73,15 @@ def test_a_ray_cluster_is_started_used_and_ended(folder, slurm):
     log = Path(slurm["LOG"]).read_text().splitlines()
     started = sorted(line for line in log if " start " in line)
     assert [line.split(":")[0] for line in started] == ["node1", "node2", "node3"]
-    assert "--head --port=6379 --node-ip-address=10.0.0.1" in started[0] and "--num-cpus=8" in started[0]
+    assert (
+        "--head --port=6379 --node-ip-address=10.0.0.1" in started[0]
+        and "--num-cpus=8" in started[0]
+    )
     assert all("--address=10.0.0.1:6379" in line for line in started[1:])
     words = "-m factory render job.json --out out --ray 10.0.0.1:6379 --limit 9"
     assert log[-1] == f"batch: {words}"
+    tokens = set(Path(slurm["LOG"] + ".tokens").read_text().splitlines())
+    assert len(tokens) == 1 and re.fullmatch(r"token [0-9a-f]{64}", tokens.pop())
     for process in Path(slurm["LOG"] + ".ids").read_text().split():
         assert not Path(f"/proc/{process}").exists()
 

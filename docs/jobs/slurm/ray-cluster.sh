@@ -21,6 +21,10 @@ python=${PYTHON:-python3}
 port=${RAY_PORT:-6379}
 cpus=${SLURM_CPUS_PER_TASK:-$(nproc)}
 export RAY_USAGE_STATS_ENABLED=0
+# only this job's processes may use the cluster: srun hands the token on in the environment
+export RAY_AUTH_MODE=token
+RAY_AUTH_TOKEN=$(od -An -N32 -tx1 /dev/urandom | tr -d ' \n')
+export RAY_AUTH_TOKEN
 
 nodes=$(scontrol show hostnames "$SLURM_JOB_NODELIST")
 head=$(echo "$nodes" | head -n 1)
