@@ -25,6 +25,7 @@ def generate(
     workers: int = 1,
     limit: int | None = None,
     lights: str | Path | None = None,
+    ray: str | None = None,
     progress: bool = True,
 ) -> dict[str, int]:
     """Render a job into the data set's folder `out`; return how many pictures were made.
@@ -35,6 +36,8 @@ def generate(
     workers   number of processes
     limit     the largest number of pictures in this run, None: all
     lights    a folder of light maps, or None
+    ray       address of a Ray cluster that renders instead of `workers`, "auto": this machine's, or
+              a new one here; None: processes of this machine
     progress  whether a progress bar is shown
     Raises    InputError; OSError (full disk), after which everything written before is intact
     """
@@ -47,7 +50,7 @@ def generate(
     loaded, folder = _job_and_folder(job)
     library = None if lights is None else str(lights)
     plan = planned(loaded, opened(loaded, folder, library))
-    options = RunOptions(workers=workers, limit=limit, library=library)
+    options = RunOptions(workers=workers, limit=limit, library=library, ray=ray)
     if progress:
         with Progress(limit, "picture" if loaded.pictures else "view") as bar:
             outcome = carry_out(plan, out, options, bar)

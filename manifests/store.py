@@ -22,6 +22,7 @@ import fcntl
 import hashlib
 import os
 import re
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
@@ -320,17 +321,27 @@ class Store:
                 return result
             return self.place(relative, data, worker)
 
-    def sweep(self, prefix: str = "") -> None:
+    def sweep(self, prefix: str = "", patience: float = 0.0) -> None:
         """Remove what killed runs left unfinished, files and lines.
 
-        prefix  of workers' names, to clean up after one shard alone
+        prefix    of workers' names, to clean up after one shard alone
+        patience  seconds to wait for workers on other machines, which do not hold the folder's
+                  lock, to end
+        Raises    InputError if one of them still writes
         """
+        end = time.monotonic() + patience
         partial = self.folder / "partial"
         for path in partial.glob(f"{prefix}*") if partial.is_dir() else ():
             path.unlink(missing_ok=True)
         for path in (path for kind in LINES for path in self.record_files(kind)):
-            if path.name.startswith(prefix):
-                Lines(path).close()
+            while path.name.startswith(prefix):
+                try:
+                    Lines(path).close()
+                    break
+                except InputError:
+                    if time.monotonic() >= end:
+                        raise
+                    time.sleep(0.1)
 
 
 def readable_hash(path: str | os.PathLike) -> str | None:
@@ -419,6 +430,16 @@ class Lines:
                 self._torn = False
             raise OSError(error.errno, error.strerror, str(self.path)) from None
         self._length += len(line)
+
+    def read(self) -> bytes:
+        """Return the whole lines. To open the file by its name would end this process's lock."""
+        parts, place = [], 0
+        while place < self._length:
+            parts.append(os.pread(self._descriptor, min(1 << 24, self._length - place), place))
+            place += len(parts[-1])
+            if not parts[-1]:
+                break
+        return b"".join(parts)
 
     def close(self) -> None:
         """Close the file."""

@@ -189,6 +189,14 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "pictures made to be timed",
     (
+        "factory/render/validation/speed_accuracy.py",
+        "tempfile.TemporaryDirectory",
+    ): "scenes that another renderer reads",
+    (
+        "factory/render/validation/blenderproc_peer.py",
+        "np.save",
+    ): "run by another Python, without this project's packages",
+    (
         "learn/experiments/step_profile.py",
         "tempfile.TemporaryDirectory",
     ): "a run made to be timed",

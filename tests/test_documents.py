@@ -38,6 +38,7 @@ WITH_CODE = (
 RUN_ELSEWHERE = (
     "docs/blender.md",  # tests/render/test_asset_library.py
     "docs/dataset.md",  # tests/manifests/test_dataset_page.py
+    "docs/exporting.md",  # tests/manifests/test_exporting.py
     "docs/first-data-set.md",  # tests/test_notebooks.py runs commands and blocks of all these
     "docs/first-edit.md",
     "docs/first-layer.md",

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 from factory.commands import job_options
 from manifests.help_format import HelpFormatter
+from manifests.option_types import above_zero, positive
 
 if TYPE_CHECKING:
+    from factory.execution.forecast import Forecast
     from factory.planning.plan import Plan
     from manifests.schema import Job
 
@@ -18,6 +20,7 @@ EPILOG = """examples:
   python -m factory plan demo
   python -m factory plan my-job.json --workers 2
   python -m factory plan pretrain --no-probe
+  python -m factory plan pretrain --machines 20 --cores 32 --price 0.04
   python -m factory plan --presets            the jobs that come with the program"""
 
 
@@ -45,6 +48,27 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         default=True,
         help="render three pictures for the forecast (the default), or give no forecast",
     )
+    parser.add_argument(
+        "--machines",
+        type=positive,
+        metavar="N",
+        help="forecast for a cluster of N machines whose cores are as fast as this one's",
+    )
+    parser.add_argument(
+        "--cores",
+        type=positive,
+        metavar="C",
+        help=(
+            "cores of each of these machines, with a worker each (default: as many as this machine"
+            " has)"
+        ),
+    )
+    parser.add_argument(
+        "--price",
+        type=above_zero,
+        metavar="P",
+        help="price of one core for one hour, in any currency, for the cost of these machines",
+    )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of job files")
     job_options.add(parser)
     job_options.add_error(parser)
@@ -64,6 +88,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "plan", "a job", "none", "name a file or a preset; plan --presets lists them"
         )
+    _require_consistent(options)
     job, folder = jobs.load(options.job)
     job = job_options.with_error(job, options)
     plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
@@ -160,13 +185,36 @@ def split_counts(plan: Plan) -> dict[str, int]:
     return dict(sorted(counts.items(), reverse=True))
 
 
+def _require_consistent(options: argparse.Namespace) -> None:
+    """Raise InputError for options of a cluster that do not fit together."""
+    from manifests.errors import InputError
+
+    if options.machines is None:
+        for name in ("cores", "price"):
+            if getattr(options, name) is not None:
+                remedy = "give --machines 1 for one machine"
+                raise InputError(f"plan --{name}", "--machines N", "none", remedy)
+    elif options.workers != 1:
+        remedy = "leave --workers out: a machine has a worker for each of its cores"
+        raise InputError("plan --machines", "no --workers", f"{options.workers}", remedy)
+    elif not options.probe:
+        remedy = "leave one of them out: the forecast needs three pictures"
+        raise InputError("plan --machines", "no --no-probe", "both", remedy)
+
+
 def _forecast(plan: Plan, options: argparse.Namespace) -> str:
-    """Return two lines: time and disk space."""
+    """Return the lines for time and disk space, and for a cluster those of its cost."""
     from factory.execution.forecast import probed
     from factory.execution.run import RunOptions
 
     forecast = probed(
-        plan, RunOptions(workers=options.workers, device=options.device, library=options.lights)
+        plan,
+        RunOptions(
+            workers=options.workers,
+            threads=1 if options.machines else None,
+            device=options.device,
+            library=options.lights,
+        ),
     )
     whole = sum(forecast.seconds.values()) or 1.0
     parts = ", ".join(
@@ -174,11 +222,44 @@ def _forecast(plan: Plan, options: argparse.Namespace) -> str:
         for kind, seconds in sorted(forecast.seconds.items(), key=lambda item: -item[1])
     )
     files = ", ".join(f"{kind} {_bytes(size)}" for kind, size in forecast.bytes.items())
+    disk = f"  disk       about {_bytes(sum(forecast.bytes.values()))} ({files})"
+    if options.machines:
+        lines = [*_cluster(forecast, options, len(plan), parts), disk]
+        return "\n".join(lines)
     return (
         f"  time       about {_time(forecast.hours)} with {forecast.workers}"
-        f" worker{'s' * (forecast.workers > 1)} ({parts})\n  disk       about"
-        f" {_bytes(sum(forecast.bytes.values()))} ({files})"
+        f" worker{'s' * (forecast.workers > 1)} ({parts})\n{disk}"
     )
+
+
+def _cluster(
+    forecast: Forecast, options: argparse.Namespace, pictures: int, parts: str
+) -> Iterator[str]:
+    """Yield the lines of a cluster: its workers, hours, core-hours and cost."""
+    from factory.execution.forecast import on_cluster
+    from factory.planning.reading import processors
+
+    cores = options.cores or processors()
+    cluster = on_cluster(forecast, options.machines, cores, pictures)
+    workers = cluster.machines * cluster.cores
+    yield (
+        f"  cluster    {cluster.machines} machine{'s' * (cluster.machines > 1)} of"
+        f" {cluster.cores} cores: {workers} workers of one thread"
+    )
+    yield f"  time       about {_time(cluster.hours)} ({parts})"
+    if pictures < workers:
+        yield f"  idle       {workers - pictures} of the workers: there are {pictures} to make"
+    cost = f"  cost       about {_amount(cluster.core_hours)} core-hours"
+    if options.price is None:
+        yield f"{cost} (--price P gives the money)"
+    else:
+        money = _amount(cluster.core_hours * options.price)
+        yield f"{cost}: {money} at {options.price:g} per core-hour"
+
+
+def _amount(value: float) -> str:
+    """Return a number with three digits, or without decimals from 100 on."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _time(hours: float) -> str:

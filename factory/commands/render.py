@@ -28,6 +28,8 @@ EPILOG = """examples:
     python -m factory render my-job.json --out out/mine --shard 3/8
   every picture with at most a display L2 of 5, by as few samples as that takes:
     python -m factory render my-job.json --out out/mine --error 5
+  on a Ray cluster, or on a local one if none is there:
+    python -m factory render my-job.json --out out/mine --ray auto
   no job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
@@ -68,6 +70,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--shard",
         metavar="I/N",
         help="make only part I of N parts of the job, for the tasks of a job array",
+    )
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help=(
+            "render on all CPUs of a Ray cluster at HOST:PORT that shares the folder; auto: this"
+            " machine's cluster, or a new one here (needs the package ray)"
+        ),
     )
     parser.add_argument(
         "--geometry-only",
@@ -169,6 +179,9 @@ def run(options: argparse.Namespace) -> int:
     job = job_options.with_error(job, options)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
+    if options.ray and (options.shard or options.workers != 1):
+        remedy = "leave them out: --ray uses all CPUs of the cluster"
+        raise InputError("render --ray", "neither --shard nor --workers", "one of them", remedy)
     shard = None if options.shard is None else parsed_shard(options.shard)
     plan = planned(job, opened(job, folder, options.lights, options.catalogue))
     for note in plan.assets.notes:
@@ -179,6 +192,7 @@ def run(options: argparse.Namespace) -> int:
         shard=shard,
         limit=options.limit,
         library=options.lights,
+        ray=options.ray,
     )
     what = "pictures" if job.pictures else "views"
     with Progress(options.limit, what[:-1]) as progress:

@@ -46,6 +46,35 @@ class Forecast:
         return (sum(self.seconds.values()) / self.workers + self.start) / 3600
 
 
+@dataclass(frozen=True)
+class ClusterForecast:
+    """What a whole job takes on machines of one kind, with one worker of one thread for each core.
+
+    hours       until the job is done, if all machines work from the beginning to the end
+    core_hours  that are paid for: all cores for that time, their start included
+    """
+
+    machines: int
+    cores: int
+    hours: float
+
+    @property
+    def core_hours(self) -> float:
+        """Hours of one core that are paid for."""
+        return self.hours * self.machines * self.cores
+
+
+def on_cluster(forecast: Forecast, machines: int, cores: int, pictures: int) -> ClusterForecast:
+    """Return the ClusterForecast of a job whose Forecast was measured with one thread.
+
+    pictures  of the job; a worker makes whole ones, so that the last to finish decides
+    """
+    workers = machines * cores
+    each = sum(forecast.seconds.values()) / max(pictures, 1)
+    seconds = -(-pictures // workers) * each + forecast.start
+    return ClusterForecast(machines, cores, seconds / 3600)
+
+
 def probe_shots(plan: Plan) -> list[Shot]:
     """Return three shots: of the first, middle and last shape, under different lights."""
     shapes = plan.assets.shapes

@@ -6,7 +6,7 @@ needs the number of all shots, for a part of a job array, or where a shape's rol
 others (factory.planning.assets.follows_alone).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -19,7 +19,7 @@ import msgspec
 from factory.execution.pipeline import Assignment, LightSource, ShapeSource
 from factory.execution.pool import Pool
 from factory.execution.registration import note_settings, register, register_shapes
-from factory.execution.worker import STUDIO, WorkerConfig
+from factory.execution.worker import STUDIO, Reply, WorkerConfig
 from factory.planning.assets import Arrivals, Assets, Shape, follows_alone, read_whole
 from factory.planning.facts import Facts, Memory
 from factory.planning.fingerprint import render_fingerprint
@@ -54,6 +54,8 @@ class RunOptions:
     limit    the largest number of pictures in this run, None: all
     library  a folder of light maps, or None
     studio   module:class of the studio; tests without Blender name another
+    ray      address of a Ray cluster whose CPUs all work, instead of `workers`; "auto": this
+             machine's cluster, or a new one here; None: processes of this machine
     """
 
     workers: int = 1
@@ -63,6 +65,7 @@ class RunOptions:
     limit: int | None = None
     library: str | None = None
     studio: str = STUDIO
+    ray: str | None = None
 
     @property
     def readers(self) -> int:
@@ -72,6 +75,8 @@ class RunOptions:
     @property
     def threads_per_worker(self) -> int | None:
         """CPU threads of each worker; None, which means all, for a single worker."""
+        if self.ray is not None:
+            return self.threads or 1
         if self.threads or self.workers == 1:
             return self.threads or None
         return max(1, processors() // self.workers)
@@ -89,11 +94,13 @@ def carry_out(
     Raises  InputError; OSError (full disk), after which everything written before is intact
     """
     watch = watch or (lambda event, value: None)
-    store, prefix = Store(folder), "worker-"
+    # workers on other nodes are given absolute paths
+    store = Store(folder if run_options.ray is None else Path(folder).absolute())
+    prefix = "worker-" if run_options.ray is None else "worker-ray-"
     if run_options.shard is not None:
         prefix += f"{run_options.shard[0]}of{run_options.shard[1]}-"
     with lock.writing(folder, run_options.shard) as descriptors:
-        store.sweep(prefix if run_options.shard else "")
+        store.sweep(prefix if run_options.shard else "", patience=20.0)
         memory = Memory(folder, f"{prefix}main")
         with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
             parts = _parts(plan, store, reading, run_options.shard, watch)
@@ -187,32 +194,55 @@ def _made(
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
     assignment = assign(plan, run_options.library)
-    pool = Pool(
-        run_options.workers,
-        lambda number: worker_config(store, f"{prefix}{number:02d}", assignment, run_options),
-        descriptors,
-        store.folder / "partial",
-        sources,
-    )
+
+    def config(number: int) -> WorkerConfig:
+        return worker_config(store, f"{prefix}{number:02d}", assignment, run_options)
+
     failures = None
-    for shot, reply in pool.run(missing()):
-        if reply.settings:
-            with lock.changing(store.folder):
-                note_settings(store, plan.render, reply)
-        for note in reply.notes:
-            watch("note", note)
-        if reply.made:
-            counts["made"] += 1
-            watch("made", reply)
-            continue
-        failure = _failure(shot, reply.reason)
-        failures = failures or Lines(
-            store.folder / f"failures{prefix.removeprefix('worker').rstrip('-')}.jsonl"
-        )
-        failures.append(failure)
-        counts["failed"] += 1
-        watch("failed", failure)
+    replies = _replies(missing(), config, sources, store, run_options, descriptors, watch)
+    with closing(replies):
+        for shot, reply in replies:
+            if reply.settings:
+                with lock.changing(store.folder):
+                    note_settings(store, plan.render, reply)
+            for note in reply.notes:
+                watch("note", note)
+            if reply.made:
+                counts["made"] += 1
+                watch("made", reply)
+                continue
+            failure = _failure(shot, reply.reason)
+            failures = failures or Lines(
+                store.folder
+                / f"failures{prefix.removeprefix('worker').removesuffix('ray-').rstrip('-')}.jsonl"
+            )
+            failures.append(failure)
+            counts["failed"] += 1
+            watch("failed", failure)
     return Outcome(**counts)
+
+
+def _replies(
+    shots: Iterator[Shot | None],
+    config: Callable[[int], WorkerConfig],
+    sources: Mapping[str, ShapeSource],
+    store: Store,
+    run_options: RunOptions,
+    descriptors: Sequence[int],
+    watch: Watch,
+) -> Generator[tuple[Shot, Reply], None, None]:
+    """Yield (shot, Reply) of each shot, made by processes here or on a Ray cluster."""
+    if run_options.ray is None:
+        folder = store.folder / "partial"
+        yield from Pool(run_options.workers, config, descriptors, folder, sources).run(shots)
+        return
+    from factory.execution.ray_pool import RayPool, connected
+
+    with connected(run_options.ray):
+        threads = run_options.threads_per_worker or 1
+        pool = RayPool(config, sources, threads, lambda line: watch("note", line))
+        with closing(pool.run(shots)) as replies:
+            yield from replies
 
 
 def assign(plan: Plan, library: str | None = None) -> Assignment:

@@ -30,6 +30,7 @@ from manifests.schema import Record
 from manifests.store import Lines, Store
 
 STUDIO = "factory.render.studio:Studio"
+PARENT = "BRDFACTORY_PARENT"  # variable: process id of the parent, without which no shot is begun
 
 
 class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -138,6 +139,8 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
         chunk = chunks.decode(message)
         pipeline.shapes = chunk.shapes
         for shot in chunk.shots:
+            if os.environ.get(PARENT) not in (None, str(os.getppid())):
+                return
             try:
                 record = pipeline.make(shot)
             except OSError:

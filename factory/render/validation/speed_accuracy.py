@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import json
 import os
 import subprocess
@@ -39,7 +40,7 @@ from factory.render.settings import Setting, apply, assign
 from factory.render.studio import Studio
 from factory.render.validation.error_target import TIERS, Scene, Stage, compared, drawn
 from manifests.errors import InputError
-from manifests.files import write_json, write_text
+from manifests.files import write_bytes, write_json, write_text
 from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 
@@ -309,7 +310,9 @@ def chart(figures: list[dict[str, Any]], path: Path) -> None:
         axes.grid(alpha=0.3, which="both")
     drawing.axes[0].set_ylabel("display L2 over the object")
     drawing.axes[0].legend(fontsize=8)
-    drawing.savefig(path, dpi=110)
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, dpi=110)
+    write_bytes(path, buffer.getvalue())
 
 
 def main() -> None:
