@@ -194,7 +194,7 @@ WRITERS = {
     ): "scenes that another renderer reads",
     (
         "factory/render/validation/blenderproc_peer.py",
-        "np.save",
+        "….save",
     ): "run by another Python, without this project's packages",
     (
         "learn/experiments/step_profile.py",
