@@ -115,7 +115,7 @@ class Edit:
     """
 
     regions: tuple[Painted, ...]
-    light: LightChoice = LightChoice()  # noqa: RUF009 -- frozen
+    light: LightChoice = LightChoice()
     hide_background: bool = False
 
     def with_region(self, number: int, painted: Painted) -> "Edit":
@@ -285,12 +285,9 @@ def read(path: Path) -> Edit:
     if recipe.map is not None:
         if Path(recipe.map).name != recipe.map:
             raise InputError(path, "a map's file in the same folder", recipe.map, "move it there")
-        light = replace(
-            light, name=recipe.light, map=light_of_file(path.with_name(recipe.map)).map
-        )
+        light = replace(light, name=recipe.light, map=light_of_file(path.with_name(recipe.map)).map)
     return Edit(
         tuple(Painted(chosen(r.first), chosen(r.second), r.share) for r in recipe.regions),
         light,
         recipe.hide_background,
     )
-

@@ -40,9 +40,10 @@ CSS = """
 #marking button {cursor: crosshair}
 #materials .grid-container {grid-template-columns: repeat(auto-fill, minmax(76px, 1fr)) !important;
   gap: 4px}
-#materials .caption-label {font-size: 10px; max-width: 100%}
+#materials .caption-label, #decomposition .caption-label {font-size: 10px; left: 0; right: 0;
+  bottom: 0; max-width: 100%; padding: 0 2px; white-space: normal; line-height: 1.15;
+  text-align: center; border: 0; border-radius: 0; overflow-wrap: anywhere; box-shadow: none}
 #progress progress {width: 100%; height: 14px}
-#decomposition .caption-label {font-size: 11px}
 footer {display: none !important}
 """
 
@@ -209,9 +210,7 @@ def page(sessions: Sessions) -> gr.Blocks:
                         decompose = gr.Button(
                             "Decompose", variant="primary", elem_id="decompose", interactive=False
                         )
-                        stop = gr.Button(
-                            "Stop", variant="stop", elem_id="stop", interactive=False
-                        )
+                        stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False)
                     progress = gr.HTML("", elem_id="progress")
                 with gr.Column(scale=3, min_width=320):
                     status = gr.Markdown(
@@ -232,9 +231,7 @@ def page(sessions: Sessions) -> gr.Blocks:
                                 "Paint over the object, then press the button. Strokes count for"
                                 " what is chosen on the left."
                             )
-                            use_brush = gr.Button(
-                                "Use the strokes", elem_id="use-brush", size="sm"
-                            )
+                            use_brush = gr.Button("Use the strokes", elem_id="use-brush", size="sm")
                             brush = gr.ImageEditor(
                                 show_label=False,
                                 sources=(),
@@ -258,13 +255,12 @@ def page(sessions: Sessions) -> gr.Blocks:
                         slider_position=50,
                         max_height=560,
                     )
-                    shown = gr.Markdown(
-                        "Decompose a photograph first (tab 1).", elem_id="shown"
-                    )
+                    shown = gr.Markdown("Decompose a photograph first (tab 1).", elem_id="shown")
+                    gr.Markdown("**What was read from the photograph**")
                     parts = gr.Gallery(
-                        label="What was read from the photograph",
+                        show_label=False,
                         columns=5,
-                        height=190,
+                        height=165,
                         allow_preview=False,
                         interactive=False,
                         buttons=[],
@@ -336,7 +332,12 @@ def page(sessions: Sessions) -> gr.Blocks:
                             "Or a map of your own (.exr)", elem_id="light-file", size="sm"
                         )
                         rotation = gr.Slider(
-                            -180, 180, 0, step=1, label="Turned by degrees", elem_id="rotation",
+                            -180,
+                            180,
+                            0,
+                            step=1,
+                            label="Turned by degrees",
+                            elem_id="rotation",
                             buttons=[],
                         )
                         hide = gr.Checkbox(False, label="Hide the background", elem_id="hide")
@@ -444,8 +445,8 @@ def page(sessions: Sessions) -> gr.Blocks:
             session.opened().clear()
             return marks_of(session, summary(session))
 
-        quiet = {"show_progress": "hidden", "api_visibility": "private"}
-        waiting = {"api_visibility": "private", "show_progress_on": [marking]}
+        quiet: dict[str, Any] = {"show_progress": "hidden", "api_visibility": "private"}
+        waiting: dict[str, Any] = {"api_visibility": "private", "show_progress_on": [marking]}
         photo.upload(take_photo, photo, on_load, **waiting)
         example.click(take_example, None, on_load, **waiting)
         mask.upload(take_mask, mask, marks, **waiting)
@@ -547,8 +548,12 @@ def page(sessions: Sessions) -> gr.Blocks:
         def live(listen: Callable[..., Any], function: Callable[..., Any], inputs: Any) -> None:
             """Show a quick view at each change, then the exact one."""
             first = listen(
-                one_line(function), inputs, view, trigger_mode="always_last",
-                concurrency_limit=4, **quiet,
+                one_line(function),
+                inputs,
+                view,
+                trigger_mode="always_last",
+                concurrency_limit=4,
+                **quiet,
             )
             first.success(exact, None, view, concurrency_limit=2, trigger_mode="multiple", **quiet)
 
@@ -559,9 +564,7 @@ def page(sessions: Sessions) -> gr.Blocks:
                     return edit.with_region(number - 1, replace(painted, first=chosen))
                 # a second material is seen at once
                 amount = painted.share if painted.second is not None and painted.share else 0.5
-                return edit.with_region(
-                    number - 1, replace(painted, second=chosen, share=amount)
-                )
+                return edit.with_region(number - 1, replace(painted, second=chosen, share=amount))
 
             return change
 
@@ -642,7 +645,9 @@ def page(sessions: Sessions) -> gr.Blocks:
                 said = "No material has such a name. Try wood, metal, fabric, plastic, stone …"
             return entries(matching), matching, said
 
-        words.change(searched, words, [materials, names, count], trigger_mode="always_last", **quiet)
+        words.change(
+            searched, words, [materials, names, count], trigger_mode="always_last", **quiet
+        )
 
         @one_line
         def take_material(
@@ -654,7 +659,10 @@ def page(sessions: Sessions) -> gr.Blocks:
             return quick(session, painted_with(int(number), place, chosen))
 
         other.upload(
-            take_material, [region, slot, other], view, api_visibility="private",
+            take_material,
+            [region, slot, other],
+            view,
+            api_visibility="private",
             show_progress_on=[slider],
         ).success(exact, None, view, **quiet)
 
@@ -669,7 +677,10 @@ def page(sessions: Sessions) -> gr.Blocks:
             return (*result, gr.Dropdown(all_names, value=given.name))
 
         light_file.upload(
-            take_light, [light_file, rotation], [*view, light], api_visibility="private",
+            take_light,
+            [light_file, rotation],
+            [*view, light],
+            api_visibility="private",
             show_progress_on=[slider],
         ).success(exact, None, view, **quiet)
 

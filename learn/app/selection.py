@@ -187,9 +187,7 @@ class Superpixels:
         count = int(index.max()) + 1
         lab = color.rgb2lab(small).reshape(-1, 3)
         area = np.bincount(index.ravel(), minlength=count)
-        mean = np.stack(
-            [np.bincount(index.ravel(), lab[:, k], count) / area for k in range(3)], -1
-        )
+        mean = np.stack([np.bincount(index.ravel(), lab[:, k], count) / area for k in range(3)], -1)
         borders = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
         both = np.concatenate([np.stack([a[a != b], b[a != b]], -1) for a, b in borders])
         both.sort(1)
@@ -246,6 +244,8 @@ class Superpixels:
             if BACKGROUND in regions:
                 right[:, regions.index(BACKGROUND)] += ground[free]
             # a superpixel that no walk leaves, in a picture of one colour, belongs to the first
-            solved = spsolve((laplacian[free][:, free] + 1e-9 * sparse.eye(len(free))).tocsc(), right)
+            solved = spsolve(
+                (laplacian[free][:, free] + 1e-9 * sparse.eye(len(free))).tocsc(), right
+            )
             shares[free] = np.asarray(solved).reshape(len(free), len(regions))
         return shares, regions

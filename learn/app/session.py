@@ -2,8 +2,8 @@
 
 A user is one open page, by the random name that the page has. Nothing is shared between two. Files
 are bounded before they are decoded (learn.data.photographs) and deleted with the session: when the
-page is closed, after IDLE_SECONDS without a request, when MOST_SESSIONS newer ones are open, or when
-the server ends.
+page is closed, after IDLE_SECONDS without a request, when MOST_SESSIONS newer ones are open, or
+when the server ends.
 """
 
 import secrets
@@ -346,7 +346,9 @@ class Session:
         _, metadata = network.loaded()
         decomposed = viewer.decomposition
         first = [p.parts(own)[0][1] for p, own in zip(edit.regions, decomposed.label, strict=True)]
-        second = [p.parts(own)[-1][1] for p, own in zip(edit.regions, decomposed.label, strict=True)]
+        second = [
+            p.parts(own)[-1][1] for p, own in zip(edit.regions, decomposed.label, strict=True)
+        ]
         for name, labels in (("material.json", first), ("material-blended.json", second)):
             if labels is first or any(len(p.parts(first[0])) > 1 for p in edit.regions):
                 each = np.stack(labels)

@@ -201,16 +201,12 @@ class Viewer:
         again = drawing.on_ground(
             tone.display(self.small.rendered_again(), self.exposure), photograph
         )
-        names = (
-            ["material"]
-            if len(decomposed.label) == 1
-            else [f"material of region {s}" for s in range(1, len(decomposed.label) + 1)]
-        )
+        names = [f"material {s}" for s in range(1, len(decomposed.label) + 1)]
         return [
-            ("shape: which way the surface faces", montage.normals_picture(n, decomposed.framed.mask)),
-            ("light, from all directions", montage.light_picture(self.own_light)),
+            ("shape", montage.normals_picture(n, decomposed.framed.mask)),
+            ("light, all directions", montage.light_picture(self.own_light)),
             *(
-                (f"{name}, on a sphere", drawing.material_sphere(label, decomposed))
+                (name, drawing.material_sphere(label, decomposed))
                 for name, label in zip(names, decomposed.label, strict=True)
             ),
             ("rendered again from these", again),
