@@ -138,7 +138,7 @@ def principled_material(
     sheen: float = 0.0,
     coat: float = 0.0,
 ) -> Chosen:
-    """Return a principled material; color: #rrggbb in sRGB, the others 0 to 1. Raises InputError."""
+    """Return a principled material; color: #rrggbb, others 0 to 1. Raises InputError."""
     numbers = {
         "roughness": roughness,
         "metallic": metallic,

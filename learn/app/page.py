@@ -35,8 +35,8 @@ DELETE_AFTER = (300, 1800)  # seconds: how often to look for files of pages long
 QUICK_TEXT = "Quick view; the exact one follows."
 EXACT_TEXT = "Exact view."
 CSS = """
-.gradio-container {max-width: 1240px !important; margin: auto !important}
-#marking img, #editor img {image-rendering: auto}
+.gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important}
+.gradio-container main {width: 100%; max-width: 100% !important}
 #marking button {cursor: crosshair}
 #materials .grid-container {grid-template-columns: repeat(auto-fill, minmax(76px, 1fr)) !important;
   gap: 4px}
@@ -172,8 +172,8 @@ def page(sessions: Sessions) -> gr.Blocks:
         title=TITLE, analytics_enabled=False, delete_cache=DELETE_AFTER, fill_width=True
     ) as blocks:
         gr.Markdown(
-            f"# {TITLE}\nGive an object of your photograph another material. The photograph stays on"
-            " the computer that serves this page, and is deleted when you close it."
+            f"# {TITLE}\nGive an object of your photograph another material. The photograph stays"
+            " on the computer that serves this page, and is deleted when you close it."
         )
         with gr.Tabs(selected="object") as tabs:
             with gr.Tab("1  Photograph and object", id="object"), gr.Row():
@@ -414,7 +414,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         def click(number: int, event: gr.SelectData, request: gr.Request) -> tuple[Any, ...]:
             session = mine(request)
             column, row = event.index
-            session.opened().click(float(column), float(row), int(number))
+            session.click(float(column), float(row), int(number))
             return marks_of(session, summary(session))
 
         @one_line
@@ -453,7 +453,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         regions_file.upload(take_regions, regions_file, marks, **waiting)
         marking.select(click, marked, marks, trigger_mode="multiple", **quiet)
         use_brush.click(stroke, [marked, brush], marks, **waiting)
-        undo.click(take_back, None, marks, **quiet)
+        undo.click(take_back, None, marks, trigger_mode="multiple", **quiet)
         clear.click(take_back_all, None, marks, **quiet)
 
         running = [progress, decompose, stop]

@@ -18,6 +18,7 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 import torch
+from PIL import Image
 from scipy.ndimage import binary_dilation
 
 from learn.app import choices
@@ -38,6 +39,7 @@ MOST_SESSIONS = 16
 IDLE_SECONDS = 3600.0
 MOST_BYTES = 64 << 20  # of a file that is sent to the page
 MOST_PIXELS = 24_000_000  # of a photograph: a user's session then takes up to 2 GB while it renders
+SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
 # display colours of the regions on the page; region 1 is the first
 REGION_COLORS = np.array(
@@ -185,23 +187,39 @@ class Session:
             raise InputError(*NO_PHOTOGRAPH)
         return self.selection
 
+    @property
+    def scale(self) -> float:
+        """Pixels of the picture that is clicked on for one of the photograph."""
+        longest = max(self.opened().size)
+        return float(np.clip(longest, *SHOWN) / longest)
+
+    def click(self, column: float, row: float, region: int) -> None:
+        """Add a click on the picture of `overlay`. Raises InputError."""
+        self.opened().click(column / self.scale, row / self.scale, region)
+
     def overlay(self) -> np.ndarray:
-        """Return the photograph (H, W, 3) uint8 with its regions in colour."""
-        selection = self.opened()
-        labels, shown = selection.labels(), selection.display.astype(np.float64)
+        """Return the photograph (h, w, 3) uint8, scaled, with its regions in colour."""
+        selection, scale = self.opened(), self.scale
+        height, width = (max(1, round(scale * side)) for side in selection.size)
+        labels = np.asarray(
+            Image.fromarray(selection.labels()).resize((width, height), Image.Resampling.NEAREST)
+        )
+        display = Image.fromarray(selection.display).resize(
+            (width, height), Image.Resampling.BICUBIC
+        )
+        shown = np.asarray(display, np.float64)
         colors = np.concatenate([np.zeros((1, 3)), REGION_COLORS])[labels]
         inside = (labels > 0)[..., None]
         shown = np.where(inside, 0.55 * shown + 0.45 * colors, 0.8 * shown)
-        width = max(1, round(max(labels.shape) / 300))
+        width = 2
         edge = np.zeros(labels.shape, bool)
         edge[1:] |= labels[1:] != labels[:-1]
         edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-        if width > 1:
-            edge = binary_dilation(edge, iterations=width - 1)
+        edge = binary_dilation(edge)
         shown[edge] = 255.0
         rows, columns = np.ogrid[: labels.shape[0], : labels.shape[1]]
         for click in selection.clicks:
-            distance = (rows - click.row) ** 2 + (columns - click.column) ** 2
+            distance = (rows - scale * click.row) ** 2 + (columns - scale * click.column) ** 2
             shown[distance <= (3 * width + 2) ** 2] = 255.0
             color = REGION_COLORS[click.region - 1] if click.region else np.zeros(3)
             shown[distance <= (2 * width + 1) ** 2] = color

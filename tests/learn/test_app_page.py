@@ -3,6 +3,7 @@
 import io
 import json
 import time
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -68,14 +69,18 @@ class Walk:
     def point(self, point: tuple[int, int]) -> None:
         """Click on a point of the photograph, in its pixels."""
         before = self.window.run("return document.querySelector('#marking img').src")
-        x, y, scale = self.window.run(
+        self.window.wait("document.querySelector('#marking img').naturalWidth")
+        x, y, width = self.window.run(
             "const i = document.querySelector('#marking img'), r = i.getBoundingClientRect();"
             "const s = Math.min(r.width / i.naturalWidth, r.height / i.naturalHeight);"
             "return [r.left + (r.width - s * i.naturalWidth) / 2,"
-            " r.top + (r.height - s * i.naturalHeight) / 2, s]"
+            " r.top + (r.height - s * i.naturalHeight) / 2, s * i.naturalWidth]"
         )
+        scale = width / SIZE[0]
         self.window.click_at(x + scale * (point[0] + 0.5), y + scale * (point[1] + 0.5))
-        self.window.wait(f"document.querySelector('#marking img').src !== {before!r}")
+        new = f"document.querySelector('#marking img').src !== {before!r}"
+        self.window.wait(f"{new} || ({ERROR_TEXT}).length")
+        assert self.window.run(f"return {new}"), self.window.run(f"return {ERROR_TEXT}")
 
     def changed(self, act) -> np.ndarray:
         """Do something that changes the result, and return the picture then shown."""
@@ -90,10 +95,14 @@ class Walk:
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), np.float64)
 
     def slide(self, selector: str, value: float) -> None:
+        self.enter(f"{selector} input[type=range]", value)
+
+    def enter(self, selector: str, value: float | str) -> None:
+        """Set an input's value as typing does."""
         self.window.run(
-            f"const i = document.querySelector('{selector} input[type=range]');"
-            f"Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(i, {value});"
-            "i.dispatchEvent(new Event('input', {bubbles: true}));"
+            f"const i = document.querySelector({selector!r});"
+            "Object.getOwnPropertyDescriptor(Object.getPrototypeOf(i), 'value')"
+            f".set.call(i, {value!r}); i.dispatchEvent(new Event('input', {{bubbles: true}}));"
         )
 
     def choose(self, selector: str, number: int) -> None:
@@ -101,11 +110,7 @@ class Walk:
         self.window.run(f"document.querySelectorAll('{selector} input')[{number}].click()")
 
     def search(self, words: str) -> list[str]:
-        self.window.run(
-            "const i = document.querySelector('#words input, #words textarea');"
-            "Object.getOwnPropertyDescriptor(Object.getPrototypeOf(i), 'value')"
-            f".set.call(i, {words!r}); i.dispatchEvent(new Event('input', {{bubbles: true}}));"
-        )
+        self.enter("#words input, #words textarea", words)
         listed = "[...document.querySelectorAll('#materials .caption-label')].map(e => e.innerText)"
         self.window.wait(f"({listed}).length < 100 || !{words!r}")
         time.sleep(0.3)
@@ -127,14 +132,15 @@ class Walk:
 
 def opened(window: Browser, address: str, folder: Path) -> Walk:
     window.visit(address)
-    window.wait("document.querySelector('#photo input[type=file], #photo button')")
+    window.wait("document.querySelector('#photo')")
     return Walk(window, folder)
 
 
 def send(walk: Walk, button: str, path: Path) -> None:
-    """Give a file to an upload button."""
-    walk.window.wait(f"document.querySelector('{button} input[type=file],input{button}')")
-    walk.window.type(f"{button} input[type=file],input{button}", str(path))
+    """Give a file to the upload button of that text."""
+    selector = f'input[data-testid="{button}-upload-button"]'
+    walk.window.wait(f"document.querySelector('{selector}')")
+    walk.window.type(selector, str(path))
 
 
 def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path):
@@ -148,11 +154,14 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         # a file that is no picture: the command line's line, and the page goes on
         bad = tmp_path / "notes.png"
         bad.write_text("no picture")
-        send(walk, "#photo", bad)
+        send(walk, "Choose a photograph", bad)
         window.wait(f"({ERROR_TEXT}).join().includes('notes.png: expected')")
+        time.sleep(0.5)  # it fades in
         walk.shot("bad-file")
+        window.run("document.querySelector('.toast-close').click()")
+        window.wait(f"!({ERROR_TEXT}).length")
 
-        send(walk, "#photo", photo)
+        send(walk, "Choose a photograph", photo)
         window.wait("document.querySelector('#marking img')")
         walk.wait_for("#status", "mark the object")
         walk.shot("photograph")
@@ -227,7 +236,6 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         walk.shot("light")
 
         # the files
-        window.run("document.querySelectorAll('[role=tab]')[4 - 2].click()")
         window.run(
             "[...document.querySelectorAll('[role=tab]')]"
             ".find(e => e.innerText.includes('Download')).click()"
@@ -242,7 +250,7 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         data = urllib.request.urlopen(files["edited.png"], timeout=60).read()
         assert Image.open(io.BytesIO(data)).size == SIZE
         recipe = json.load(urllib.request.urlopen(files["edit.json"], timeout=60))
-        assert [r["first"]["text"] for r in recipe["regions"]][0] == "natural-209"
+        assert recipe["regions"][0]["first"]["text"] == "natural-209"
         command = window.run("return document.querySelector('#command textarea').value")
         assert command.startswith("brdfactory app cup.png") and "--repeat edit.json" in command
         assert walk.errors() == []
@@ -250,17 +258,21 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
 
 def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
     other = tmp_path / "other.png"
-    Image.fromarray(np.full((60, 100, 3), 90, np.uint8)).save(other)
+    Image.fromarray(np.full((50, 100, 3), 90, np.uint8)).save(other)
     with Browser(1300, 1000) as one, Browser(1300, 1000) as two:
         first, second = opened(one, served, tmp_path), opened(two, served, tmp_path)
-        send(first, "#photo", photo)
+        send(first, "Choose a photograph", photo)
         one.wait("document.querySelector('#marking img')")
-        send(second, "#photo", other)
+        send(second, "Choose a photograph", other)
         two.wait("document.querySelector('#marking img')")
         first.point(CUP)
-        natural = "return document.querySelector('#marking img').naturalWidth"
-        one.wait("document.querySelector('#marking img').complete")
-        assert (one.run(natural), two.run(natural)) == (SIZE[0], 100)
+        shape = (
+            "const i = document.querySelector('#marking img');"
+            "return i.naturalWidth / i.naturalHeight"
+        )
+        for window in (one, two):
+            window.wait("document.querySelector('#marking img').complete")
+        assert (one.run(shape), two.run(shape)) == (1.5, 2)
         assert "covers" in first.text("#status") and "covers" not in second.text("#status")
         second.shot("second-user")
         address = one.run("return document.querySelector('#marking img').src")
