@@ -625,7 +625,8 @@ def page(sessions: Sessions) -> gr.Blocks:
             given = (shade, roughness, metallic, specular, sheen, coat)
             return from_sliders(number, place, *given, request)
 
-        for control in (color, *numbers):
+        controls: list[Any] = [color, *numbers]
+        for control in controls:
             live(control.input, sliders, [region, slot, color, *numbers])
 
         def share_of(number: int, request: gr.Request) -> float:

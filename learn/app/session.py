@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 import numpy as np
 import torch
@@ -337,7 +338,7 @@ class Session:
         """Write a picture to show, and delete earlier ones that no page loads any more."""
         ending = ".png" if picture.shape[-1] == 4 else ".jpg"
         path = self.folder / f"{stem}-{secrets.token_hex(6)}{ending}"
-        options = {"quality": 90} if ending == ".jpg" else {"compress_level": 1}
+        options: dict[str, Any] = {"quality": 90} if ending == ".jpg" else {"compress_level": 1}
         files.write_image(path, picture, **options)
         if stem == "view":
             self._views.append(path)

@@ -24,7 +24,8 @@ from tests.support.browser import Browser
 
 # runs ACT and returns the milliseconds until the new result is decoded
 TIMED = """
-const shown = () => [...document.querySelectorAll('#editor img')].find(i => i.src.includes('view-'));
+const images = () => [...document.querySelectorAll('#editor img')];
+const shown = () => images().find(i => i.src.includes('view-'));
 const before = shown()?.src, start = performance.now();
 ACT
 while (!(shown() && shown().src !== before)) await new Promise(r => setTimeout(r, 4));
@@ -36,10 +37,7 @@ const i = document.querySelector('SELECTOR input[type=range]');
 Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(i, VALUE);
 i.dispatchEvent(new Event('input', {bubbles: true}));
 """
-PICK = (
-    "document.querySelectorAll("
-    "'#materials .gallery-item, #materials .thumbnail-item')[NUMBER].click();"
-)
+PICK = "document.querySelectorAll('#materials button.thumbnail-item')[NUMBER].click();"
 
 
 def changes(count: int) -> list[tuple[str, str]]:

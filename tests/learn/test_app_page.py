@@ -86,7 +86,7 @@ class Walk:
         """Do something that changes the result, and return the picture then shown."""
         before = self.window.run(f"return {RESULT}")
         act()
-        self.window.wait(f"({RESULT}) && ({RESULT}) !== {before!r}")
+        self.window.wait(f"({RESULT}) && ({RESULT}) !== {json.dumps(before)}")
         self.wait_for("#shown", "Exact view")
         return self.result()
 
@@ -118,7 +118,7 @@ class Walk:
 
     def pick(self, name: str) -> None:
         self.window.run(
-            "[...document.querySelectorAll('#materials .gallery-item, #materials .thumbnail-item')]"
+            "[...document.querySelectorAll('#materials button')]"
             f".find(e => e.innerText.includes({name!r})).click()"
         )
 
