@@ -641,7 +641,7 @@ def page(sessions: Sessions) -> gr.Blocks:
 
         def searched(text: str) -> tuple[Any, ...]:
             matching = gallery.search(text)
-            said = f"{len(matching)} materials"
+            said = "1 material" if len(matching) == 1 else f"{len(matching)} materials"
             if not matching:
                 said = "No material has such a name. Try wood, metal, fabric, plastic, stone …"
             return entries(matching), matching, said

@@ -5,7 +5,7 @@ browser has decoded the new picture: materials from the gallery, blends, turned 
 What was shown before is not shown again, so that no kept map helps. Each change waits until the
 exact view of the one before is there, unless --hurry.
 
-PYTHONPATH=. python tests/learn/measure_app.py [--count N] [--hurry] [--picture FILE.jpg]
+PYTHONPATH=. python tests/learn/measure_app.py [--count N] [--hurry] [--picture FILE.jpg] [--clicks]
 """
 
 import argparse
@@ -16,9 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import distance_transform_edt
 
 from learn.app import gallery, page
+from learn.app.selection import Selection
 from learn.commands.options import EDITING_WEIGHTS
+from learn.data import photographs
 from learn.editing import photograph
 from tests.support.browser import Browser
 
@@ -59,13 +62,40 @@ def changes(count: int) -> list[tuple[str, str]]:
     return result
 
 
+def selection_by_clicks(count: int = 14) -> None:
+    """Print how well a simulated user marks the example, who clicks into the largest error."""
+    path, regions = photograph.example("example:espresso-cup", [], None)
+    assert regions is not None
+    with Image.open(path) as picture:
+        display = np.asarray(picture.convert("RGB"))
+    truth = photographs.read_labels(regions, display.shape[:2])
+    selection, labels = Selection(display), np.zeros_like(truth)
+    for number in range(count):
+        depth = distance_transform_edt(np.pad(labels != truth, 1))[1:-1, 1:-1]
+        row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+        selection.click(int(column), int(row), int(truth[row, column]))
+        start = time.perf_counter()
+        labels = selection.labels()
+        seconds = time.perf_counter() - start
+        pairs = [(labels > 0, truth > 0), *((labels == k, truth == k) for k in (1, 2))]
+        shares = [(a & b).sum() / (a | b).sum() for a, b in pairs]
+        print(
+            f"click {number + 1}: intersection over union {shares[0]:.2f}, cup {shares[1]:.2f},"
+            f" saucer {shares[2]:.2f}; {1000 * seconds:.0f} ms"
+        )
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--hurry", action="store_true", help="do not wait for exact views")
     parser.add_argument("--picture", type=Path, help="write a screenshot")
+    parser.add_argument("--clicks", action="store_true", help="measure the selection alone")
     arguments = parser.parse_args()
+    if arguments.clicks:
+        selection_by_clicks()
+        return
     path, regions = photograph.example("example:espresso-cup", [], None)
     assert regions is not None
     address, end = page.serve(EDITING_WEIGHTS, wait=False)
