@@ -7,12 +7,14 @@ PIP_FLAGS ?=
 WORKERS ?= 2
 EXTRAS ?= factory,learn,dev
 
-.PHONY: help demo demo-full demo-small weights test fuzz lint clean
+.PHONY: help demo demo-full demo-small weights site gallery test fuzz lint clean
 help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
 	@echo "make demo-small  the same with 16 pictures"
 	@echo "make weights     from nothing to the weights of the preset general-pretrained: never run to its end, about twelve hours of processor time by estimate"
+	@echo "make site        build the documentation as a site; then open build/site/index.html"
+	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"
 	@echo "make test        install into $(VENV)/ and run the tests"
 	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
 	@echo "make lint        check the code's style and its types"
@@ -79,6 +81,19 @@ weights: $(VENV)/installed
 	$(VENV)/bin/python -m factory render geometry-general --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory lights make --count 1000 --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
 	$(VENV)/bin/python -m learn train general-pretrained --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/run
+
+# The API's pages are made from docstrings alone, but those of the commands import the program.
+SITE ?= build/site
+site: $(VENV)/installed
+	$(INSTALL) ".[$(EXTRAS),docs]"
+	$(VENV)/bin/python docs/make_notebooks.py
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --site-dir $(SITE)
+	@echo "Done: open $(SITE)/index.html"
+
+# The site's gallery is made of index.html, report.json and hero.jpg, once they are copied to docs/results/photographs/.
+GALLERY ?= out/gallery
+gallery: $(VENV)/editor
+	PYTHONPATH=. $(VENV)/bin/python tests/learn/measure_photographs.py $(GALLERY)/packages $(GALLERY) --no-refine --download
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)

@@ -26,6 +26,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"needs the package lpips": "brings torchvision and downloads weights",
     r"hed-?tensor|HED": "extra `features`: weights that are downloaded on request",
     r"pyarrow is not installed|needs pyarrow": "extra `export`",
+    r"(mkdocs|nbclient) is not installed \(extra docs\)": "extra `docs`: the site and notebooks",
     r"this Pillow has no AVIF": "depends on how Pillow was built",
     r"needs Linux's account of a process's memory": "not every system has /proc",
     r"this system's allocator takes no advice": "not every C library has mallopt",

