@@ -134,6 +134,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
     decomposed = decomposition.decompose(opened, network, metadata["size"], settings)
     linear, display = Viewer(decomposed).full(edit)
     photographs.require_finite(arguments.photo, linear)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     files.write_image(arguments.out / "edited.png", display, "PNG")
     photographs.write_exr(arguments.out / "edited.exr", linear)
     print(f"See {arguments.out / 'edited.png'}")
