@@ -36,6 +36,7 @@ WITH_CODE = (
 )
 # pages whose blocks run in another test, and which
 RUN_ELSEWHERE = (
+    "docs/blender.md",  # tests/render/test_asset_library.py
     "docs/dataset.md",  # tests/manifests/test_dataset_page.py
     "docs/first-data-set.md",  # tests/test_notebooks.py runs commands and blocks of all these
     "docs/first-edit.md",

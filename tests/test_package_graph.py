@@ -27,6 +27,7 @@ LAYERS = {  # from the bottom up
         "experiments",
     ),
     "factory": (
+        "blender_extension",  # runs inside Blender and imports nothing of the others
         "shapes",
         "materials",
         "lights",

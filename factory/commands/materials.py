@@ -1,15 +1,16 @@
-"""`materials`: list, preview, report, fit and add measured materials."""
+"""`materials`: list, preview, report, export, fit and add measured materials."""
 
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from factory.commands import material_fitting
+from factory.commands import material_export, material_fitting
 from factory.commands.actions import add_action, add_catalogues, add_command, add_picture_output
 
 EPILOG = """examples:
   python -m factory materials list
   python -m factory materials preview --out materials.png
+  python -m factory materials export --blend library/library.blend
   python -m factory materials add my-merl-folder --only my-wood --out my-materials.json
   python -m factory materials fit merl_nbrdf.npz --workers 2 --out materials.json
 
@@ -22,7 +23,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     actions = add_command(
         subparsers,
         "materials",
-        "list, preview, report, fit and add measured materials",
+        "list, preview, report, export, fit and add measured materials",
         "Works with measured materials. Each has a label (108 numbers, which the layer uses) and a"
         " mixture of closures (which Cycles renders).",
         EPILOG,
@@ -31,6 +32,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     _add_preview(actions)
     _add_report(actions)
     _add_condition(actions)
+    material_export.add(actions)
     material_fitting.add(
         actions,
         "fit",

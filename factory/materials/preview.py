@@ -36,12 +36,7 @@ def contact_sheet(
     of         "label", "nodes" or "both" (label in the upper half, nodes in the lower half)
     watch      wraps the iterable, to show progress
     """
-    rings = max(16, size // 3)
-    sphere = Sphere(
-        {"light": L}, np.random.default_rng(0), rings, 4 * rings // 2, n_theta=96, n_phi=9
-    )
-    white = sphere.picture(np.full((rings, sphere.theta_h.size, 3), 1 / np.pi))
-    exposure = 1.0 / np.percentile(white @ LUMINANCE, 95)
+    sphere, exposure = lit_sphere(L, size)
     rows = -(-len(materials) // columns)
     picture = Image.new("RGB", (columns * size, rows * (size + CAPTION)), (GROUND,) * 3)
     draw = ImageDraw.Draw(picture)
@@ -59,10 +54,35 @@ def contact_sheet(
     return picture
 
 
+def lit_sphere(L: np.ndarray, size: int) -> tuple[Sphere, float]:
+    """Return the light gathered for pictures of that size, and a white sphere's exposure.
+
+    L  (height, width, 3) light map, light frame
+    """
+    rings = max(16, size // 3)
+    sphere = Sphere(
+        {"light": L}, np.random.default_rng(0), rings, 4 * rings // 2, n_theta=96, n_phi=9
+    )
+    white = sphere.picture(np.full((rings, sphere.theta_h.size, 3), 1 / np.pi))
+    return sphere, 1.0 / float(np.percentile(white @ LUMINANCE, 95))
+
+
+def cut_out_sphere(sphere: Sphere, material: Material, size: int, exposure: float) -> np.ndarray:
+    """Return a picture (size, size, 4) uint8 of a sphere of a mixture, transparent around it."""
+    display = _display(sphere, material, size, "nodes", exposure)
+    return np.round(np.dstack([display, 255 * coverage(size)])).astype(np.uint8)
+
+
 def material_sphere(
     sphere: Sphere, material: Material, size: int, of: str, exposure: float
 ) -> np.ndarray:
     """Return a picture (size, size, 3) uint8 of a sphere of one material."""
+    display = _display(sphere, material, size, of, exposure)
+    return np.round(coverage(size)[..., None] * (display - GROUND) + GROUND).astype(np.uint8)
+
+
+def _display(sphere: Sphere, material: Material, size: int, of: str, exposure: float) -> np.ndarray:
+    """Return display values (size, size, 3) of a sphere that fills the square's corners too."""
     nodes = sphere.nodes()
     label = (
         on_pixels(sphere.picture(label_on(material.label, nodes))[:, :, 0], size)
@@ -84,8 +104,7 @@ def material_sphere(
         )
     )
     brightest = np.percentile(radiance @ LUMINANCE, WHITE_AT)
-    display = tone.display(radiance, min(exposure, 1 / max(brightest, 1e-9)))
-    return np.round(coverage(size)[..., None] * (display - GROUND) + GROUND).astype(np.uint8)
+    return tone.display(radiance, min(exposure, 1 / max(brightest, 1e-9)))
 
 
 def _polar(size):

@@ -18,6 +18,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import photographs
 from learn.data.devices import array
+from learn.editing import reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.layer import predictions
 
@@ -80,16 +81,20 @@ class Compositor:
 
     def _rendered(self, label: np.ndarray | torch.Tensor, light: torch.Tensor) -> np.ndarray:
         """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
-        label = torch.as_tensor(label, dtype=torch.float32).to(self.n.device)
-        picture = predictions.picture(
-            self.n.movedim(-1, 0)[None],
-            label[None],
-            light,
-            self.segments[None],
-            self.decomposition.batch.elevation,
-            predictions.SHOWN._replace(tolerance=self.tolerance),
-        )
-        return self.upsampled(array(picture[0]))
+        labels = array(torch.as_tensor(label, dtype=torch.float32))
+        segments = array(self.segments)
+        picture = np.zeros((self.grid, self.grid, 3), np.float32)
+        for number, row in enumerate(labels, 1):
+            inside = segments == number if len(labels) > 1 else segments > 0
+            if inside.any():
+                picture[inside] = reflectance_store.at_normals(
+                    row,
+                    array(self.n)[inside],
+                    light,
+                    self.decomposition.batch.elevation,
+                    self.tolerance,
+                )
+        return self.upsampled(picture)
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""

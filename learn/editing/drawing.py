@@ -7,11 +7,12 @@ import numpy as np
 import torch
 
 from learn.data.devices import array
-from learn.editing import targets
+from learn.editing import reflectance_store, targets
 from learn.editing.decomposition import Decomposition, parts_of
 from learn.editing.photograph import Photograph
 from learn.figures import montage, spheres
 from learn.figures.montage import Tile
+from learn.layer import predictions
 from shaders import tone
 
 if TYPE_CHECKING:
@@ -70,10 +71,12 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
         stages.append(("refined", decomposed.refined.prediction))
     for name, prediction in stages:
         _, label, light = parts_of(prediction)
-        picture = spheres.material_sphere(
-            label[0, 0], light[0].movedim(0, -1), SPHERE, elevation, exposure
+        sphere = spheres.sphere_normals(SPHERE)
+        inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
+        picture[inside] = reflectance_store.at_normals(
+            array(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
         )
-        tiles.append((f"{what}, {name}", picture))
+        tiles.append((f"{what}, {name}", tone.display(picture, exposure)))
     return tiles
 
 

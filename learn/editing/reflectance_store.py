@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from learn.data.devices import array
 from learn.layer import predictions
+from learn.layer.display_method import method_for
 from learn.methods import lobe_shapes, reflectance_map
 from learn.methods.quadrature import BROAD
 from shaders import tone
@@ -31,6 +32,11 @@ MARGIN = reflectance_map.MARGIN
 LIMIT = 1.2  # grey levels, root mean square
 STEPS, BEND, BRIGHTEST = 768, 32.0, 1e4
 NOTHING = -40.0  # natural logarithm of κ: a lobe that reflects nothing
+# Many normals are looked up: from so many on, in maps of two sides
+LOOKED_UP = ((40_000, (64, 128)), (10_000, (32, 64)))
+# Where the coarse map is off by more grey levels, the normals are rendered; all of them, where that
+# would be a larger share.
+DOUBT, MOST_RENDERED = 3.0, 0.5
 RIM = 0.999  # |p| of the outermost normals that the layer is asked for
 
 
@@ -70,6 +76,58 @@ def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
         if error <= LIMIT:
             break
     return values, error
+
+
+def at_normals(
+    label: np.ndarray,
+    n: np.ndarray,
+    light: torch.Tensor,
+    elevation: float,
+    tolerance: float,
+) -> np.ndarray:
+    """Return radiance (N, 3) float32 of a material at unit normals (N, 3), camera frame.
+
+    The integral over a narrow lobe is costly. Many normals are looked up in two reflectance maps, a
+    coarse and a fine one, and only those are rendered about which the coarse map is off by more
+    than DOUBT grey levels at the fine map's nodes, under automatic exposure.
+
+    label      (108,) natural logarithms
+    light      (1, 3, Hl, Wl) radiance, light frame
+    elevation  of the camera, radians
+    tolerance  of the layer
+    """
+    scene = Scene(light, elevation, np.ones(3), tolerance, n)
+    narrow = method_for(torch.from_numpy(np.asarray(label))) == "quadrature"
+    sides = next((sides for least, sides in LOOKED_UP if len(n) >= least), None)
+    if sides is None or not narrow:
+        return radiance(n, label, scene, "")
+    parts = separate_lobes(label)
+    coarse, fine = (
+        np.sum([rendered(part, scene, side, how) for part, how in parts], 0) for side in sides
+    )
+    result = interpolated(fine, n)
+    exposure = tone.auto_exposure(result[None], np.ones((1, len(n)), bool))
+    doubtful = _doubt(coarse, fine, exposure)[_nearest_node(n, len(fine))] > DOUBT
+    if doubtful.mean() > MOST_RENDERED:
+        return radiance(n, label, scene, "")
+    result[doubtful] = radiance(n[doubtful], label, scene, "")
+    return result
+
+
+def _doubt(coarse: np.ndarray, fine: np.ndarray, exposure: float) -> np.ndarray:
+    """Return grey levels by which a coarse map is off about each node of a fine one, flat."""
+    line = (np.arange(len(fine)) - MARGIN) * 2 / (len(fine) - 5) - 1
+    p = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    p /= np.maximum(np.linalg.norm(p, axis=-1, keepdims=True), 1)
+    again = interpolated(coarse, normals(p)).reshape(fine.shape)
+    difference = tone.display(again, exposure) - tone.display(fine, exposure)
+    return maximum_filter(np.abs(difference).max(-1), 3).ravel()
+
+
+def _nearest_node(n: np.ndarray, size: int) -> np.ndarray:
+    """Return the flat index of the node nearest to each normal (N, 3), of a map of that size."""
+    column, row = (np.rint((places(n) + 1) * (size - 5) / 2).astype(int) + MARGIN).T
+    return row * size + column
 
 
 def separate_lobes(label: np.ndarray) -> list[tuple[np.ndarray, str]]:

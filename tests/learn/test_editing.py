@@ -18,7 +18,6 @@ from learn.data.records import Records
 from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
-from learn.layer import predictions
 from learn.layer.display_method import method_for
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -346,12 +345,11 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
 def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    drawn, render_ = [], predictions.render
-    # before counting, for the exposure needs a picture too, at the network's size
+    drawn, rendered = [], Compositor._rendered
     decomposed = decomposition.decompose(
         opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK
     )
-    monkeypatch.setattr(predictions, "render", lambda *a, **k: drawn.append(1) or render_(*a, **k))
+    monkeypatch.setattr(Compositor, "_rendered", lambda *a: drawn.append(1) or rendered(*a))
     painter = Compositor(decomposed, detail=0.25)
     painter.edited([label_of("gold-paint")[0]])
     painter.rendered_again()
