@@ -15,7 +15,7 @@ DESCRIPTION = (
 )
 # group → {command: the package that has it}
 GROUPS: Mapping[str, Mapping[str, str]] = {
-    "edit a photograph": dict.fromkeys(("edit", "predict", "transfer"), "learn"),
+    "edit a photograph": dict.fromkeys(("edit", "app", "predict", "transfer"), "learn"),
     "make a data set": dict.fromkeys(
         ("plan", "render", "status", "verify", "preview", "export"), "factory"
     ),

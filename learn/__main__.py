@@ -7,6 +7,7 @@ from manifests.cli import main
 COMMANDS = (
     "train",
     "predict",
+    "app",
     "edit",
     "transfer",
     "agree",

@@ -36,7 +36,7 @@ for module in pkgutil.walk_packages(root.__path__, package + "."):
         try:
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
-            if error.name not in {"triton"}:  # of the extra `cuda`
+            if error.name not in {"triton", "gradio"}:  # of the extras `cuda` and `app`
                 raise
 """
 

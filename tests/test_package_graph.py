@@ -20,6 +20,7 @@ LAYERS = {  # from the bottom up
         "refinement",
         "baselines",
         "editing",
+        "app",
         "agreement",
         "evaluation",
         "commands",

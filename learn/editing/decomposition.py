@@ -3,6 +3,7 @@
 The network sees a square about the object, at its own size (128² as a rule).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -73,11 +74,13 @@ def decompose(
     network: torch.nn.Module,
     size: int,
     settings: RefinementSettings | None = None,
+    watch: Callable[[int, int], None] | None = None,
 ) -> Decomposition:
     """Return the Decomposition of a photograph.
 
     network, size  from learn.networks.weights.load_network
     settings       of refinement; None for no refinement
+    watch          as of learn.refinement.refine
     """
     framed = photographs.framed(
         photograph.balanced,
@@ -93,7 +96,7 @@ def decompose(
     if photograph.record is not None:  # a photograph's camera is not known, a record's is
         batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
     labels: np.ndarray | None = getattr(network, "training_labels", None)
-    refined = None if settings is None else refine(batch, start, settings, labels)
+    refined = None if settings is None else refine(batch, start, settings, labels, watch)
     return Decomposition(photograph, framed, batch, start, refined)
 
 

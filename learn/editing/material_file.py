@@ -50,16 +50,20 @@ def read(path: Path) -> np.ndarray:
     stored = report.labels or ([] if report.label is None else [report.label])
     if not stored:
         raise InputError(path, rule, "none", REMEDY)
-    labels = np.asarray(stored, np.float64)
+    return require_label(np.asarray(stored, np.float64), path)
+
+
+def require_label(labels: np.ndarray, where: object) -> np.ndarray:
+    """Return labels (…, 108) as float32, if they are in range. Raises InputError."""
     within = (labels >= SMALLEST_LABEL) & (labels <= LARGEST_LABEL)  # NaN is not
     if not within.all():
         rule = f"natural logarithms from {SMALLEST_LABEL:g} to {LARGEST_LABEL:g}"
         raise InputError(
-            path, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms"
+            where, rule, f"{labels[~within][0]:g}", "is this m itself? a label holds its logarithms"
         )
     if (kappa := labels.reshape(-1, *SHAPE)[..., 0, :].max()) > LARGEST_KAPPA:
         remedy = "its reflectance is no number any more; check the file"
-        raise InputError(path, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
+        raise InputError(where, f"logarithms of κ up to {LARGEST_KAPPA}", f"{kappa:g}", remedy)
     return labels.astype(np.float32)
 
 

@@ -10,9 +10,10 @@ prediction holds the first one; in the end the picture decides. An outer iterati
 the energy about the prediction itself stays below the start's.
 """
 
+import itertools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +39,7 @@ NOWHERE = 1e30  # energy of what is not finite or cannot be rendered: a line sea
 
 Coordinates = dict[str, MaterialCoordinates | LightCoordinates | NormalCoordinates]
 Vectors = dict[str, np.ndarray]  # {property: (Z,) float64}
+Watch = Callable[[int, int], None]  # (evaluations so far, about how many there will be)
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ def refine(
     prediction: Prediction,
     settings: RefinementSettings = RefinementSettings(),  # noqa: B008 -- frozen
     labels: np.ndarray | None = None,
+    watch: Watch | None = None,
 ) -> RefinementResult:
     """Return the prediction moved to where it explains its picture better.
 
@@ -71,6 +74,7 @@ def refine(
     prediction  of one picture, with n, label and light
     labels      (M, 108) of the materials that the prediction's weights were trained on; None: the
                 built-in ones (learn.refinement.coordinates.principal_directions)
+    watch       called before each evaluation of the energy; what it raises ends the refinement
     Raises      ValueError for more than one picture, or a prediction that lacks a property or is
                 not finite
     """
@@ -94,9 +98,10 @@ def refine(
     energy = Energy(batch, current, settings)
     before = after = energy.finest(current)
     history: list[dict[str, Any]] = []
+    counted = None if watch is None else _counted(watch, settings)
     for number in range(settings.outer_iterations):
         start = current if number else predicted
-        state, steps = outer_iteration(batch, start, inside, settings, directions)
+        state, steps = outer_iteration(batch, start, inside, settings, directions, counted)
         state = replace(state, z={"material": current.z["material"] + state.z["material"]})
         terms = energy.finest(state)
         if not terms["total"] < before["total"]:
@@ -109,12 +114,21 @@ def refine(
     return RefinementResult(refined, before, after, history, time.perf_counter() - began)
 
 
+def _counted(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
+    """Return a function to call before each evaluation; L-BFGS makes about one per iteration."""
+    steps = [step for level in settings.levels for step in steps_of(level, settings.order)]
+    expected = settings.outer_iterations * sum(iterations for *_, iterations in steps)
+    numbers = itertools.count()
+    return lambda: watch(next(numbers), expected)
+
+
 def outer_iteration(
     batch: ExampleBatch,
     start: State,
     inside: torch.Tensor,
     settings: RefinementSettings,
     directions: np.ndarray | None = None,
+    before_evaluation: Callable[[], None] | None = None,
 ) -> tuple[State, list[dict[str, Any]]]:
     """Return the State after all levels, and a line for each step; the energy is about `start`.
 
@@ -128,7 +142,9 @@ def outer_iteration(
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for turn, names, iterations in steps_of(level, settings.order):
-            moved = z | minimised(energy, maps, z, names, level, where, iterations)
+            moved = z | minimised(
+                energy, maps, z, names, level, where, iterations, before_evaluation
+            )
             terms = energy.finest(state_of(maps, moved))
             accepted = math.isfinite(terms["total"]) and terms["total"] < best["total"]
             if accepted:
@@ -197,6 +213,7 @@ def minimised(
     level: Level,
     where: torch.Tensor,
     iterations: int,
+    before_evaluation: Callable[[], None] | None = None,
 ) -> Vectors:
     """Return {property: vector} of the named properties after L-BFGS at one level.
 
@@ -212,6 +229,8 @@ def minimised(
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
     def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
+        if before_evaluation is not None:
+            before_evaluation()
         moved = {
             name: torch.from_numpy(v.copy()).to(device).requires_grad_()
             for name, v in parts(x).items()

@@ -32,7 +32,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(
         decomposition,
         "refine",
-        lambda batch, start, settings, labels: refine(
+        lambda batch, start, settings, labels, watch=None: refine(
             batch, start, replace(settings, outer_iterations=1, levels=settings.levels[:1]), labels
         ),
     )

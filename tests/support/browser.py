@@ -98,6 +98,28 @@ class Browser:
         """Load a file of this machine; fragment: "#…" or nothing."""
         self._call("POST", "/url", {"url": path.absolute().as_uri() + fragment})
 
+    def visit(self, address: str) -> None:
+        """Load an address."""
+        self._call("POST", "/url", {"url": address})
+
+    def click_at(self, x: float, y: float) -> None:
+        """Click on a point of the window, in pixels from its upper left corner."""
+        place = {"type": "pointerMove", "duration": 0, "x": round(x), "y": round(y)}
+        steps = [place, *({"type": f"pointer{what}", "button": 0} for what in ("Down", "Up"))]
+        self._act(steps)
+
+    def drag(self, points: list[tuple[float, float]]) -> None:
+        """Draw a line through points of the window with the button pressed."""
+        moves: list[dict] = [
+            {"type": "pointerMove", "duration": 60, "x": round(x), "y": round(y)} for x, y in points
+        ]
+        down, up = ({"type": f"pointer{what}", "button": 0} for what in ("Down", "Up"))
+        self._act([moves[0], down, *moves[1:], up])
+
+    def _act(self, steps: list[dict]) -> None:
+        mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}}
+        self._call("POST", "/actions", {"actions": [mouse | {"actions": steps}]})
+
     def resize(self, width: int, height: int) -> None:
         """Show pages as on a screen of a size in pixels, which may be a telephone's."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}

@@ -1,0 +1,293 @@
+"""What a user chose on the page: materials, blends, light; and edit.json, which keeps it.
+
+label  (108,) natural logarithms of κ and γ control values, docs/materials.md
+"""
+
+import shlex
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from learn.data import photographs
+from learn.editing import desired_light, material_expression, material_file
+from manifests import files, measured_lights, reading
+from manifests.errors import InputError, closest
+from manifests.materials import find
+from shaders import envmap
+from shaders.dsbrdf import SIZE
+
+OWN_LIGHT = "the photograph's own"
+LARGEST_RECIPE = 1 << 20  # bytes of an edit.json
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A material that a user chose; text: as the command line takes it, or what it was read from.
+
+    named  whether `text` alone brings it back: it is a catalogue's name or an expression
+    """
+
+    text: str
+    label: np.ndarray
+    named: bool = True
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Chosen) and np.array_equal(self.label, other.label)
+
+    def __hash__(self) -> int:
+        return hash(self.label.tobytes())
+
+
+@dataclass(frozen=True)
+class Painted:
+    """The material of one region.
+
+    first   None: the region stays as it is
+    second  with which `first` is blended, or None
+    share   of the second, 0 to 1; radiance is linear in the BRDF, so that the blend is exact
+    """
+
+    first: Chosen | None = None
+    second: Chosen | None = None
+    share: float = 0.5
+
+    def parts(self, own: np.ndarray) -> list[tuple[float, np.ndarray]]:
+        """Return (weight, label) of each part; own: the label where nothing is chosen."""
+        first = own if self.first is None else self.first.label
+        if self.second is None or self.share == 0:
+            return [(1.0, first)]
+        if self.share == 1:
+            return [(1.0, self.second.label)]
+        return [(1 - self.share, first), (self.share, self.second.label)]
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether the region stays as it is."""
+        return self.first is None and (self.second is None or self.share == 0)
+
+    @property
+    def caption(self) -> str:
+        """The material in words."""
+        first = "as it is" if self.first is None else self.first.text
+        if self.second is None:
+            return first
+        return f"{1 - self.share:.0%} {first}, {self.share:.0%} {self.second.text}"
+
+
+@dataclass(frozen=True)
+class LightChoice:
+    """The light of an edit.
+
+    name          OWN_LIGHT, or a name for people
+    rotation_deg  about the vertical, rounded to the map's columns of 2.8°
+    map           (64, 128, 3) of a light that replaces the photograph's, unit mean, light frame;
+                  None for the photograph's own
+    """
+
+    name: str = OWN_LIGHT
+    rotation_deg: float = 0.0
+    map: np.ndarray | None = None
+
+    @property
+    def columns(self) -> int:
+        """By how many columns of a map it is turned."""
+        return round(self.rotation_deg / 360 * desired_light.WIDTH) % desired_light.WIDTH
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether it is the photograph's own light as it is."""
+        return self.map is None and self.columns == 0
+
+    def of(self, own: np.ndarray) -> np.ndarray:
+        """Return the map (64, 128, 3); own: the photograph's own light."""
+        return envmap.roll(own if self.map is None else self.map, self.columns)
+
+
+@dataclass(frozen=True)
+class Edit:
+    """All that a user chose.
+
+    regions          of each region, in order
+    hide_background  whether the result is the object alone, cut out
+    """
+
+    regions: tuple[Painted, ...]
+    light: LightChoice = LightChoice()
+    hide_background: bool = False
+
+    def with_region(self, number: int, painted: Painted) -> "Edit":
+        """Return the edit with another material of region `number`, 0 the first."""
+        regions = list(self.regions)
+        regions[number] = painted
+        return replace(self, regions=tuple(regions))
+
+
+def catalogue_material(name: str) -> Chosen:
+    """Return a material of the catalogue. Raises InputError for an unknown name."""
+    return Chosen(name, np.asarray(find(name).label, np.float32).reshape(SIZE))
+
+
+def principled_material(
+    color: str,
+    roughness: float,
+    metallic: float,
+    specular: float = 0.5,
+    sheen: float = 0.0,
+    coat: float = 0.0,
+) -> Chosen:
+    """Return a principled material; color: #rrggbb, others 0 to 1. Raises InputError."""
+    numbers = {
+        "roughness": roughness,
+        "metallic": metallic,
+        "specular": specular,
+        "sheen": sheen,
+        "coat": coat,
+    }
+    usual = {"specular": 0.5, "sheen": 0.0, "coat": 0.0}
+    written = [f"{key}={value:.3g}" for key, value in numbers.items() if value != usual.get(key)]
+    text = f"principled(base_color={color}, {', '.join(written)})"
+    label = material_expression.fitted(text).label
+    return Chosen(text, np.asarray(label, np.float32).reshape(SIZE))
+
+
+def light_names() -> dict[str, str]:
+    """Return {name for people: key} of the measured maps that come with the program."""
+    result = {}
+    for key in measured_lights.credits():
+        source, _, name = key.partition("_")
+        shown = name.replace("_", " ").replace("-", " ")
+        result[shown if shown not in result else f"{shown} ({source})"] = key
+    return dict(sorted(result.items()))
+
+
+def light_of(name: str, rotation_deg: float = 0.0) -> LightChoice:
+    """Return the light of a name that `light_names` has, or OWN_LIGHT. Raises InputError."""
+    if not -360 <= rotation_deg <= 360:
+        rule = "a rotation from -360 to 360 degrees"
+        raise InputError("light", rule, f"{rotation_deg:g}", "turn it less")
+    if name == OWN_LIGHT:
+        return LightChoice(rotation_deg=rotation_deg)
+    names = light_names()
+    if name not in names:
+        raise InputError("light", "a light of the list", name, closest(name, names))
+    return LightChoice(name, rotation_deg, measured_lights.load(names[name]))
+
+
+def light_of_file(path: Path) -> LightChoice:
+    """Return the light of a map's file, .exr. Raises InputError."""
+
+    def refuse(other: Path) -> np.ndarray:
+        raise InputError(
+            other, "a light map FILE.exr, twice as wide as high", "another file", "convert it"
+        )
+
+    return LightChoice(path.name, 0.0, desired_light.light_of(str(path), refuse))
+
+
+def mask_options(names: list[str]) -> list[str]:
+    """Return the options by which the command line takes the files of masks named so."""
+    options = {"mask.png": "--mask", "regions.png": "--regions"}
+    return [word for name in names if name in options for word in (options[name], name)]
+
+
+def command_line(edit: Edit, photograph: str, masks: list[str], refined: bool) -> str:
+    """Return the command that repeats an edit, in a folder with the photograph and the files.
+
+    photograph  the file's name, or example:NAME
+    masks       names of the files of the mask that are needed
+    """
+    words = ["brdfactory"]
+    kept = (*mask_options(masks), *([] if refined else ["--no-refine"]))
+    plain = all(
+        painted.second is None and (painted.first is None or painted.first.named)
+        for painted in edit.regions
+    )
+    if plain and edit.light.unchanged and not edit.hide_background:
+        texts = ["keep" if p.first is None else p.first.text for p in edit.regions]
+        words += ["edit", photograph, *kept, "--material", "+".join(texts), "--out", "edited"]
+    else:
+        words += ["app", photograph, *kept, "--repeat", "edit.json", "--out", "edited"]
+    return shlex.join(words)
+
+
+Numbers = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+
+
+class MaterialEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A chosen material. label: where its name alone does not bring it back."""
+
+    text: str
+    label: Numbers | None = None
+
+
+class RegionEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A region's materials; first and second as of Painted."""
+
+    first: MaterialEntry | None = None
+    second: MaterialEntry | None = None
+    share: Share = 0.5
+
+
+class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What edit.json holds. map: a file of a light that is none of the program's."""
+
+    regions: Annotated[
+        list[RegionEntry], msgspec.Meta(min_length=1, max_length=photographs.MOST_REGIONS)
+    ]
+    light: str = OWN_LIGHT
+    rotation_deg: float = 0.0
+    map: str | None = None
+    hide_background: bool = False
+
+
+def write(path: Path, edit: Edit) -> None:
+    """Write edit.json, and light.exr beside it where the light is none of the program's."""
+
+    def entry(chosen: Chosen | None) -> MaterialEntry | None:
+        if chosen is None:
+            return None
+        label = None if chosen.named else [float(x) for x in chosen.label]
+        return MaterialEntry(chosen.text, label)
+
+    own_map = edit.light.map is not None and edit.light.name not in light_names()
+    if own_map:
+        photographs.write_exr(path.with_name("light.exr"), np.asarray(edit.light.map))
+    recipe = Recipe(
+        [RegionEntry(entry(p.first), entry(p.second), p.share) for p in edit.regions],
+        edit.light.name,
+        edit.light.rotation_deg,
+        "light.exr" if own_map else None,
+        edit.hide_background,
+    )
+    files.write_json(path, msgspec.to_builtins(recipe))
+
+
+def read(path: Path) -> Edit:
+    """Return the Edit of an edit.json. Raises InputError."""
+    recipe = reading.read(path, Recipe, LARGEST_RECIPE)
+
+    def chosen(entry: MaterialEntry | None) -> Chosen | None:
+        if entry is None:
+            return None
+        if entry.label is not None:
+            label = np.asarray(entry.label, np.float32)
+            return Chosen(entry.text, material_file.require_label(label, path), named=False)
+        if material_expression.is_expression(entry.text):
+            label = np.asarray(material_expression.fitted(entry.text).label, np.float32)
+            return Chosen(entry.text, label.reshape(SIZE))
+        return catalogue_material(entry.text)
+
+    light = light_of(recipe.light if recipe.map is None else OWN_LIGHT, recipe.rotation_deg)
+    if recipe.map is not None:
+        if Path(recipe.map).name != recipe.map:
+            raise InputError(path, "a map's file in the same folder", recipe.map, "move it there")
+        light = replace(light, name=recipe.light, map=light_of_file(path.with_name(recipe.map)).map)
+    return Edit(
+        tuple(Painted(chosen(r.first), chosen(r.second), r.share) for r in recipe.regions),
+        light,
+        recipe.hide_background,
+    )

@@ -1,0 +1,92 @@
+"""Pictures of all materials, and their search by everyday words.
+
+The pictures come with the program as one picture of tiles, materials.jpg, in the catalogue's order:
+each is a sphere in the material, in preview lighting. Drawing them takes 20 seconds:
+
+    python -m learn.app.gallery
+"""
+
+import functools
+import re
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from learn.editing.interactive import FAMILY_WORDS
+from manifests import files
+from manifests.material_words import ALIKE
+from manifests.materials import load_catalogue
+
+PICTURES = Path(__file__).with_name("materials.jpg")
+TILE, COLUMNS = 80, 16  # pixels, tiles in a row
+QUALITY = 88
+
+
+@functools.cache
+def tiles() -> dict[str, np.ndarray]:
+    """Return {name: picture (TILE, TILE, 3) uint8} of all materials of the catalogue."""
+    with Image.open(PICTURES) as opened:
+        picture = np.asarray(opened.convert("RGB"))
+    result = {}
+    for number, name in enumerate(load_catalogue()):
+        row, column = divmod(number, COLUMNS)
+        result[name] = picture[row * TILE :, column * TILE :][:TILE, :TILE]
+    return result
+
+
+@functools.cache
+def words() -> dict[str, str]:
+    """Return {name: the words by which a material is looked for, in lower case}."""
+    result = {}
+    for name, material in load_catalogue().items():
+        alike = " ".join(word for word, names in ALIKE.items() if name in names)
+        family = f"{material.family} {FAMILY_WORDS.get(material.family, '')}"
+        result[name] = re.sub(r"[-_]", " ", f"{name} {family} {alike}").lower()
+    return result
+
+
+def search(text: str) -> list[str]:
+    """Return names of the materials of which each word of a text begins a word; all for none.
+
+    Materials that a word names, or is known to look like, come before those of its family.
+    """
+    asked = [word.rstrip("s") or word for word in re.split(r"[\s,_-]+", text.lower()) if word]
+    if not asked:
+        return list(words())
+    matching = [
+        name
+        for name, own in words().items()
+        if all(any(each.startswith(word) for each in own.split()) for word in asked)
+    ]
+    alike = [name for word in asked for name in ALIKE.get(word, ())]
+
+    def order(name: str) -> tuple[bool, int]:
+        named = all(word in name.lower() for word in asked)
+        return not named, alike.index(name) if name in alike else len(alike)
+
+    return sorted(matching, key=order)
+
+
+def draw() -> Path:
+    """Draw the pictures of all materials and return their file."""
+    from learn.figures import spheres
+    from shaders.frames import ELEVATION
+
+    catalogue = load_catalogue()
+    rows = -(-len(catalogue) // COLUMNS)
+    picture = np.full((rows * TILE, COLUMNS * TILE, 3), 255.0)
+    disk = (spheres.sphere_normals(2 * TILE) != 0).any(-1).reshape(TILE, 2, TILE, 2).mean((1, 3))
+    for number, material in enumerate(catalogue.values()):
+        row, column = divmod(number, COLUMNS)
+        label = np.asarray(material.label, np.float32).reshape(-1)
+        sphere = spheres.preview_sphere(label, 2 * TILE, float(ELEVATION))
+        small = sphere.reshape(TILE, 2, TILE, 2, 3).mean((1, 3))
+        place = picture[row * TILE :, column * TILE :][:TILE, :TILE]
+        place[:] = small + 255.0 * (1 - disk[..., None])
+    files.write_image(PICTURES, picture.clip(0, 255).astype(np.uint8), "JPEG", quality=QUALITY)
+    return PICTURES
+
+
+if __name__ == "__main__":
+    print(draw())

@@ -1,0 +1,140 @@
+"""`learn app`: a page to edit photographs in, and the repetition of an edit made there."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+from pathlib import Path
+
+from learn.commands import options
+from manifests.errors import InputError
+
+LOCAL = "127.0.0.1"
+LARGEST_PORT = 65535
+
+
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
+    parser = subparsers.add_parser(
+        "app",
+        help="edit photographs on a page in the browser",
+        description=(
+            "Serves a page on which a photograph is chosen, its object marked by clicks, and the"
+            " object given other materials, blends of two, and other lights. It needs the extra"
+            " `app` and no network, and listens on this computer alone. With --repeat it serves"
+            " nothing, and repeats an edit that was made on the page. Examples: brdfactory app;"
+            " brdfactory app --host 0.0.0.0 --port 8080; brdfactory app photo.jpg --mask mask.png"
+            " --repeat edit.json --out edited"
+        ),
+    )
+    parser.add_argument(
+        "photo", nargs="?", metavar="PHOTO", help="with --repeat: the photograph, or example:NAME"
+    )
+    parser.add_argument(
+        "--host",
+        default=LOCAL,
+        metavar="ADDRESS",
+        help=(
+            "address to listen on (default 127.0.0.1: this computer alone; 0.0.0.0: whoever can"
+            " connect to it, without a password)"
+        ),
+    )
+    parser.add_argument(
+        "--port", type=int, metavar="N", help="port (default: a free one from 7860 on)"
+    )
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    parser.add_argument(
+        "--repeat", type=Path, metavar="FILE", help="edit.json of the page, to be repeated"
+    )
+    parser.add_argument("--mask", type=Path, metavar="FILE", help="with --repeat: the mask")
+    parser.add_argument("--regions", type=Path, metavar="FILE", help="with --repeat: the regions")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="with --repeat: the folder")
+    parser.add_argument(
+        "--refine",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="with --repeat: whether to refine, as on the page (default: yes)",
+    )
+    options.add_weights(parser)
+    options.add_device(parser)
+    options.add_overwrite(parser)
+    parser.set_defaults(run=run, continues=False)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run the command on parsed arguments."""
+    from learn.data import devices
+
+    if arguments.repeat is not None:
+        _repeat(arguments)
+        return
+    for name in ("photo", "mask", "regions", "out"):
+        if getattr(arguments, name) is not None:
+            where = "PHOTO" if name == "photo" else f"--{name}"
+            raise InputError(where, "--repeat FILE with it", "none", "choose files on the page")
+    _require_address(arguments.host)
+    if arguments.port is not None and not 1 <= arguments.port <= LARGEST_PORT:
+        rule = f"a port from 1 to {LARGEST_PORT}"
+        raise InputError("--port", rule, f"{arguments.port}", "leave it out")
+    try:
+        import gradio  # noqa: F401 -- whether it is there
+    except ModuleNotFoundError as error:
+        rule, remedy = "the extra app", 'pip install "brdfactory[app]"'
+        raise InputError("brdfactory app", rule, f"no module {error.name}", remedy) from None
+    from learn.app import page
+
+    page.serve(
+        arguments.weights,
+        str(devices.choose(arguments.device)),
+        arguments.host,
+        arguments.port,
+        arguments.open,
+    )
+
+
+def _require_address(host: str) -> None:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        if host != "localhost":
+            rule = "an address of this computer, such as 127.0.0.1 or 0.0.0.0"
+            raise InputError("--host", rule, host, "leave it out") from None
+
+
+def _repeat(arguments: argparse.Namespace) -> None:
+    """Repeat an edit: write edited.png and edited.exr."""
+    from learn.app import choices
+    from learn.app.viewer import Viewer
+    from learn.data import devices, photographs
+    from learn.editing import decomposition, photograph
+    from learn.networks import weights as checkpoint
+    from learn.refinement import RefinementSettings
+    from manifests import files
+
+    for name in ("photo", "out"):
+        if getattr(arguments, name) is None:
+            where = "PHOTO" if name == "photo" else f"--{name}"
+            raise InputError(where, "a value with --repeat", "none", "see --help")
+    inputs = [arguments.photo, arguments.repeat, arguments.mask, arguments.regions]
+    files.reserve_outputs(
+        arguments.out,
+        ["edited.png", "edited.exr"],
+        arguments.overwrite,
+        inputs,
+    )
+    edit = choices.read(arguments.repeat)
+    masks = [] if arguments.mask is None else [arguments.mask]
+    opened = photograph.opened(arguments.photo, masks, arguments.regions)
+    if len(edit.regions) != opened.count:
+        rule = f"{opened.count} regions, as the mask has"
+        raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")
+    device = devices.choose(arguments.device)
+    network, metadata = checkpoint.load_parts(arguments.weights, device)
+    settings = RefinementSettings() if arguments.refine else None
+    decomposed = decomposition.decompose(opened, network, metadata["size"], settings)
+    linear, display = Viewer(decomposed).full(edit)
+    photographs.require_finite(arguments.photo, linear)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    files.write_image(arguments.out / "edited.png", display, "PNG")
+    photographs.write_exr(arguments.out / "edited.exr", linear)
+    print(f"See {arguments.out / 'edited.png'}")

@@ -1,0 +1,357 @@
+"""The parts of `brdfactory app` without its page: masks by clicks, search, sessions, blends."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from learn.app import choices, gallery
+from learn.app.choices import Chosen, Edit, Painted
+from learn.app.selection import Selection
+from learn.app.session import Network, Session, Sessions, Stopped
+from learn.app.viewer import Superseded, Viewer, finer
+from learn.commands import app as command
+from learn.data import photographs
+from learn.editing import decomposition, photograph
+from learn.editing.compositor import Compositor
+from manifests.errors import InputError
+from manifests.material_words import ALIKE
+from manifests.materials import load_catalogue
+from tests.support.known_ball import Knowing, ball, label_of
+
+SIDE, RADIUS = 96, 36
+
+
+def scene() -> np.ndarray:
+    """A grey disk with a red half before a green ground, with a little noise."""
+    rng = np.random.default_rng(0)
+    rows, columns = np.mgrid[:80, :120]
+    picture = np.empty((80, 120, 3))
+    picture[:] = (40, 120, 60)
+    inside = (rows - 40) ** 2 + (columns - 60) ** 2 < 28**2
+    picture[inside] = (150, 150, 160)
+    picture[inside & (columns > 60)] = (170, 40, 40)
+    return np.clip(picture + rng.normal(0, 4, picture.shape), 0, 255).astype(np.uint8)
+
+
+def disk(half: bool = False) -> np.ndarray:
+    rows, columns = np.mgrid[:80, :120]
+    inside = (rows - 40) ** 2 + (columns - 60) ** 2 < 28**2
+    return inside & (columns > 60) if half else inside
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+def test_clicks_select_an_object_and_divide_it_into_regions() -> None:
+    selection = Selection(scene())
+    assert not selection.labels().any()
+    selection.click(45, 40, 1)
+    selection.click(75, 40, 2)
+    labels = selection.labels()
+    assert overlap(labels > 0, disk()) > 0.9
+    assert overlap(labels == 2, disk(half=True)) > 0.9
+    # a click on the red half as background leaves the grey one
+    selection.click(80, 45, 0)
+    selection.clicks.pop(1)
+    assert overlap(selection.labels() > 0, disk() & ~disk(half=True)) > 0.9
+    selection.undo()
+    selection.clear()
+    assert not selection.labels().any()
+
+
+def test_clicks_into_a_given_mask_divide_it_and_never_leave_it() -> None:
+    selection = Selection(scene(), given=disk().astype(np.uint8))
+    selection.click(75, 40, 2)
+    labels = selection.labels()
+    assert not (labels > 0)[~disk()].any()
+    assert overlap(labels == 2, disk(half=True)) > 0.9
+    assert overlap(labels == 1, disk() & ~disk(half=True)) > 0.9
+
+
+def test_strokes_count_more_than_clicks_and_regions_have_no_gap() -> None:
+    selection = Selection(scene())
+    selection.click(45, 40, 1)
+    covered = np.zeros((80, 120), bool)
+    covered[:10, :10] = True
+    selection.paint(covered, 4)
+    labels = selection.labels()
+    assert (labels[:10, :10] == 2).all() and labels.max() == 2
+
+
+@pytest.mark.parametrize("place", [(-1, 0, 1), (120, 0, 1), (0, 80, 1), (0, 0, 9)])
+def test_a_click_outside_is_refused(place: tuple[int, int, int]) -> None:
+    with pytest.raises(InputError, match="a click: expected"):
+        Selection(scene()).click(*place)
+
+
+def test_every_material_has_a_picture_and_is_found_by_its_name() -> None:
+    assert list(gallery.tiles()) == list(load_catalogue()) == gallery.search("")
+    for name, picture in gallery.tiles().items():
+        assert picture.shape == (gallery.TILE, gallery.TILE, 3) and picture.std() > 5
+        assert name in gallery.search(name)
+
+
+@pytest.mark.parametrize("word", ALIKE)
+def test_an_everyday_word_finds_what_looks_like_it_first(word: str) -> None:
+    known = [name for name in ALIKE[word] if name in load_catalogue()]
+    result = gallery.search(word)
+    assert set(known) <= set(result)
+    assert gallery.search("no such material") == []
+
+
+def decomposed(count: int = 2) -> decomposition.Decomposition:
+    """A ball of two regions before a ground, decomposed by a network that knows it."""
+    _, inside = ball(SIDE, RADIUS)
+    regions = inside.astype(np.uint8)
+    if count == 2:
+        regions[:, SIDE // 2 :] *= 2
+    picture = np.where(inside[..., None], 0.3, 0.1) * np.ones(3)
+    opened = photograph.Photograph(
+        "ball",
+        picture.astype(np.float32),
+        inside.astype(np.float32),
+        regions,
+        np.ones(3, np.float32),
+        1.0,
+    )
+    return decomposition.decompose(opened, Knowing(label_of("blue-rubber")), 64)
+
+
+def chosen(name: str) -> Chosen:
+    return choices.catalogue_material(name)
+
+
+def test_the_view_is_the_layers_picture_and_a_blend_is_linear() -> None:
+    result = decomposed()
+    viewer = Viewer(result)
+    edit = Edit((Painted(chosen("red-plastic")), Painted()))
+    exact = viewer.view(edit, exact=True).astype(float)
+    linear, display = viewer.full(edit)
+    mask = result.photograph.mask
+    assert np.sqrt(((exact - display)[mask] ** 2).mean()) < 2.0
+    labels = [label_of("red-plastic")[0], None]
+    expected = Compositor(result, 1e-2, 0.25).edited(labels)
+    assert np.allclose(linear, expected, rtol=1e-4, atol=1e-5)
+
+    def full(painted: Painted) -> np.ndarray:
+        return viewer.full(Edit((painted, Painted())))[0]
+
+    a, b = chosen("red-plastic"), chosen("green-fabric")
+    mixed = full(Painted(a, b, 0.3))
+    assert np.allclose(mixed, 0.7 * full(Painted(a)) + 0.3 * full(Painted(b)), atol=1e-4)
+    assert np.allclose(full(Painted(a, b, 1.0)), full(Painted(b)), atol=1e-6)
+
+
+def test_a_turned_light_changes_the_object_and_not_the_background() -> None:
+    result = decomposed()
+    viewer = Viewer(result)
+    edit = Edit((Painted(), Painted()), choices.light_of(next(iter(choices.light_names())), 90))
+    linear, _ = viewer.full(edit)
+    outside = result.photograph.coverage == 0
+    assert np.array_equal(linear[outside], result.photograph.radiance[outside])
+    assert abs(linear - result.photograph.radiance)[result.photograph.mask].mean() > 1e-3
+    shown = viewer.view(edit, exact=True)
+    _, display = viewer.full(edit)
+    assert np.sqrt(((shown.astype(float) - display) ** 2).mean()) < 2.0
+    _, cut = viewer.full(Edit(edit.regions, edit.light, hide_background=True))
+    assert cut.shape[-1] == 4 and not cut[..., 3][outside].any()
+
+
+def test_an_exact_view_gives_way_to_a_later_choice() -> None:
+    viewer = Viewer(decomposed())
+    edit = Edit((Painted(chosen("brass")), Painted()))
+    with pytest.raises(Superseded):
+        viewer.view(edit, exact=True, is_current=lambda: False)
+    assert not viewer.is_exact(edit)
+
+
+def test_a_coarse_map_is_read_at_the_nodes_of_a_finer_one() -> None:
+    def plane(side: int) -> np.ndarray:
+        at = (np.arange(side + 5) - 2) * 2 / side - 1
+        x, y = np.meshgrid(at, at)
+        return np.stack([x + 3, y + 3, x * y + 3], -1).astype(np.float32)
+
+    inner = np.s_[3:-3, 3:-3]
+    assert np.allclose(finer(plane(16), 69)[inner], plane(64)[inner], atol=1e-4)
+
+
+@pytest.mark.parametrize("map_of_own", [False, True])
+def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None:
+    read = Chosen("other.png", label_of("brass")[0], named=False)
+    light = choices.light_of(next(iter(choices.light_names())), 45.0)
+    if map_of_own:
+        light = choices.LightChoice("mine.exr", 45.0, light.map)
+    own = choices.principled_material("#a03020", 0.35, 0.0)
+    edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True)
+    choices.write(tmp_path / "edit.json", edit)
+    again = choices.read(tmp_path / "edit.json")
+    assert again.regions == edit.regions and again.hide_background
+    assert again.light.rotation_deg == 45.0
+    assert again.light.map is not None and light.map is not None
+    assert np.allclose(again.light.map, light.map, rtol=1e-5)
+
+
+def test_a_damaged_edit_json_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "edit.json"
+    for text in ("{", '{"regions": []}', '{"regions": [{"first": {"text": "no-such"}}]}'):
+        path.write_text(text)
+        with pytest.raises(InputError):
+            choices.read(path)
+    path.write_text(json.dumps({"regions": [{}], "light": "x", "map": "../light.exr"}))
+    with pytest.raises(InputError, match="same folder"):
+        choices.read(path)
+
+
+def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
+    plain = Edit((Painted(chosen("brass")), Painted()))
+    text = choices.command_line(plain, "my cup.png", ["regions.png"], refined=False)
+    assert text == (
+        "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"
+        " --out edited"
+    )
+    blend = Edit((Painted(chosen("brass"), chosen("chrome")),))
+    assert "--repeat edit.json" in choices.command_line(blend, "a.png", ["mask.png"], True)
+
+
+@pytest.fixture
+def sessions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sessions:
+    network = Network(Path("known.safetensors"))
+    known = (Knowing(label_of("blue-rubber")), {"size": 64})
+    monkeypatch.setattr(network, "loaded", lambda: known)
+    return Sessions(tmp_path, network)
+
+
+def photo_in(folder: Path) -> Path:
+    path = folder / "sent.png"
+    Image.fromarray(scene()).save(path)
+    return path
+
+
+def test_sessions_do_not_mix_and_delete_their_files(sessions: Sessions, tmp_path: Path) -> None:
+    path = photo_in(tmp_path)
+    one, two = sessions.of("one"), sessions.of("two")
+    one.load(path)
+    one.click(45 * one.scale, 40 * one.scale, 1)
+    assert sessions.of("one") is one and two.path is None and one.folder != two.folder
+    with pytest.raises(InputError, match="a photograph"):
+        two.overlay()
+    view = one.write_view(one.overlay())
+    for _ in range(6):
+        one.write_view(one.overlay())
+    assert not view.exists() and len(list(one.folder.glob("view-*"))) == 4
+    sessions.close("one")
+    assert not one.folder.exists() and two.folder.exists() and one.stop.is_set()
+    for number in range(40):
+        sessions.of(f"page {number}")
+    assert len(sessions) == 16 and not two.folder.exists()
+    sessions.close_all()
+    assert [each for each in tmp_path.iterdir() if each.is_dir()] == []
+
+
+def decompose(session: Session, refine: bool) -> list[float]:
+    return [report.share for report in session.decompose(refine)]
+
+
+def test_a_session_decomposes_chooses_and_writes_all_files(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = sessions.of("one")
+    with pytest.raises(InputError, match="Decompose"):
+        session.decomposed()
+    session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match="an object"):
+        decompose(session, refine=False)
+    session.click(45 * session.scale, 40 * session.scale, 1)
+    shares = decompose(session, refine=False)
+    assert shares == sorted(shares) and shares[-1] > 0.9
+    number = session.number
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("green-fabric"))))
+    assert session.number == number + 1
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
+    paths, text = session.downloads()
+    names = [path.name for path in paths]
+    assert names[:4] == ["edited.png", "edited.exr", "material.json", "command.txt"]
+    assert {"edit.json", "mask.png"} <= set(names)
+    with Image.open(paths[0]) as picture:
+        assert picture.size == (120, 80)
+    linear, _ = photographs.read_exr(paths[1])
+    assert linear.shape == (80, 120, 3)
+    assert text.startswith("brdfactory edit sent.png --mask mask.png --no-refine --material green")
+
+
+def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(45 * session.scale, 40 * session.scale, 1)
+    with pytest.raises(Stopped):
+        for report in session.decompose(refine=True):
+            if "refining" in report.text:
+                session.stop.set()
+    assert session.viewer is None and session.marked().count == 1
+
+
+def test_a_transparent_photograph_has_its_mask(sessions: Sessions, tmp_path: Path) -> None:
+    path = tmp_path / "cut.png"
+    alpha = np.where(disk(), 255, 0).astype(np.uint8)
+    Image.fromarray(np.dstack([scene(), alpha])).save(path)
+    session = sessions.of("one")
+    assert "transparent" in session.load(path)
+    opened = session.marked()
+    assert opened.cut_out and opened.count == 1
+    session.click(75 * session.scale, 40 * session.scale, 2)
+    assert session.marked().count == 2
+
+
+def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    mask, small = tmp_path / "mask.png", tmp_path / "small.png"
+    Image.fromarray(np.where(disk(), 255, 0).astype(np.uint8)).save(mask)
+    Image.new("L", (10, 10), 255).save(small)
+    session.give_mask(mask)
+    assert np.array_equal(session.marked().mask, disk())
+    with pytest.raises(InputError, match="a mask of the picture's size 120 × 80"):
+        session.give_mask(small)
+    Image.fromarray(disk().astype(np.uint8) + disk(half=True)).save(mask)
+    session.give_regions(mask)
+    assert session.marked().count == 2
+
+
+def test_the_command_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture) -> None:
+    from brdfactory.command_line import run
+
+    for words, part in (
+        (["--port", "0"], "a port from 1"),
+        (["--host", "example.org"], "an address of this computer"),
+        (["photo.png"], "--repeat FILE with it"),
+        (["--repeat", "edit.json", "--out", "x"], "PHOTO"),
+    ):
+        assert run(["app", *words]) == 1
+        assert part in capsys.readouterr().err
+    assert command.LOCAL == "127.0.0.1"
+
+
+def test_a_number_of_evaluations_is_reported() -> None:
+    from learn.refinement import RefinementSettings
+    from learn.refinement.settings import Level
+
+    level = Level(pixels=0, light=(32, 64), method="auto", rounds=1, iterations=2)
+    settings = RefinementSettings(levels=(level,), outer_iterations=1)
+    reports: list[tuple[int, int]] = []
+    result = decomposed(1)
+    network = Knowing(label_of("blue-rubber"))
+    watched = decomposition.decompose(
+        result.photograph, network, 64, settings, lambda *report: reports.append(report)
+    )
+    assert [number for number, _ in reports] == list(range(len(reports))) and len(reports) > 3
+    assert {expected for _, expected in reports} == {6}
+    quiet = decomposition.decompose(result.photograph, network, 64, settings)
+    assert torch.equal(watched.parts.n, quiet.parts.n)

@@ -1,0 +1,299 @@
+"""The page of `brdfactory app`, walked through in a browser: every step by what the page shows."""
+
+import io
+import json
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learn.commands.options import EDITING_WEIGHTS
+from learn.editing import photograph
+from tests.support import browser
+from tests.support.browser import Browser
+
+gradio = pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.filterwarnings("default"),  # those of gradio's own packages are not ours
+    pytest.mark.skipif(
+        not browser.is_available(), reason="needs Debian's packages chromium and chromium-driver"
+    ),
+]
+SIZE = (240, 160)  # of the photograph, reduced
+CUP, SAUCER, TABLE = (94, 116), (56, 98), (154, 118)  # points of it
+ERROR_TEXT = "[...document.querySelectorAll('.toast-body, .toast-text')].map(e => e.innerText)"
+# the picture that the slider shows as the result
+RESULT = (
+    "[...document.querySelectorAll('#editor img')].map(i => i.src).find(s => s.includes('view-'))"
+)
+
+
+@pytest.fixture(scope="module")
+def served():
+    from learn.app import page
+
+    address, end = page.serve(EDITING_WEIGHTS, wait=False)
+    yield address
+    end()
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory):
+    path, _ = photograph.example("example:espresso-cup", [], None)
+    file = tmp_path_factory.mktemp("photo") / "cup.png"
+    Image.open(path).convert("RGB").resize(SIZE, Image.Resampling.BOX).save(file)
+    return file
+
+
+class Walk:
+    """A browser on the page, which keeps a screenshot of each step."""
+
+    def __init__(self, window: Browser, folder: Path):
+        self.window, self.folder, self.count = window, folder, 0
+
+    def shot(self, name: str) -> None:
+        self.count += 1
+        (self.folder / f"{self.count:02}-{name}.png").write_bytes(self.window.screenshot())
+
+    def text(self, selector: str) -> str:
+        return self.window.run(f"return document.querySelector({selector!r}).innerText")
+
+    def wait_for(self, selector: str, part: str) -> None:
+        self.window.wait(f"document.querySelector({selector!r}).innerText.includes({part!r})")
+
+    def point(self, point: tuple[int, int]) -> None:
+        """Click on a point of the photograph, in its pixels."""
+        before = self.window.run("return document.querySelector('#marking img').src")
+        self.window.wait("document.querySelector('#marking img').naturalWidth")
+        x, y, width = self.window.run(
+            "const i = document.querySelector('#marking img'), r = i.getBoundingClientRect();"
+            "const s = Math.min(r.width / i.naturalWidth, r.height / i.naturalHeight);"
+            "return [r.left + (r.width - s * i.naturalWidth) / 2,"
+            " r.top + (r.height - s * i.naturalHeight) / 2, s * i.naturalWidth]"
+        )
+        scale = width / SIZE[0]
+        self.window.click_at(x + scale * (point[0] + 0.5), y + scale * (point[1] + 0.5))
+        new = f"document.querySelector('#marking img').src !== {before!r}"
+        self.window.wait(f"{new} || ({ERROR_TEXT}).length")
+        assert self.window.run(f"return {new}"), self.window.run(f"return {ERROR_TEXT}")
+
+    def changed(self, act) -> np.ndarray:
+        """Do something that changes the result, and return the picture then shown."""
+        before = self.window.run(f"return {RESULT}")
+        act()
+        self.window.wait(f"({RESULT}) && ({RESULT}) !== {json.dumps(before)}")
+        self.wait_for("#shown", "Exact view")
+        return self.result()
+
+    def result(self) -> np.ndarray:
+        data = urllib.request.urlopen(self.window.run(f"return {RESULT}"), timeout=60).read()
+        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), np.float64)
+
+    def slide(self, selector: str, value: float) -> None:
+        self.enter(f"{selector} input[type=range]", value)
+
+    def enter(self, selector: str, value: float | str) -> None:
+        """Set an input's value as typing does."""
+        self.window.run(
+            f"const i = document.querySelector({selector!r});"
+            "Object.getOwnPropertyDescriptor(Object.getPrototypeOf(i), 'value')"
+            f".set.call(i, {value!r}); i.dispatchEvent(new Event('input', {{bubbles: true}}));"
+        )
+
+    def choose(self, selector: str, number: int) -> None:
+        """Press one of a row of radio buttons."""
+        self.window.run(f"document.querySelectorAll('{selector} input')[{number}].click()")
+
+    def search(self, words: str) -> list[str]:
+        self.enter("#words input, #words textarea", words)
+        listed = "[...document.querySelectorAll('#materials .caption-label')].map(e => e.innerText)"
+        self.window.wait(f"({listed}).length < 100 || !{words!r}")
+        time.sleep(0.3)
+        return self.window.run(f"return {listed}")
+
+    def pick(self, name: str) -> None:
+        self.window.run(
+            "[...document.querySelectorAll('#materials button')]"
+            f".find(e => e.innerText.includes({name!r})).click()"
+        )
+
+    def errors(self) -> list[str]:
+        return [
+            line
+            for line in self.window.console()
+            if "favicon" not in line and "manifest.json" not in line
+        ]
+
+
+def opened(window: Browser, address: str, folder: Path) -> Walk:
+    window.visit(address)
+    window.wait("document.querySelector('#photo')")
+    return Walk(window, folder)
+
+
+def send(walk: Walk, button: str, path: Path) -> None:
+    """Give a file to the upload button of that text."""
+    selector = f'input[data-testid="{button}-upload-button"]'
+    walk.window.wait(f"document.querySelector('{selector}')")
+    walk.window.type(selector, str(path))
+
+
+def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path):
+    folder = tmp_path / "screenshots"
+    folder.mkdir()
+    with Browser(1300, 1150) as window:
+        walk = opened(window, served, folder)
+        assert window.run("return document.querySelector('#decompose').disabled")
+        walk.shot("empty")
+
+        # a file that is no picture: the command line's line, and the page goes on
+        bad = tmp_path / "notes.png"
+        bad.write_text("no picture")
+        send(walk, "Choose a photograph", bad)
+        window.wait(f"({ERROR_TEXT}).join().includes('notes.png: expected')")
+        time.sleep(0.5)  # it fades in
+        walk.shot("bad-file")
+        window.run("document.querySelector('.toast-close').click()")
+        window.wait(f"!({ERROR_TEXT}).length")
+
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')")
+        walk.wait_for("#status", "mark the object")
+        walk.shot("photograph")
+
+        # object, background, and a second region by clicks
+        for point in (CUP, SAUCER):
+            walk.point(point)
+        assert "covers" in walk.text("#status")
+        walk.choose("#marked", 4)
+        walk.point(TABLE)
+        walk.choose("#marked", 1)
+        walk.point(SAUCER)
+        walk.point((120, 139))
+        walk.wait_for("#status", "2 regions")
+        walk.shot("regions")
+        walk.window.click("#undo")
+        walk.window.click("#undo")
+        window.wait("!document.querySelector('#status').innerText.includes('2 regions')")
+        walk.point(SAUCER)
+        walk.wait_for("#status", "2 regions")
+
+        # stop, then decompose without refinement
+        window.click("#decompose")
+        walk.wait_for("#progress", "refining, step")
+        walk.shot("refining")
+        window.click("#stop")
+        walk.wait_for("#progress", "Stopped")
+        window.run("document.querySelector('#refine input').click()")
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        walk.wait_for("#shown", "Choose a material")
+        time.sleep(0.5)
+        walk.shot("decomposed")
+        assert window.run("return document.querySelectorAll('#decomposition img').length") == 5
+        assert window.run("return document.querySelectorAll('#materials img').length") == 151
+
+        # a material by an everyday word
+        names = walk.search("leather")
+        assert names[0] == "natural-209"
+        first = walk.changed(lambda: walk.pick("natural-209"))
+        assert "region 1: natural-209; region 2: as it is" in walk.text("#shown")
+        walk.shot("material")
+
+        # the second region, then a blend
+        walk.choose("#region", 1)
+        names = walk.search("gold")
+        second = walk.changed(lambda: walk.pick(names[0]))
+        assert abs(second - first).mean() > 1
+        assert f"region 2: {names[0]}" in walk.text("#shown")
+        walk.choose("#slot", 1)
+        names = walk.search("blue rubber")
+        blended = walk.changed(lambda: walk.pick(names[0]))
+        assert "50%" in walk.text("#shown")
+        third = walk.changed(lambda: walk.slide("#share", 100))
+        assert abs(third - blended).mean() > 0.5
+        walk.shot("blend")
+        halfway = walk.changed(lambda: walk.slide("#share", 30))
+        assert abs(halfway - third).mean() > 0.5
+
+        # light: turned, and another
+        turned = walk.changed(lambda: walk.slide("#rotation", 90))
+        assert abs(turned - halfway).mean() > 0.5
+        window.click("#light input")
+        walk.changed(
+            lambda: window.run(
+                "[...document.querySelectorAll('[role=option]')]"
+                ".find(e => e.innerText.includes('sunset')).dispatchEvent("
+                "new MouseEvent('mousedown', {bubbles: true}))"
+            )
+        )
+        assert "light: " in walk.text("#shown") and "sunset" in walk.text("#shown")
+        walk.shot("light")
+
+        # the files
+        window.run(
+            "[...document.querySelectorAll('[role=tab]')]"
+            ".find(e => e.innerText.includes('Download')).click()"
+        )
+        window.click("#make")
+        walk.wait_for("#made", "files are ready")
+        walk.shot("download")
+        links = window.run("return [...document.querySelectorAll('#downloads a')].map(a => a.href)")
+        files = {link.rsplit("/", 1)[1]: link for link in links}
+        expected = {"edited.png", "edited.exr", "material.json", "edit.json", "command.txt"}
+        assert expected < set(files)
+        data = urllib.request.urlopen(files["edited.png"], timeout=60).read()
+        assert Image.open(io.BytesIO(data)).size == SIZE
+        recipe = json.load(urllib.request.urlopen(files["edit.json"], timeout=60))
+        assert recipe["regions"][0]["first"]["text"] == "natural-209"
+        command = window.run("return document.querySelector('#command textarea').value")
+        assert command.startswith("brdfactory app cup.png") and "--repeat edit.json" in command
+        assert walk.errors() == []
+
+
+def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
+    other = tmp_path / "other.png"
+    Image.fromarray(np.full((50, 100, 3), 90, np.uint8)).save(other)
+    with Browser(1300, 1000) as one, Browser(1300, 1000) as two:
+        first, second = opened(one, served, tmp_path), opened(two, served, tmp_path)
+        send(first, "Choose a photograph", photo)
+        one.wait("document.querySelector('#marking img')")
+        send(second, "Choose a photograph", other)
+        two.wait("document.querySelector('#marking img')")
+        first.point(CUP)
+        shape = (
+            "const i = document.querySelector('#marking img');"
+            "return i.naturalWidth / i.naturalHeight"
+        )
+        for window in (one, two):
+            window.wait("document.querySelector('#marking img').complete")
+        assert (one.run(shape), two.run(shape)) == pytest.approx((1.5, 2), abs=0.01)
+        assert "covers" in first.text("#status") and "covers" not in second.text("#status")
+        second.shot("second-user")
+        address = one.run("return document.querySelector('#marking img').src")
+        assert urllib.request.urlopen(address, timeout=60).status == 200
+        assert first.errors() == second.errors() == []
+    # both pages are closed: their files are deleted
+    for _ in range(150):
+        try:
+            urllib.request.urlopen(address, timeout=60)
+        except urllib.error.HTTPError:
+            break
+        time.sleep(0.2)
+    else:
+        pytest.fail("the photograph of a closed page is still served")
+
+
+def test_nothing_outside_this_computer_is_asked_for(served):
+    with Browser() as window:
+        window.visit(served)
+        window.wait("document.querySelector('#photo')")
+        time.sleep(1)
+        asked = window.run("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert asked
+    assert not [name for name in asked if not name.startswith((served, "data:", "blob:"))]
