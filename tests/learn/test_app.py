@@ -18,6 +18,7 @@ from learn.data import photographs
 from learn.editing import decomposition, photograph
 from learn.editing.compositor import Compositor
 from manifests.errors import InputError
+from shaders import envmap
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
 from tests.support.known_ball import Knowing, ball, label_of
@@ -160,6 +161,14 @@ def test_a_turned_light_changes_the_object_and_not_the_background() -> None:
     assert np.sqrt(((shown.astype(float) - display) ** 2).mean()) < 2.0
     _, cut = viewer.full(Edit(edit.regions, edit.light, hide_background=True))
     assert cut.shape[-1] == 4 and not cut[..., 3][outside].any()
+
+
+def test_a_positive_rotation_turns_the_light_as_rotations_of_jobs_do() -> None:
+    own = np.zeros((64, 128, 3), np.float32)
+    own[20, 10] = 5.0
+    turned = choices.light_of(choices.OWN_LIGHT, 90.0).of(own)
+    np.testing.assert_array_equal(turned, envmap.roll(own, 32))
+    assert not np.array_equal(turned, envmap.roll(own, -32))
 
 
 def test_an_exact_view_gives_way_to_a_later_choice() -> None:
