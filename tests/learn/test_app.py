@@ -18,9 +18,9 @@ from learn.data import photographs
 from learn.editing import decomposition, photograph
 from learn.editing.compositor import Compositor
 from manifests.errors import InputError
-from shaders import envmap
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
+from shaders import envmap
 from tests.support.known_ball import Knowing, ball, label_of
 
 SIDE, RADIUS = 96, 36
