@@ -133,7 +133,7 @@ class Session:
             raise InputError(sent, rule, f"{width} × {height}", "reduce it")
         photographs.require_finite(sent, radiance)
         path = self.folder / f"photograph{sent.suffix.lower()}"
-        shutil.copyfile(sent, path)
+        files.write_bytes(path, sent.read_bytes())
         self._take(path, sent.name, radiance)
         if (alpha < 0.5).any():
             self.coverage = alpha
