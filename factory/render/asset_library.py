@@ -49,8 +49,11 @@ def write(
     # Blender writes to a path, and keeps the earlier file under another name
     with tempfile.TemporaryDirectory(prefix="brdfactory-") as folder:
         draft = Path(folder) / "library.blend"
-        with contextlib.redirect_stdout(io.StringIO()):
-            bpy.ops.wm.save_as_mainfile(filepath=str(draft), compress=True, copy=True)
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):
+                bpy.ops.wm.save_as_mainfile(filepath=str(draft), compress=True, copy=True)
+        except RuntimeError as error:  # so Blender reports some errors of files
+            raise OSError(str(error).strip()) from None
         _require_whole(draft, [material.name for material in materials])
         with transaction():
             with replacing(path) as file:
@@ -59,7 +62,7 @@ def write(
 
 
 def _require_whole(draft: Path, names: Sequence[str]) -> None:
-    """Raise OSError if a file lacks assets: Blender reports no error of a full disk."""
+    """Raise OSError if a file lacks assets: Blender does not report every error of a full disk."""
     held: list[str] = []
     with contextlib.suppress(OSError), bpy.data.libraries.load(str(draft)) as (content, _):
         held = [*content.materials, *content.node_groups]

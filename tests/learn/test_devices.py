@@ -49,6 +49,7 @@ WORDS = {
     "evaluate-network": ["weights.safetensors", "--data", "DATA", "--out", "OUT"],
     "evaluate-ladder": ["--data", "DATA", "--out", "OUT"],
     "agree": ["DATA", "--out", "OUT"],
+    "app": [],
 }
 
 
