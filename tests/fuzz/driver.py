@@ -114,7 +114,8 @@ def warm_up() -> None:
         folder = ROOT / package
         for each in pkgutil.walk_packages([str(folder)], f"{package}."):
             last = each.name.split(".")[-1]
-            if each.name.startswith("factory.render") or last == "__main__" or "triton" in last:
+            needs_blender = each.name.startswith(("factory.render", "factory.blender_extension"))
+            if needs_blender or last == "__main__" or "triton" in last:
                 continue
             with contextlib.suppress(ImportError):  # an extra that is not installed
                 importlib.import_module(each.name)
