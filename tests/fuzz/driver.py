@@ -17,7 +17,6 @@ import hashlib
 import importlib
 import json
 import os
-import pkgutil
 import re
 import resource
 import selectors
@@ -111,14 +110,15 @@ def warm_up() -> None:
     for name in ("matplotlib.figure", "torch._dynamo"):  # figures; what optimisers import
         importlib.import_module(name)
     for package in ("manifests", "shaders", "factory", "learn"):
-        folder = ROOT / package
-        for each in pkgutil.walk_packages([str(folder)], f"{package}."):
-            last = each.name.split(".")[-1]
-            needs_blender = each.name.startswith(("factory.render", "factory.blender_extension"))
+        # not pkgutil.walk_packages, which imports every package, the one inside Blender among them
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+            last = name.split(".")[-1]
+            needs_blender = name.startswith(("factory.render", "factory.blender_extension"))
             if needs_blender or last == "__main__" or "triton" in last:
                 continue
             with contextlib.suppress(ImportError):  # an extra that is not installed
-                importlib.import_module(each.name)
+                importlib.import_module(name)
     gc.collect()
     gc.freeze()  # the collector of a child would touch, and so copy, every page of these objects
 
