@@ -48,14 +48,14 @@ AGREE_FLAGS ?=
 stage = @printf '\n[%s of 5] %s (%s)\n' "$(1)" "$(2)" "$(3)"
 
 demo:
-	$(call stage,1,Installing the editor,a minute, and the download of 400 MB; six and a half minutes are left without downloads)
+	$(call stage,1,Installing the editor,a minute, and the download of 400 MB; five minutes are left without downloads)
 	@$(MAKE) --no-print-directory $(VENV)/editor
-	$(call stage,2,Editing a photograph,half a minute; five are left)
+	$(call stage,2,Editing a photograph,half a minute; four and a half are left)
 	$(VENV)/bin/python -m learn edit example:espresso-cup --material dark-blue-paint+keep gold-metallic-paint3+dark-blue-paint --out $(OUT)/cup --overwrite
 	@echo "The first edited photograph: $(OUT)/cup/sheet.png"
-	$(call stage,3,Installing Blender and the rest,half a minute, and the download of 600 MB; five are left)
+	$(call stage,3,Installing Blender and the rest,half a minute, and the download of 600 MB; four are left)
 	@$(MAKE) --no-print-directory $(VENV)/installed
-	$(call stage,4,Rendering a small data set and comparing the two renderers,about four minutes; nearly five are left. An interrupted demo continues with the same command)
+	$(call stage,4,Rendering a small data set and comparing the two renderers,about three minutes; nearly four are left. An interrupted demo continues with the same command)
 	$(VENV)/bin/python -m factory render $(JOB) --out $(OUT)/data --workers $(WORKERS)
 	$(VENV)/bin/python -m factory verify $(OUT)/data
 	$(VENV)/bin/python -m factory preview $(OUT)/data --out $(OUT)/preview --overwrite

@@ -76,6 +76,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.port is not None and not 1 <= arguments.port <= LARGEST_PORT:
         rule = f"a port from 1 to {LARGEST_PORT}"
         raise InputError("--port", rule, f"{arguments.port}", "leave it out")
+    device = str(devices.choose(arguments.device))
     try:
         import gradio  # noqa: F401 -- whether it is there
     except ModuleNotFoundError as error:
@@ -85,7 +86,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     page.serve(
         arguments.weights,
-        str(devices.choose(arguments.device)),
+        device,
         arguments.host,
         arguments.port,
         arguments.open,
