@@ -40,7 +40,8 @@ Elevation = Annotated[float, Meta(ge=-89, le=89)]
 Roll = Annotated[float, Meta(ge=-180, le=180)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Amount = Annotated[float, Meta(ge=0)]
-DisplayError = Annotated[float, Meta(gt=0, le=65_025)]  # display L2; 255² is the largest
+LARGEST_ERROR = 255**2  # display L2 of black against white
+DisplayError = Annotated[float, Meta(gt=0, le=LARGEST_ERROR)]
 
 
 class Camera(Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from factory.planning.assets import Assets
     from manifests.schema import Job
 
-LARGEST_ERROR = 255**2  # as in manifests.schema
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi")
 
 
@@ -68,6 +67,8 @@ def add_error(parser: argparse.ArgumentParser) -> None:
 def with_error(job: Job, options: argparse.Namespace) -> Job:
     """Return the job with the error that --error names, if it names one. Raises InputError."""
     from msgspec import structs
+
+    from manifests.schema import LARGEST_ERROR
 
     if options.error is None:
         return job

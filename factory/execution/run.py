@@ -34,6 +34,10 @@ from manifests.store import Lines, Store, geometry_path
 Watch = Callable[[str, Any], None]
 
 
+# seconds that workers of a Ray cluster whose run was stopped have to end in
+SWEEP_PATIENCE = 20.0
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How many pictures were made, how many failed, and how many were there before the run."""
@@ -100,7 +104,7 @@ def carry_out(
     if run_options.shard is not None:
         prefix += f"{run_options.shard[0]}of{run_options.shard[1]}-"
     with lock.writing(folder, run_options.shard) as descriptors:
-        store.sweep(prefix if run_options.shard else "", patience=20.0)
+        store.sweep(prefix if run_options.shard else "", SWEEP_PATIENCE)
         memory = Memory(folder, f"{prefix}main")
         with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
             parts = _parts(plan, store, reading, run_options.shard, watch)

@@ -1,11 +1,12 @@
 """The page itself, made with Gradio: its components, and what each does with a user's session.
 
 Nothing is sent anywhere: fonts are the system's, analytics are off, and the server listens on this
-computer alone unless told otherwise.
+computer alone unless another address is given.
 """
 
 import functools
 import html
+import inspect
 import os
 import shutil
 import tempfile
@@ -112,7 +113,7 @@ def one_line(function: Callable[..., Any]) -> Callable[..., Any]:
         text = html.escape(str(error))
         return gr.Error(text, duration=20, title="This did not work", print_exception=False)
 
-    if _is_generator(function):
+    if inspect.isgeneratorfunction(function):
 
         @functools.wraps(function)
         def generator(*arguments: Any, **named: Any) -> Iterator[Any]:
@@ -131,12 +132,6 @@ def one_line(function: Callable[..., Any]) -> Callable[..., Any]:
             raise shown(error) from None
 
     return wrapped
-
-
-def _is_generator(function: Callable[..., Any]) -> bool:
-    import inspect
-
-    return inspect.isgeneratorfunction(function)
 
 
 def bar(share: float, text: str) -> str:

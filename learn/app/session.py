@@ -126,11 +126,11 @@ class Session:
 
         Raises  InputError: no picture, a damaged or too large one
         """
-        radiance, alpha = photographs.read_pixels(sent)
+        radiance, alpha = photographs.read_pixels(sent, MOST_PIXELS)
         height, width = radiance.shape[:2]
-        if height * width > MOST_PIXELS:
-            rule = f"at most {MOST_PIXELS / 1e6:g} million pixels"
-            raise InputError(sent, rule, f"{width} × {height}", "reduce it")
+        if height * width > MOST_PIXELS:  # an EXR
+            rule = f"at most {MOST_PIXELS / 1e6:g} megapixels"
+            raise InputError(sent, rule, f"{width} × {height}", "make it smaller")
         photographs.require_finite(sent, radiance)
         path = self.folder / f"photograph{sent.suffix.lower()}"
         files.write_bytes(path, sent.read_bytes())
@@ -416,7 +416,9 @@ class Sessions:
         with self._lock:
             session = self._sessions.get(name)
             if session is None:
-                folder = self.folder / secrets.token_hex(16)  # nobody else guesses its address
+                folder = self.folder / secrets.token_hex(
+                    16
+                )  # so that its address cannot be guessed
                 folder.mkdir(mode=0o700)
                 session = self._sessions[name] = Session(folder, self.network)
             session.used = now

@@ -111,7 +111,7 @@ class Viewer:
         size = max(len(each) for each in values)
         total = np.zeros((size, size, 3), np.float32)
         for (weight, _), each in zip(parts, values, strict=True):
-            total += np.float32(weight) * finer(each, size)
+            total += np.float32(weight) * reflectance_store.finer(each, size)
         return total
 
     def _one_map(self, label: np.ndarray, light: LightChoice, exact: bool) -> np.ndarray:
@@ -216,34 +216,6 @@ class Viewer:
 def light_key(light: LightChoice) -> bytes:
     """Return what tells a light from others of the same photograph."""
     return light.columns.to_bytes(2, "little") + (b"" if light.map is None else light.map.tobytes())
-
-
-def finer(values: np.ndarray, size: int) -> np.ndarray:
-    """Return a reflectance map (a, a, 3) read at the nodes of a finer one (size, size, 3)."""
-    if len(values) == size:
-        return values
-    margin = reflectance_store.MARGIN
-    # node i of a map stands at (i − margin) 2 / (a − 5) − 1
-    at = (np.arange(size) - margin) * (len(values) - 5) / (size - 5) + margin
-    at = at.clip(0, len(values) - 1)
-    low = np.minimum(at.astype(int), len(values) - 2)
-    low = np.clip(low, 1, len(values) - 3)
-    t = (at - low).astype(np.float32)
-    # Catmull–Rom weights, as interpolation within a map
-    weights = np.stack(
-        [
-            -0.5 * t + t**2 - 0.5 * t**3,
-            1 - 2.5 * t**2 + 1.5 * t**3,
-            0.5 * t + 2 * t**2 - 1.5 * t**3,
-            -0.5 * t**2 + 0.5 * t**3,
-        ],
-        -1,
-    )
-    matrix = np.zeros((size, len(values)), np.float32)
-    for k in range(4):
-        matrix[np.arange(size), low - 1 + k] += weights[:, k]
-    result = np.einsum("ia,abc,jb->ijc", matrix, values, matrix, optimize=True)
-    return np.maximum(result, 0).astype(np.float32)
 
 
 def composed(compositor: Compositor, object_: np.ndarray, edit: Edit) -> np.ndarray:

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> None:
     try:
         import gradio  # noqa: F401 -- whether it is there
     except ModuleNotFoundError as error:
-        rule, remedy = "the extra app", 'pip install "brdfactory[app]"'
+        rule, remedy = "the extra app", "pip install '.[app]' in a checkout"
         raise InputError("brdfactory app", rule, f"no module {error.name}", remedy) from None
     from learn.app import page
 

@@ -215,14 +215,15 @@ def _require_size(path, found, expected, what):
         raise InputError(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
-def read_pixels(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_pixels(path: Path, most_pixels: int = MOST_PIXELS) -> tuple[np.ndarray, np.ndarray]:
     """Return radiance (H, W, 3) and alpha (H, W) in [0, 1], upright as the orientation says.
 
-    Raises InputError.
+    most_pixels  of a picture; a larger one is refused by its header, before it is decoded
+    Raises       InputError
     """
     if holds_radiance(path):
         return read_exr(path)
-    values = _decoded(path, _display_values)
+    values = _decoded(path, _display_values, most_pixels)
     if values.ndim == 2:
         low, high = values.min(), values.max()
         if low < 0 or high > 65535:
@@ -247,7 +248,7 @@ def _display_values(picture):
     return np.asarray(picture if picture.mode.startswith("I") else picture.convert("RGBA"))
 
 
-def _decoded(path, values_of):
+def _decoded(path, values_of, most_pixels=MOST_PIXELS):
     """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises
     InputError.
     """
@@ -256,7 +257,7 @@ def _decoded(path, values_of):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
             with Image.open(path, formats=_formats()) as opened:
-                _require_readable(path, opened)
+                _require_readable(path, opened, most_pixels)
                 opened.seek(0)  # of an animation, the first frame
                 return values_of(_upright(opened))
     except InputError:
@@ -281,7 +282,7 @@ def _formats():
     return [name for name in FORMATS if name in Image.OPEN]
 
 
-def _require_readable(path, picture):
+def _require_readable(path, picture, most_pixels):
     """Raises InputError for a Pillow image, of which only the header was read, that is too large or
     holds no display values.
     """
@@ -291,8 +292,8 @@ def _require_readable(path, picture):
         ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH)),
     ):
         sides = [side for side in (width, height) if isinstance(side, int)]
-        if math.prod(sides) > MOST_PIXELS or max(sides, default=0) > MOST_SIDE:
-            rule = f"at most {MOST_PIXELS // 1_000_000} megapixels, and {MOST_SIDE} a side"
+        if math.prod(sides) > most_pixels or max(sides, default=0) > MOST_SIDE:
+            rule = f"at most {most_pixels / 1e6:g} megapixels, and {MOST_SIDE} a side"
             raise InputError(path, rule, f"{what}{width} × {height}", "make it smaller")
     if picture.mode == "F":
         raise InputError(path, "8 or 16 bit values", "floating point", "save it as EXR")

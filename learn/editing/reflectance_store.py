@@ -4,7 +4,8 @@ For a distant viewer, one material and one light, radiance is a function of the 
 are those of learn.methods.reflectance_map: p = (n_x, n_y) / √(1 + n_z), on a grid of `side`
 intervals across the disk |p| ≤ 1 and MARGIN nodes beyond it. A material has as few nodes as keep
 its picture: sides are tried from coarse to fine until Catmull–Rom interpolation at normals of the
-picture differs from the layer's radiance there by LIMIT grey levels at most.
+picture differs from the layer's radiance there by LIMIT grey levels at most. `at_normals` uses such
+maps for a picture that is rendered at once.
 
 values  (side + 5, side + 5, 3) float32, radiance times the exposure of the display: 1 is white
 codes   the same shape, uint16: STEPS · log(1 + BEND · values) / log(1 + BEND), so that a step is
@@ -116,10 +117,7 @@ def at_normals(
 
 def _doubt(coarse: np.ndarray, fine: np.ndarray, exposure: float) -> np.ndarray:
     """Return grey levels by which a coarse map is off about each node of a fine one, flat."""
-    line = (np.arange(len(fine)) - MARGIN) * 2 / (len(fine) - 5) - 1
-    p = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-    p /= np.maximum(np.linalg.norm(p, axis=-1, keepdims=True), 1)
-    again = interpolated(coarse, normals(p)).reshape(fine.shape)
+    again = finer(coarse, len(fine))
     difference = tone.display(again, exposure) - tone.display(fine, exposure)
     return maximum_filter(np.abs(difference).max(-1), 3).ravel()
 
@@ -241,6 +239,33 @@ def interpolated(values: np.ndarray, n: np.ndarray) -> np.ndarray:
     n_, table = torch.from_numpy(np.ascontiguousarray(n, np.float32)), torch.from_numpy(values)
     nodes = torch.arange(size * size)
     return reflectance_map.look_up(n_, table.reshape(-1, 3), nodes, size).numpy()
+
+
+def finer(values: np.ndarray, size: int) -> np.ndarray:
+    """Return a reflectance map (a, a, 3) read at the nodes of a finer one (size, size, 3)."""
+    if len(values) == size:
+        return values
+    # node i of a map stands at (i − MARGIN) 2 / (a − 5) − 1
+    at = (np.arange(size) - MARGIN) * (len(values) - 5) / (size - 5) + MARGIN
+    at = at.clip(0, len(values) - 1)
+    low = np.minimum(at.astype(int), len(values) - 2)
+    low = np.clip(low, 1, len(values) - 3)
+    t = (at - low).astype(np.float32)
+    # Catmull–Rom weights, as interpolation within a map
+    weights = np.stack(
+        [
+            -0.5 * t + t**2 - 0.5 * t**3,
+            1 - 2.5 * t**2 + 1.5 * t**3,
+            0.5 * t + 2 * t**2 - 1.5 * t**3,
+            -0.5 * t**2 + 0.5 * t**3,
+        ],
+        -1,
+    )
+    matrix = np.zeros((size, len(values)), np.float32)
+    for k in range(4):
+        matrix[np.arange(size), low - 1 + k] += weights[:, k]
+    result = np.einsum("ia,abc,jb->ijc", matrix, values, matrix, optimize=True)
+    return np.maximum(result, 0).astype(np.float32)
 
 
 def codes_of(values: np.ndarray) -> np.ndarray:

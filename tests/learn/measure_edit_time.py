@@ -53,10 +53,18 @@ def main() -> None:
     result, both = timed(lambda: decomposition.decompose(opened, parts, 128, RefinementSettings()))
     print(f"{'refinement':24}{both - seconds:7.2f}")
     painter = Compositor(result, detail=0.25)
-    print(f"{'own material':24}{timed(painter.own_radiance)[1]:7.2f}")
-    print(f"{'reflectance maps':24}{timed(lambda: drawing.reflectance_maps(result))[1]:7.2f}")
     always = reflectance_store.LOOKED_UP
-    print(f"\n{'edit':24}{'looked up':>12}{'rendered':>12}{'difference':>12}")
+    print(f"\n{'':24}{'looked up':>12}{'rendered':>12}{'difference':>12}")
+    stages = {
+        "own material": lambda: painter.radiance(painter.own),
+        "reflectance maps": lambda: drawing.reflectance_maps(result),
+    }
+    for name, stage in stages.items():
+        short = timed(stage)[1]
+        reflectance_store.LOOKED_UP = ()
+        print(f"{name:24}{short:12.2f}{timed(stage)[1]:12.2f}")
+        reflectance_store.LOOKED_UP = always
+    painter.own_radiance()
     for name in options.material:
         label = targets.label_of(name, None)[0]
         fast, short = timed(lambda label=label: painter.edited([label]))

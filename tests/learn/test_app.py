@@ -12,10 +12,10 @@ from learn.app import choices, gallery
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
 from learn.app.session import Network, Session, Sessions, Stopped
-from learn.app.viewer import Superseded, Viewer, finer
+from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.data import photographs
-from learn.editing import decomposition, photograph
+from learn.editing import decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
@@ -186,7 +186,7 @@ def test_a_coarse_map_is_read_at_the_nodes_of_a_finer_one() -> None:
         return np.stack([x + 3, y + 3, x * y + 3], -1).astype(np.float32)
 
     inner = np.s_[3:-3, 3:-3]
-    assert np.allclose(finer(plane(16), 69)[inner], plane(64)[inner], atol=1e-4)
+    assert np.allclose(reflectance_store.finer(plane(16), 69)[inner], plane(64)[inner], atol=1e-4)
 
 
 @pytest.mark.parametrize("map_of_own", [False, True])
@@ -332,6 +332,15 @@ def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path)
     Image.fromarray(disk().astype(np.uint8) + disk(half=True)).save(mask)
     session.give_regions(mask)
     assert session.marked().count == 2
+
+
+def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    Image.new("L", (6000, 5000)).save(path)
+    # pixels that are cut off would be noticed if they were decoded
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(InputError, match="at most 24 megapixels"):
+        sessions.of("one").load(path)
 
 
 def test_the_command_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture) -> None:

@@ -1,0 +1,82 @@
+"""The figures of the chart of error against time, from rows whose times and errors are known."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
+from factory.render.validation import error_target, speed_accuracy
+
+LIMIT = "limit on the error"
+
+
+def row(family, setting, error, seconds, scene=0):
+    return {
+        "family": family,
+        "setting": setting,
+        "error": error,
+        "seconds": seconds,
+        "scene": scene,
+        "reference_noise": 0.5,
+    }
+
+
+LIMITS = [row(LIMIT, "5", 4.0, 8.0), row(LIMIT, "20", 16.0, 2.0), row(LIMIT, "60", 64.0, 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("error", "seconds"), [(4.0, 8.0), (8.0, 4.0), (32.0, 1.0), (2.0, 16.0), (500.0, 0.5)]
+)
+def test_the_time_of_a_limit_is_interpolated_and_continued_by_noise(error, seconds):
+    assert speed_accuracy.at_error(LIMITS, error) == pytest.approx(seconds)
+
+
+def test_a_method_is_compared_at_its_own_error_on_each_scene():
+    second = [dict(each, scene=1, seconds=2 * each["seconds"]) for each in LIMITS]
+    rows = [*LIMITS, *second, row("other", "a", 16.0, 6.0), row("other", "a", 16.0, 2.0, scene=1)]
+    other = speed_accuracy.summary(rows)[-1]
+    assert other["family"] == "other"
+    assert other["speed_mean"] == pytest.approx(np.sqrt(3.0 * 0.5))
+    assert other["speed_worst"] == pytest.approx(0.5)
+    assert (other["error_mean"], other["seconds"]) == (16.0, 4.0)
+
+
+def test_the_page_and_the_chart_have_every_setting(tmp_path):
+    figures = speed_accuracy.summary([*LIMITS, row("BlenderProc", "defaults", 8.0, 8.0)])
+    result = {
+        "figures": figures,
+        "rows": LIMITS,
+        "scenes": 1,
+        "size": 8,
+        "tier": "full",
+        "reference": 512,
+        "command": "c",
+        "commit": "d",
+        "date": "e",
+        "machine": "f",
+    }
+    page = speed_accuracy.report(result)
+    assert "| BlenderProc | defaults | 8 | 8 | 8.000 | 2.0 | 2.0 |" in page
+    assert page.count(LIMIT) >= 3 and "1024 samples" in page
+    speed_accuracy.chart(figures, tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"estimated": 6.0}, "the most samples did not suffice"),
+        ({"achieved_standard_error": 2.0}, "within the uncertainty of the reference"),
+        ({"squared_bias": 5.0}, "bias that the estimate missed"),
+        ({}, "noise that the halves' difference missed"),
+    ],
+)
+def test_the_cause_of_an_error_above_its_limit_is_named(change, reason):
+    shot = {
+        "requested": 5.0,
+        "estimated": 4.0,
+        "standard_error": 0.1,
+        "achieved": 8.0,
+        "achieved_standard_error": 0.5,
+        "squared_bias": 0.1,
+    }
+    assert error_target.cause(shot | change) == reason
