@@ -128,6 +128,11 @@ def test_an_error_that_the_most_samples_do_not_reach_is_said(monkeypatch):
     assert made.samples == 64 and made.estimated.bound > 1e-3
 
 
+def test_a_limit_is_compared_with_the_error_that_19_of_20_pictures_keep():
+    assert Estimate(4.0, 1.0).bound == pytest.approx(5.645)
+    assert Estimate(-1.0, 1.0).bound == pytest.approx(1.645)  # no error is below 0
+
+
 def test_a_mean_over_few_bright_pixels_is_less_certain():
     even = mean_over(np.full(1000, 2.0))
     sparse = mean_over(np.r_[np.zeros(998), 1000.0, 1000.0])
