@@ -1,10 +1,12 @@
 """The page of `brdfactory app`, walked through in a browser: every step by what the page shows."""
 
+import gc
 import io
 import json
 import time
 import urllib.error
 import urllib.request
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,10 @@ def served():
     address, end = page.serve(EDITING_WEIGHTS, wait=False)
     yield address
     end()
+    # event loops and sockets that gradio's threads leave open would be an error of a later test
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 @pytest.fixture(scope="module")
