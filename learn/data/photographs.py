@@ -215,10 +215,11 @@ def _require_size(path, found, expected, what):
         raise InputError(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
-def read_pixels(path: Path, most_pixels: int = MOST_PIXELS) -> tuple[np.ndarray, np.ndarray]:
+def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return radiance (H, W, 3) and alpha (H, W) in [0, 1], upright as the orientation says.
 
-    most_pixels  of a picture; a larger one is refused by its header, before it is decoded
+    most_pixels  of a picture, None: MOST_PIXELS; a larger one is refused by its header, before it is
+                 decoded
     Raises       InputError
     """
     if holds_radiance(path):
@@ -248,7 +249,7 @@ def _display_values(picture):
     return np.asarray(picture if picture.mode.startswith("I") else picture.convert("RGBA"))
 
 
-def _decoded(path, values_of, most_pixels=MOST_PIXELS):
+def _decoded(path, values_of, most_pixels=None):
     """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises
     InputError.
     """
@@ -257,7 +258,7 @@ def _decoded(path, values_of, most_pixels=MOST_PIXELS):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
             with Image.open(path, formats=_formats()) as opened:
-                _require_readable(path, opened, most_pixels)
+                _require_readable(path, opened, most_pixels or MOST_PIXELS)
                 opened.seek(0)  # of an animation, the first frame
                 return values_of(_upright(opened))
     except InputError:
