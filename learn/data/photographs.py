@@ -218,8 +218,8 @@ def _require_size(path, found, expected, what):
 def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return radiance (H, W, 3) and alpha (H, W) in [0, 1], upright as the orientation says.
 
-    most_pixels  of a picture, None: MOST_PIXELS; a larger one is refused by its header, before it is
-                 decoded
+    most_pixels  of a picture, None: MOST_PIXELS; a larger one is refused by its header, before
+                 it is decoded
     Raises       InputError
     """
     if holds_radiance(path):
