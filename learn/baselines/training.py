@@ -81,7 +81,7 @@ def resolved(run: settings.Run, options: argparse.Namespace) -> settings.Run:
 
 
 def held_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
-    """Return data with the held-out lights and the materials of the weights options.like, if any.
+    """Return data with the lights and the materials of the weights options.like, if any.
 
     options.materials, where it is given, takes precedence over the weights' materials.
     """
@@ -92,6 +92,7 @@ def held_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
     data = msgspec.structs.replace(
         data,
         materials=like.materials,
+        measured_lights=data.measured_lights or like.measured_lights,
         validation_lights=like.validation_lights,
         test_lights=like.test_lights,
     )

@@ -5,7 +5,6 @@ weights.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from learn.commands import options
 from manifests import RUNS
@@ -33,8 +32,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     options.add_lights(parser)
     parser.add_argument(
         "--like",
-        type=Path,
-        metavar="WEIGHTS",
+        type=options.weights_file,
+        metavar="FILE|NAME",
         help="hold out the lights that these weights' run held out (default: the presets')",
     )
     options.add_training_materials(parser, "as --like or the preset says")

@@ -11,7 +11,7 @@ import torch
 
 from learn.baselines import posterior, priors
 from learn.baselines import training as making
-from learn.commands.options import TABLE_WEIGHTS
+from learn.commands.options import EDITING_WEIGHTS, TABLE_WEIGHTS
 from learn.data import lights
 from learn.data.batch import ExampleBatch
 from learn.data.settings import Data, Run
@@ -107,6 +107,13 @@ def test_baselines_draw_from_the_materials_of_the_weights_they_are_like(options)
     assert making.held_out(options, Data()).materials == "built-in"
     options.like = None
     assert making.held_out(options, Data()).materials == "dataset"
+
+
+def test_baselines_have_the_measured_lights_of_the_weights_they_are_like(options):
+    assert not making.held_out(options, Data()).measured_lights
+    assert making.held_out(options, Data(measured_lights=True)).measured_lights
+    options.like = EDITING_WEIGHTS  # its run draws from them, and names them as held out
+    assert making.held_out(options, Data()).measured_lights
 
 
 def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(
