@@ -19,7 +19,7 @@ Side = Literal["train", "test"]
 # mixed: shape and materials stand on different sides; neither for training nor for testing
 Split = Literal["train", "test", "mixed"]
 Counts = Literal["hash", "paper", "multi-material", "general"]
-Estimator = Literal["path-tracing", "denoised"]
+Estimator = Literal["path-tracing", "denoised", "ratio", "closed-form"]
 Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -165,7 +165,7 @@ class Accuracy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How exact a picture is, of a job that limits its error. Errors are display L2 over the mask.
 
     requested       the job's `error`, which is part of the id
-    estimator       factory.render.estimators: path tracing alone, or denoised
+    estimator       factory.render.estimators: one file each
     predicted       by the estimator's model from the first few samples
     estimated       of the finished picture, from two halves of independent seeds
     standard_error  of `estimated`

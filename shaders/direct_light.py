@@ -53,7 +53,7 @@ class DirectLight:
     def at(self, n: np.ndarray) -> np.ndarray:
         """Return radiance (P, 3) float32 at normals (P, 3)."""
         n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
-        n = np.float32(n / np.linalg.norm(n, axis=1, keepdims=True))
+        n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
         radiance = np.zeros_like(n)
         while direct_light_kernels.interpolate(n, self._nodes, self._known, radiance):
             self._fill(np.argwhere(self._known == 2))
@@ -75,7 +75,7 @@ class DirectLight:
         n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
         radiance = np.zeros(n.shape, np.float32)
         for k in range(len(self.mixture.kinds)):
-            self._sum(k, np.float32(n), radiance)
+            self._sum(k, n.astype(np.float32), radiance)
         rows, columns = nodes.T
         self._nodes[rows, columns] = radiance
         self._known[rows, columns] = 1
@@ -116,8 +116,9 @@ class DirectLight:
             rows = min(rows, next(rows for least, rows in BLOCKS if width >= least))
         alpha, tilt, weights = self._parameters(k, n)
         end = _reach(alpha) if narrow else np.zeros_like(alpha)
+        w, h, energy = self.lights(rows)
         direct_light_kernels.add_lights(
-            direct_light_kernels.KINDS[kind], n, alpha, tilt, weights, end, *self.lights(rows), out
+            direct_light_kernels.KINDS[kind], n, alpha, tilt, weights, end, w, h, energy, out
         )
 
     def _sample(self, k: int, n: np.ndarray, out: np.ndarray) -> None:
@@ -146,7 +147,7 @@ class DirectLight:
         log_alpha, tilt, weights = (
             ramp(m.stops, values[:, k], facing) for values in (m.log_alpha, m.tilt, m.weights)
         )
-        return np.exp(log_alpha).astype(np.float32), np.float32(tilt), np.float32(weights)
+        return tuple(x.astype(np.float32) for x in (np.exp(log_alpha), tilt, weights))
 
 
 def _reach(alpha: np.ndarray) -> np.ndarray:

@@ -212,8 +212,7 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
     for j in range(2 * count):
         u = (np.float32(j % count) + shift) / np.float32(count)
         if j >= count:
-            r = ONE / (ONE - u * tail)
-            t = r * r - ONE
+            t = ONE / ((ONE - u * tail) * (ONE - u * tail)) - ONE
         elif kind == GGX:
             t = u * most / (ONE - u * most)
         else:

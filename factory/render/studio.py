@@ -8,13 +8,16 @@ by −azimuth, because the light turns with the camera (shaders.frames).
 radiance  (height, width, 3) float32, linear Rec.709, black outside the object; row 0 at the top
 """
 
+from __future__ import annotations
+
 import platform
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import bpy
+import msgspec
 import numpy as np
 
 from factory.render import (
@@ -28,7 +31,7 @@ from factory.render import (
     render_result,
     window,
 )
-from factory.render.estimators.halves import Portion
+from factory.render.estimators.halves import DirectPicture, Portion
 from factory.render.settings import (
     ALWAYS,
     DENOISED,
@@ -44,10 +47,15 @@ from factory.render.settings import (
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
 from manifests.schema import Camera, LightResolution, Tier
-from shaders import nodes
+from shaders import frames, nodes
 from shaders.mixture import Mixture
 
+if TYPE_CHECKING:
+    from shaders.direct_light import DirectLight
+
 Purpose = Literal["picture", "geometry"]
+SUBPIXELS = 4  # normals across a pixel, at which direct light is computed
+MOST_DIRECT = 64  # maps of direct light in memory
 MOST_GROUPS = 512  # node groups in memory: more than there are materials in a catalogue
 # least n·v of a normal: near a coarse mesh's silhouette smooth normals may face away
 FACING = 1e-3
@@ -95,6 +103,10 @@ class Studio:
         self._purpose: Purpose | None = None
         self._tier: str | None = None
         self._seen: np.ndarray | None = None  # the light map as the camera sees it
+        self._nearest = False  # whether Cycles looks it up as it is, texel by texel
+        self._mixtures: list[Mixture] = []
+        # by mixture, light and camera, least recently used first
+        self._direct: OrderedDict[tuple, DirectLight] = OrderedDict()
         self._azimuth, self._segments = 0.0, 0
         # of the shape
         self._body: Any = None
@@ -206,7 +218,7 @@ class Studio:
                 " (resize it first)"
             )
         light.build(self._scene, seen, nearest)
-        self._seen = seen
+        self._seen, self._nearest = seen, nearest
         self._show("picture")
         canary.check(self._scene, seen, nearest)
 
@@ -218,14 +230,14 @@ class Studio:
                 " (name each segment's material)"
             )
         self._material_groups = [self._group(mixture) for mixture in mixtures]
+        self._mixtures = list(mixtures)
 
     def _group(self, mixture: Mixture) -> Any:
         """Return the node group of a mixture, built on first use.
 
         The least recently used group is removed where there are too many.
         """
-        arrays = (mixture.stops, mixture.log_alpha, mixture.tilt, mixture.weights)
-        key = mixture.kinds, *(array.tobytes() for array in arrays)
+        key = _key(mixture)
         if key not in self._groups:
             self._groups[key] = materials.build(nodes.graph(mixture))
         self._groups.move_to_end(key)
@@ -320,6 +332,48 @@ class Studio:
         smooth = np.maximum(rgba[..., :3], np.float32(0))
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
 
+    def direct_light(self) -> DirectPicture | None:
+        """Return the direct light without shadows, by the closed forms of the materials.
+
+        A square pixel is the mean over SUBPIXELS × SUBPIXELS points. None for cameras in
+        perspective and for lights that are not looked up texel by texel.
+        """
+        lens = self._require_camera()
+        if lens.fov_deg is not None or not self._nearest or not self._mixtures:
+            return None
+        across = 1 if lens.pixel == "centre" else SUBPIXELS
+        height, width = lens.size
+        self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
+        try:
+            fine = self.geometry()
+        finally:
+            self.set_camera(lens)
+        radiance = np.zeros((*fine.mask.shape, 3), np.float32)
+        for number, mixture in enumerate(self._mixtures, 1):
+            here = fine.segments == number
+            radiance[here] = self._direct_light(mixture, lens).at(fine.normals[here])
+        blocks = (height, across, width, across)
+        return DirectPicture(
+            radiance.reshape(*blocks, 3).mean((1, 3), dtype=np.float32),
+            fine.mask.reshape(blocks).mean((1, 3), dtype=np.float32),
+        )
+
+    def _direct_light(self, mixture: Mixture, lens: Camera) -> DirectLight:
+        """Return the direct light of a mixture under the light that is shown."""
+        assert self._seen is not None
+        key = (_key(mixture), self._seen.tobytes(), lens.elevation_deg, lens.roll_deg)
+        if key not in self._direct:
+            from shaders.direct_light import DirectLight  # and numba, which takes half a second
+
+            rotation = frames.camera_from_light(
+                np.radians(lens.elevation_deg), np.radians(lens.roll_deg)
+            )
+            self._direct[key] = DirectLight(mixture, self._seen, rotation)
+        self._direct.move_to_end(key)
+        if len(self._direct) > MOST_DIRECT:
+            self._direct.popitem(last=False)
+        return self._direct[key]
+
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""
         if self._lens is None or self._object is None:
@@ -342,6 +396,12 @@ class Studio:
         for ray in ("shadow", "diffuse", "glossy", "transmission"):
             assign(self._object, f"visible_{ray}", not TIERS[tier]["unoccluded"])
         self._tier = tier
+
+
+def _key(mixture: Mixture) -> tuple:
+    """Return what a mixture is made of."""
+    arrays = (mixture.stops, mixture.log_alpha, mixture.tilt, mixture.weights)
+    return mixture.kinds, *(array.tobytes() for array in arrays)
 
 
 def _scene(settings: Iterable[Setting]) -> bpy.types.Scene:

@@ -82,3 +82,6 @@ class Studio:
         noise = rng.normal(size=radiance.shape).astype(np.float32) / np.float32(np.sqrt(count))
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
         return Portion(noisy, alpha, radiance if denoise else None)
+
+    def direct_light(self):
+        return None

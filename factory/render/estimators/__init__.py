@@ -3,6 +3,8 @@
 choice        selects the cheapest estimator for a shot, from a few samples of it
 path_tracing  with as many samples as the shot needs
 denoised      path tracing with fewer samples, and Open Image Denoise
+ratio         direct light without noise, times a denoised ratio of two pictures
+closed_form   direct light without noise alone, where nothing is blocked
 
 error   display L2 (shaders.tone) over the object's mask, of noise and bias together, under the
         exposure that brings the 99th percentile of luminance over the mask to 1

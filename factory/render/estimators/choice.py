@@ -2,21 +2,24 @@
 
 A pilot of a few samples of each half says how noisy the shot is. Then the estimator
 that needs the fewest further samples by its model is tried, until the error is at most the limit;
-the denoiser's time counts as samples. Samples of a try that failed are kept for path tracing, so
-that only the denoiser's time is lost.
+the time of denoisers and closed forms counts as samples. Samples of a try that failed are kept for
+path tracing, so that only the other time is lost. Whatever is tried is accepted by its estimated
+error alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from factory.render.estimators import denoised, path_tracing
-from factory.render.estimators.halves import Estimate, Halves, Shown
+from factory.render.estimators import closed_form, denoised, path_tracing, ratio
+from factory.render.estimators.halves import DirectPicture, Estimate, Halves, Shown
 from manifests.schema import Estimator
 
-VERSION = 1  # of the rules; a change makes new pictures
+ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
+VERSION = 2  # of the rules; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -47,58 +50,179 @@ def identity() -> list[object]:
         ["choice", VERSION, PILOT, MOST_SAMPLES],
         [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
+        [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
+        [ratio.DARK, ratio.LEAST],
+        [closed_form.NAME, closed_form.FIXED, closed_form.MAPS],
         sorted(denoised.COST.items()),
     ]
 
 
-def picture(
-    shown: Shown, error: float, estimators: tuple[Estimator, ...] = ("path-tracing", "denoised")
-) -> Picture:
+def picture(shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL) -> Picture:
     """Return a picture whose estimated error is at most `error` with 95 % confidence.
 
     The estimate is larger if MOST_SAMPLES do not suffice.
 
     estimators  that may be chosen; "path-tracing" is always one of them
     """
-    halves = Halves(shown)
-    halves.grow(PILOT)
-    now = pilot = halves.estimate()
-    tried: tuple[Estimate, int] | None = None
-    tries = 0 if denoised.NAME in estimators else denoised.MOST_TRIES
-    while now.bound > error and halves.samples < MOST_SAMPLES:
-        target = min(path_tracing.needed(now, halves.samples, error), MOST_SAMPLES)
-        smooth = (
-            denoised.needed(now, halves.samples, error)
-            if tried is None
-            else denoised.needed_after(*tried, error)
-        )
-        cost = smooth + denoised.COST[shown.tier]
-        if (
-            tries < denoised.MOST_TRIES
-            and cost < target - halves.samples
-            and smooth <= MOST_SAMPLES - halves.samples
-        ):
-            tries += 1
-            pair = halves.grow(smooth, denoise=True)
-            estimate = halves.denoised_estimate(pair)
-            if estimate.bound <= error:
-                return Picture(
-                    radiance=(pair[0] + pair[1]) / 2,
-                    alpha=halves.alpha,
-                    estimator=denoised.NAME,
-                    samples=2 * halves.samples,
-                    predicted=denoised.predicted(pilot, PILOT, smooth),
-                    estimated=estimate,
-                )
-            tried = estimate, smooth
-        else:
-            halves.grow(min(target, path_tracing.GROWTH * halves.samples) - halves.samples)
-        now = halves.estimate()
+    attempt = _Attempt(shown, error, estimators)
+    while attempt.now.bound > error and attempt.halves.samples < MOST_SAMPLES:
+        if found := attempt.closed():
+            return found
+        plan = min(attempt.plans())
+        if found := attempt.run(plan):
+            return found
+        attempt.now = attempt.halves.estimate()
+    halves = attempt.halves
     return Picture(
         radiance=halves.picture,
         alpha=halves.alpha,
         estimator=path_tracing.NAME,
         samples=2 * halves.samples,
-        predicted=path_tracing.predicted(pilot, PILOT, halves.samples),
-        estimated=now,
+        predicted=path_tracing.predicted(attempt.pilot, PILOT, halves.samples),
+        estimated=attempt.now,
     )
+
+
+class _Plan(NamedTuple):
+    """Further samples of each half for an estimator, and all that it costs, as such samples."""
+
+    cost: float
+    estimator: Estimator
+    samples: int
+
+
+class _Tried(NamedTuple):
+    """Pictures of both halves by an estimator, and the unbiased ones that they are compared with.
+
+    predicted  error by the estimator's model
+    unbiased   None: the halves as they were rendered
+    """
+
+    estimator: Estimator
+    pair: list[np.ndarray]
+    predicted: float
+    unbiased: list[np.ndarray] | None
+
+
+@dataclass
+class _Attempt:
+    """What is known of a shot so far.
+
+    tried   {estimator: (its last estimate, samples of each half that it was of)}
+    direct  None before it is asked for, and where no closed form holds
+    """
+
+    shown: Shown
+    error: float
+    estimators: tuple[Estimator, ...]
+    halves: Halves = field(init=False)
+    pilot: Estimate = field(init=False)
+    now: Estimate = field(init=False)
+    tries: dict[Estimator, int] = field(default_factory=dict)
+    tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
+    direct: DirectPicture | None = None
+    asked: bool = False
+
+    def __post_init__(self) -> None:
+        self.halves = Halves(self.shown)
+        self.halves.grow(PILOT)
+        self.pilot = self.now = self.halves.estimate()
+
+    def closed(self) -> Picture | None:
+        """Return the closed form's picture if the samples so far show that it keeps the error."""
+        if not self.asked and self._is_worth_asking():
+            self.asked, self.direct = True, self.shown.renderer.direct_light()
+        if self.direct is None or closed_form.NAME not in self.estimators:
+            return None
+        radiance = self.direct.radiance
+        estimate = self.halves.denoised_estimate((radiance, radiance))
+        self.tried[closed_form.NAME] = estimate, self.halves.samples
+        if estimate.bound > self.error:
+            return None
+        return Picture(
+            radiance=radiance,
+            alpha=self.direct.alpha,
+            estimator=closed_form.NAME,
+            samples=2 * self.halves.samples,
+            predicted=closed_form.TYPICAL,
+            estimated=estimate,
+        )
+
+    def _is_worth_asking(self) -> bool:
+        """Whether the closed form takes less time than the cheapest plan without it."""
+        if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
+            return False
+        return min(self.plans()).cost > closed_form.cost(int(self.shown.mask.sum()))
+
+    def plans(self) -> list[_Plan]:
+        """Return what may be done next; path tracing is always there."""
+        samples, error, tier = self.halves.samples, self.error, self.shown.tier
+        most = MOST_SAMPLES - samples
+        further = min(path_tracing.needed(self.now, samples, error), MOST_SAMPLES) - samples
+        plans = [_Plan(further, path_tracing.NAME, further)]
+        denoiser = denoised.COST[tier]
+        if self._may(denoised.NAME, denoised.MOST_TRIES):
+            count = (
+                denoised.needed_after(*self.tried[denoised.NAME], error)
+                if denoised.NAME in self.tried
+                else denoised.needed(self.now, samples, error)
+            )
+            if count <= most:
+                plans.append(_Plan(count + denoiser, denoised.NAME, count))
+        if self.direct is None:
+            return plans
+        if tier != "direct" and self._may(ratio.NAME, ratio.MOST_TRIES):
+            count = (
+                ratio.needed_after(*self.tried[ratio.NAME], error)
+                if ratio.NAME in self.tried
+                else ratio.needed(self.now, samples, error)
+            )
+            if count <= most:
+                plans.append(_Plan(2 * (count + denoiser), ratio.NAME, count))
+        if closed_form.NAME in self.tried:
+            total = closed_form.needed(*self.tried[closed_form.NAME], error)
+            if total is not None and total <= MOST_SAMPLES:
+                plans.append(_Plan(total - samples, closed_form.NAME, total - samples))
+        return plans
+
+    def _may(self, name: Estimator, most: int) -> bool:
+        return name in self.estimators and self.tries.get(name, 0) < most
+
+    def run(self, plan: _Plan) -> Picture | None:
+        """Render a plan's samples, and return the picture if it keeps the error."""
+        halves, name = self.halves, plan.estimator
+        self.tries[name] = self.tries.get(name, 0) + 1
+        if name in (path_tracing.NAME, closed_form.NAME):
+            # a few samples say too little to ask for more than so many times their number at once
+            halves.grow(min(plan.samples, (path_tracing.GROWTH - 1) * halves.samples))
+            return None
+        smooth = halves.grow(plan.samples, denoise=True)
+        tried = [
+            _Tried(denoised.NAME, smooth, denoised.predicted(self.pilot, PILOT, plan.samples), None)
+        ]
+        if name == ratio.NAME:
+            assert self.direct is not None
+            radiance = self.direct.radiance
+            pairs = list(zip(halves.last, halves.unblocked(plan.samples), strict=True))
+            tried.insert(
+                0,
+                _Tried(
+                    ratio.NAME,
+                    [ratio.combined(radiance, *pair) for pair in pairs],
+                    ratio.predicted(self.pilot, PILOT, plan.samples),
+                    [ratio.unbiased(radiance, *pair) for pair in pairs],
+                ),
+            )
+        for each in tried:
+            estimate = halves.denoised_estimate(each.pair, each.unbiased)
+            self.tried[each.estimator] = estimate, plan.samples
+            if estimate.bound <= self.error:
+                return Picture(
+                    radiance=(each.pair[0] + each.pair[1]) / 2,
+                    alpha=halves.alpha,
+                    estimator=each.estimator,
+                    samples=2 * halves.samples,
+                    predicted=each.predicted,
+                    estimated=estimate,
+                )
+        return None

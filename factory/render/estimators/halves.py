@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -31,12 +32,24 @@ class Portion(NamedTuple):
     denoised: np.ndarray | None = None
 
 
+class DirectPicture(NamedTuple):
+    """Direct light without shadows, by the closed form: radiance (height, width, 3), and alpha."""
+
+    radiance: np.ndarray
+    alpha: np.ndarray
+
+
 class Renderer(Protocol):
-    """What the estimators call: factory.render.studio.Studio, or a substitute without Blender."""
+    """What the estimators call: factory.render.studio.Studio, or a substitute without Blender.
+
+    direct_light  None where no closed form holds
+    """
 
     def portion(
         self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
     ) -> Portion: ...
+
+    def direct_light(self) -> DirectPicture | None: ...
 
 
 @dataclass(frozen=True)
@@ -76,12 +89,22 @@ class Halves:
     """Two pictures of one shot by independent seeds, which grow.
 
     samples  of each half, per pixel
+    last     of each half, what `grow` added last
     """
 
     def __init__(self, shown: Shown):
         self.shown, self.samples = shown, 0
+        self.last: list[Portion] = []
         self._sums: list[np.ndarray] = []
         self._alphas: list[np.ndarray] = []
+
+    def unblocked(self, count: int) -> list[Portion]:
+        """Return direct light without shadows of both halves' last `count` samples, denoised."""
+        at, first = self.shown, self.samples - count
+        return [
+            at.renderer.portion(first, count, half_seed(at.seed, half), "direct", denoise=True)
+            for half in (0, 1)
+        ]
 
     def grow(self, count: int, denoise: bool = False) -> list[np.ndarray]:
         """Render `count` further samples of each half; return both denoised ones if requested."""
@@ -96,6 +119,7 @@ class Halves:
             alphas = [a + b for a, b in zip(self._alphas, alphas, strict=True)]
         self._sums, self._alphas = sums, alphas
         self.samples += count
+        self.last = parts
         return [part.denoised for part in parts if part.denoised is not None]
 
     @property
@@ -120,8 +144,14 @@ class Halves:
         a, b = (tone.display(half[mask], self._exposure()) for half in self.pictures)
         return mean_over(tone.squared_difference(a, b) / 4)
 
-    def denoised_estimate(self, denoised: list[np.ndarray]) -> Estimate:
-        """Return the error of the mean of two denoised halves, bias included.
+    def denoised_estimate(
+        self, denoised: Sequence[np.ndarray], halves: Sequence[np.ndarray] | None = None
+    ) -> Estimate:
+        """Return the error of the mean of two pictures, each independent of the other's half.
+
+        Bias is included. The pictures are denoised halves, or what was computed from them.
+
+        halves  unbiased pictures of both halves (default: `pictures`)
 
         A denoised half is compared with the other half as it was rendered, whose noise is
         independent: E|dA − B|² is dA's error plus B's noise, and |A − B|² / 2 is that noise. Of the
@@ -129,7 +159,7 @@ class Halves:
         """
         mask = self.shown.mask
         exposure = tone.auto_exposure((denoised[0] + denoised[1]) / 2, mask)
-        a, b = (tone.display(half[mask], exposure) for half in self.pictures)
+        a, b = (tone.display(half[mask], exposure) for half in halves or self.pictures)
         da, db = (tone.display(half[mask], exposure) for half in denoised)
         across = tone.squared_difference(da, b) + tone.squared_difference(db, a)
         noise = tone.squared_difference(a, b)

@@ -1,0 +1,42 @@
+"""Direct light by the closed form of the material, without shadows, interreflection or noise.
+
+what      shaders.direct_light at the normals inside each pixel
+bias      all light that the object blocks or reflects onto itself: none in the tier `direct`, and
+          in the others none where a shape cannot shade itself, as seen from this side
+checked   against the samples of both halves, in every tier: the estimate contains the bias
+cost      none but its own, for the samples of the pilot are there already
+fails     smooth normals on coarse facets, where Cycles cuts light off at the facet's horizon
+"""
+
+import math
+
+from factory.render.estimators.halves import CONFIDENCE, Estimate
+from manifests.schema import Estimator
+
+NAME: Estimator = "closed-form"
+TYPICAL = 2.0  # error that is expected of the direct tier before it is measured
+# samples of each half that take as long: FIXED for the pixels, MAPS / pixels for the map of normals
+FIXED, MAPS = 4, 40_000
+
+
+def cost(pixels: int) -> float:
+    """Return the samples of each half that take as long as the closed form of a picture."""
+    return FIXED + MAPS / max(pixels, 1)
+
+
+def is_out(estimate: Estimate, error: float) -> bool:
+    """Whether an estimate is above the limit beyond doubt, whatever more samples would say."""
+    return estimate.error - CONFIDENCE * estimate.standard_error > error
+
+
+def needed(estimate: Estimate, samples: int, error: float) -> int | None:
+    """Return the samples of each half that show whether the error is kept, or None if it is not.
+
+    estimate  by `samples` of each half; its uncertainty falls in proportion to 1/samples
+    """
+    if is_out(estimate, error):
+        return None
+    left = error - max(estimate.error, 0.0)
+    if left <= 0:
+        left = error / 4
+    return max(samples + 1, math.ceil(samples * CONFIDENCE * estimate.standard_error / left))

@@ -1,0 +1,69 @@
+"""Direct light without noise, times the denoised ratio of what is blocked or reflected on.
+
+what      closed form · denoised picture / denoised picture without shadows and interreflection. Of
+          each half both pictures have the same seed, so that most of their noise is common and
+          their ratio has little (Heitz, Hill and McGuire 2018, "Combining analytic direct
+          illumination and stochastic shadows")
+bias      of the denoiser, where it treats the two pictures differently; the estimate contains it
+cost      every sample twice, both denoisings, and the closed form
+fails     interreflection in strong highlights, which unoccluded light does not show. The ratio is
+          cut off at MOST; where there is no light to divide by, the denoised picture stands
+"""
+
+import math
+
+import numpy as np
+
+from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
+from manifests.schema import Estimator
+
+NAME: Estimator = "ratio"
+MOST = 3.0
+DARK = 1e-6  # radiance by which nothing is divided
+# error: SCALE · (error of the same samples without denoiser)^POWER
+SCALE, POWER = 0.9, 0.45
+# uncertainty of the estimate, in units of that of the pilot's with the same samples
+UNCERTAINTY = 0.3
+LEAST = 2  # samples of each half
+MOST_TRIES = 3
+
+
+def combined(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
+    """Return the picture (height, width, 3).
+
+    direct     (height, width, 3) by the closed form
+    shown      by all light paths of the tier
+    unblocked  by direct light without shadows, of the same samples
+    """
+    assert shown.denoised is not None and unblocked.denoised is not None
+    share = np.clip(shown.denoised / np.maximum(unblocked.denoised, np.float32(DARK)), 0, MOST)
+    lit = unblocked.denoised > DARK
+    return np.where(lit, direct * share, shown.denoised).astype(np.float32)
+
+
+def unbiased(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
+    """Return an unbiased picture of less noise: what both have in common is taken out.
+
+    It is with what a picture of the other half is compared; arguments as of `combined`.
+    """
+    return direct + (shown.noisy - unblocked.noisy)
+
+
+def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
+    """Return the error with `samples` of each half, by the noise of a pilot."""
+    return float(SCALE * (max(pilot.error, 0.0) * pilot_samples / samples) ** POWER)
+
+
+def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
+    """Return the samples of each half whose estimate is at most an error with 95 % confidence."""
+    samples = LEAST
+    while True:
+        uncertainty = CONFIDENCE * UNCERTAINTY * pilot.standard_error * pilot_samples / samples
+        if predicted(pilot, pilot_samples, samples) + uncertainty <= error:
+            return samples
+        samples = math.ceil(1.2 * samples)
+
+
+def needed_after(tried: Estimate, samples: int, error: float) -> int:
+    """Return the same number, by the estimate of `samples` of each half that failed."""
+    return max(samples + 1, math.ceil(1.1 * samples * (tried.bound / error) ** (1 / POWER)))
