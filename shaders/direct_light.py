@@ -21,15 +21,14 @@ from __future__ import annotations
 import numpy as np
 
 from shaders import direct_light_kernels, envmap
-from shaders.mixture import Mixture, ramp
+from shaders.mixture import Mixture, ramp_table
 
+LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
 NARROW = 0.1  # α below which a lobe is sampled
 MAP_SIZE = 64  # nodes of a map across the hemisphere
 BLOCKS = ((0.45, 16), (0.2, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
 SAMPLES = 12  # directions per normal of each of the two distributions
 REACH = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
-LEAST_REACH = 3.0  # in units of tan θ_h / α
-SHORT_TAILED = 25.0  # t at which exponential lobes have ended
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
 
 
@@ -49,9 +48,27 @@ class DirectLight:
         self._nodes = np.zeros((MAP_SIZE, MAP_SIZE, 3), np.float32)
         self._known = np.zeros((MAP_SIZE, MAP_SIZE), np.uint8)
         self._least = np.exp(mixture.log_alpha.min(0))
+        self._tables = [_table(mixture, k) for k in range(len(mixture.kinds))]
 
-    def at(self, n: np.ndarray) -> np.ndarray:
-        """Return radiance (P, 3) float32 at normals (P, 3)."""
+    @property
+    def narrowest(self) -> float:
+        """The least α of a closure with a lobe, 1 without one."""
+        lobes = [
+            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
+        ]
+        return float(min(lobes, default=1.0))
+
+    @property
+    def narrow(self) -> int:
+        """The number of narrow closures."""
+        return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
+
+    def at(self, n: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
+        """Return radiance (P, 3) float32 at normals (P, 3).
+
+        samples  directions per normal of each of the two distributions of a narrow lobe; few
+                 suffice where many normals are averaged, for their errors differ
+        """
         n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
         n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
         radiance = np.zeros_like(n)
@@ -60,11 +77,11 @@ class DirectLight:
             radiance[:] = 0
         for k in range(len(self.mixture.kinds)):
             if self._is_narrow(k):
-                self._sample(k, n, radiance)
+                self._sample(k, n, samples, radiance)
         return radiance
 
     def _is_narrow(self, k: int) -> bool:
-        return self.mixture.kinds[k] not in ("diffuse", "sheen") and self._least[k] < NARROW
+        return self.mixture.kinds[k] in LOBES and bool(self._least[k] < NARROW)
 
     def _fill(self, nodes: np.ndarray) -> None:
         """Compute the map's nodes (N, 2) by row and column."""
@@ -114,42 +131,28 @@ class DirectLight:
         rows = len(self.light)
         if not narrow:
             rows = min(rows, next(rows for least, rows in BLOCKS if width >= least))
-        alpha, tilt, weights = self._parameters(k, n)
-        end = _reach(alpha) if narrow else np.zeros_like(alpha)
+        reach = np.float32(np.tan(REACH / 2) if narrow else 0)
         w, h, energy = self.lights(rows)
-        direct_light_kernels.add_lights(
-            direct_light_kernels.KINDS[kind], n, alpha, tilt, weights, end, w, h, energy, out
-        )
+        number = direct_light_kernels.KINDS[kind]
+        direct_light_kernels.add_lights(number, n, self._tables[k], reach, w, h, energy, out)
 
-    def _sample(self, k: int, n: np.ndarray, out: np.ndarray) -> None:
-        """Add to out (P, 3) what narrow closure k reflects from within its reach."""
-        kind = self.mixture.kinds[k]
-        alpha, tilt, weights = self._parameters(k, n)
-        end = _reach(alpha) if kind == "ggx" else np.full_like(alpha, SHORT_TAILED)
+    def _sample(self, k: int, n: np.ndarray, samples: int, out: np.ndarray) -> None:
+        """Add to out (P, 3) what closure k reflects from within its reach."""
         direct_light_kernels.add_samples(
-            direct_light_kernels.KINDS[kind],
-            0,
+            direct_light_kernels.KINDS[self.mixture.kinds[k]],
             n,
-            alpha,
-            tilt,
-            weights,
-            end,
+            self._tables[k],
+            np.float32(np.tan(REACH / 2)),
             self.light,
             np.ascontiguousarray(self.camera_from_light.T, np.float32),
-            SAMPLES,
+            samples,
             out,
         )
 
-    def _parameters(self, k: int, n: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return closure k's α (N,), tilt (N,) and weights (N, 3) at normals, float32."""
-        m = self.mixture
-        facing = 1 - n[:, 2].astype(np.float64)
-        log_alpha, tilt, weights = (
-            ramp(m.stops, values[:, k], facing) for values in (m.log_alpha, m.tilt, m.weights)
-        )
-        return tuple(x.astype(np.float32) for x in (np.exp(log_alpha), tilt, weights))
 
-
-def _reach(alpha: np.ndarray) -> np.ndarray:
-    """Return t at which samples of a narrow lobe end."""
-    return np.maximum(np.float32(np.tan(REACH / 2)) / alpha, np.float32(LEAST_REACH)) ** 2
+def _table(mixture: Mixture, k: int) -> np.ndarray:
+    """Return closure k's log α, tilt and weights (S, 5) at equal steps of 1 − n·v, float32."""
+    columns = (mixture.log_alpha[:, k, None], mixture.tilt[:, k, None], mixture.weights[:, k])
+    values = np.concatenate(columns, axis=1)
+    table = ramp_table(mixture.stops, values) if len(values) > 1 else np.repeat(values, 2, axis=0)
+    return table.astype(np.float32)

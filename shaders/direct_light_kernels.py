@@ -14,6 +14,8 @@ from numba import njit
 
 DIFFUSE, GGX, BECKMANN, ASHIKHMIN_SHIRLEY, SHEEN = range(5)
 KINDS = {"diffuse": 0, "ggx": 1, "beckmann": 2, "ashikhmin_shirley": 3, "sheen": 4}
+LEAST_REACH = np.float32(3)  # in units of tan θ_h / α
+SHORT_TAILED = np.float32(25)  # t at which exponential lobes have ended
 ONE = np.float32(1)
 HALF = np.float32(0.5)
 LEAST = np.float32(1e-4)  # cosine; shaders.closures.MIN_COS
@@ -159,29 +161,56 @@ def _row(kind, n, alpha, tilt, end, wx, wy, wz, hx, hy, hz, f):
         f[j] = value if lit else np.float32(0)
 
 
+@_inlined
+def _parameters(table, co, values):
+    """Set values (5,) to α, tilt and the weights of three channels at n·v = co."""
+    last = len(table) - 1
+    place = min(max(ONE - co, np.float32(0)), ONE) * np.float32(last)
+    low = min(int(place), last - 1)
+    t = place - np.float32(low)
+    for m in range(5):
+        values[m] = table[low, m] + t * (table[low + 1, m] - table[low, m])
+    values[0] = math.exp(values[0])
+
+
+@_inlined
+def _end(alpha, reach):
+    """t at which samples of a narrow lobe end; reach: tan θ_h, 0: there are no samples."""
+    if reach <= 0:
+        return np.float32(0)
+    tan = max(reach / alpha, LEAST_REACH)
+    return tan * tan
+
+
 @_compiled
-def add_lights(kind, n, alpha, tilt, weights, end, w, h, energy, out):
+def add_lights(kind, n, table, reach, w, h, energy, out):
     """Add to out (N, 3) what one closure reflects of lights.
 
-    n (N, 3), alpha, tilt, end (N,), weights (N, 3); w, h, energy (3, T) float32
+    n      (N, 3)
+    table  (S, 5) log α, tilt and weights at equal steps of 1 − n·v
+    reach  of `add_samples`, whose share is left out; 0: nothing is
+    w, h, energy  (3, T) float32
     """
     f = np.empty(w.shape[1], np.float32)
+    v = np.empty(5, np.float32)
     for i in range(len(n)):
+        _parameters(table, n[i, 2], v)
+        e = _end(v[0], reach)
         if kind == 0:
-            _row(0, n[i], alpha[i], tilt[i], end[i], w[0], w[1], w[2], h[0], h[1], h[2], f)
+            _row(0, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         elif kind == 1:
-            _row(1, n[i], alpha[i], tilt[i], end[i], w[0], w[1], w[2], h[0], h[1], h[2], f)
+            _row(1, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         elif kind == 2:
-            _row(2, n[i], alpha[i], tilt[i], end[i], w[0], w[1], w[2], h[0], h[1], h[2], f)
+            _row(2, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         elif kind == 3:
-            _row(3, n[i], alpha[i], tilt[i], end[i], w[0], w[1], w[2], h[0], h[1], h[2], f)
+            _row(3, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         else:
-            _row(4, n[i], alpha[i], tilt[i], end[i], w[0], w[1], w[2], h[0], h[1], h[2], f)
+            _row(4, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         for c in range(3):
             total = np.float32(0)
             for j in range(len(f)):
                 total += f[j] * energy[c, j]
-            out[i, c] += total * weights[i, c]
+            out[i, c] += total * v[2 + c]
 
 
 @_inlined
@@ -216,8 +245,8 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
         elif kind == GGX:
             t = u * most / (ONE - u * most)
         else:
-            t = -math.log(ONE - u * most)
-        r = ONE / math.sqrt(ONE + t)
+            t = np.float32(-math.log(ONE - u * most))
+        r = np.float32(ONE / math.sqrt(ONE + t))
         density = r * r * r * r if kind == GGX else _exp(-t)
         c2 = ONE / (ONE + a2 * t)
         cos = math.sqrt(c2)
@@ -253,23 +282,26 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
 
 
 @_compiled
-def add_samples(kind, first, n, alpha, tilt, weights, end, light, to_light, count, out):
+def add_samples(kind, n, table, reach, light, to_light, count, out):
     """Add to out (N, 3) what one narrow closure reflects from within its reach.
 
-    first  number of the first normal, by which sample directions are shifted
+    reach  tan θ_h up to which a long-tailed lobe (GGX) is sampled
     light  (height, width, 3) float32; to_light (3, 3) from the camera frame to the light frame
     count  directions of each of the two distributions
     """
     here = np.empty(3, np.float32)
+    v = np.empty(5, np.float32)
     for i in range(len(n)):
+        _parameters(table, n[i, 2], v)
+        e = _end(v[0], reach) if kind == GGX else SHORT_TAILED
         if kind == 1:
-            _samples(1, first + i, n[i], alpha[i], tilt[i], end[i], light, to_light, count, here)
+            _samples(1, i, n[i], v[0], v[1], e, light, to_light, count, here)
         elif kind == 2:
-            _samples(2, first + i, n[i], alpha[i], tilt[i], end[i], light, to_light, count, here)
+            _samples(2, i, n[i], v[0], v[1], e, light, to_light, count, here)
         else:
-            _samples(3, first + i, n[i], alpha[i], tilt[i], end[i], light, to_light, count, here)
+            _samples(3, i, n[i], v[0], v[1], e, light, to_light, count, here)
         for c in range(3):
-            out[i, c] += here[c] * weights[i, c]
+            out[i, c] += here[c] * v[2 + c]
 
 
 @_inlined

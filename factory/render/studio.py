@@ -54,7 +54,10 @@ if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
 Purpose = Literal["picture", "geometry"]
-SUBPIXELS = 4  # normals across a pixel, at which direct light is computed
+# normals across a pixel at which direct light is computed, with how many samples of a narrow lobe
+# each; mirror-like materials need more, for in a pixel normals turn by more than their lobes
+SUBPIXELS = {"glossy": (4, 12), "mirror-like": (8, 4)}
+MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_DIRECT = 64  # maps of direct light in memory
 MOST_GROUPS = 512  # node groups in memory: more than there are materials in a catalogue
 # least n·v of a normal: near a coarse mesh's silhouette smooth normals may face away
@@ -332,16 +335,32 @@ class Studio:
         smooth = np.maximum(rgba[..., :3], np.float32(0))
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
 
-    def direct_light(self) -> DirectPicture | None:
-        """Return the direct light without shadows, by the closed forms of the materials.
+    def direct_light_samples(self) -> int | None:
+        """Return how many directions per pixel `direct_light` evaluates besides its maps.
 
-        A square pixel is the mean over SUBPIXELS × SUBPIXELS points. None for cameras in
-        perspective and for lights that are not looked up texel by texel.
+        None for cameras in perspective and for lights that are not looked up texel by texel, where
+        it does not hold.
         """
         lens = self._require_camera()
         if lens.fov_deg is not None or not self._nearest or not self._mixtures:
             return None
-        across = 1 if lens.pixel == "centre" else SUBPIXELS
+        direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
+        across, samples = self._subpixels(direct)
+        return 2 * across**2 * samples * max(each.narrow for each in direct)
+
+    def direct_light(self) -> DirectPicture | None:
+        """Return the direct light without shadows, by the closed forms of the materials.
+
+        A square pixel is the mean over points of a grid (SUBPIXELS). None where
+        `direct_light_samples` is.
+        """
+        lens = self._require_camera()
+        if self.direct_light_samples() is None:
+            return None
+        direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
+        across, samples = self._subpixels(direct)
+        if lens.pixel == "centre":
+            across, samples = 1, across * across * samples
         height, width = lens.size
         self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
         try:
@@ -349,14 +368,19 @@ class Studio:
         finally:
             self.set_camera(lens)
         radiance = np.zeros((*fine.mask.shape, 3), np.float32)
-        for number, mixture in enumerate(self._mixtures, 1):
+        for number, each in enumerate(direct, 1):
             here = fine.segments == number
-            radiance[here] = self._direct_light(mixture, lens).at(fine.normals[here])
+            radiance[here] = each.at(fine.normals[here], samples)
         blocks = (height, across, width, across)
         return DirectPicture(
             radiance.reshape(*blocks, 3).mean((1, 3), dtype=np.float32),
             fine.mask.reshape(blocks).mean((1, 3), dtype=np.float32),
         )
+
+    def _subpixels(self, direct: Sequence[DirectLight]) -> tuple[int, int]:
+        """Return the entry of SUBPIXELS that materials need."""
+        mirror_like = min(each.narrowest for each in direct) < MIRROR_LIKE
+        return SUBPIXELS["mirror-like" if mirror_like else "glossy"]
 
     def _direct_light(self, mixture: Mixture, lens: Camera) -> DirectLight:
         """Return the direct light of a mixture under the light that is shown."""

@@ -83,5 +83,8 @@ class Studio:
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
         return Portion(noisy, alpha, radiance if denoise else None)
 
+    def direct_light_samples(self):
+        return None
+
     def direct_light(self):
         return None

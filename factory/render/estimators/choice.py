@@ -52,7 +52,8 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST],
-        [closed_form.NAME, closed_form.FIXED, closed_form.MAPS],
+        [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
+        [closed_form.TYPICAL],
         sorted(denoised.COST.items()),
     ]
 
@@ -152,7 +153,11 @@ class _Attempt:
         """Whether the closed form takes less time than the cheapest plan without it."""
         if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
             return False
-        return min(self.plans()).cost > closed_form.cost(int(self.shown.mask.sum()))
+        directions = self.shown.renderer.direct_light_samples()
+        if directions is None:
+            return False
+        cost = closed_form.cost(int(self.shown.mask.sum()), directions)
+        return min(self.plans()).cost > cost
 
     def plans(self) -> list[_Plan]:
         """Return what may be done next; path tracing is always there."""
@@ -214,7 +219,7 @@ class _Attempt:
                 ),
             )
         for each in tried:
-            estimate = halves.denoised_estimate(each.pair, each.unbiased)
+            estimate = self._estimate(each)
             self.tried[each.estimator] = estimate, plan.samples
             if estimate.bound <= self.error:
                 return Picture(
@@ -226,3 +231,15 @@ class _Attempt:
                     estimated=estimate,
                 )
         return None
+
+    def _estimate(self, tried: _Tried) -> Estimate:
+        """Return the error of pictures of both halves.
+
+        What is compared with pictures that contain the closed form cannot show its error: that is
+        added as it is on average, unless the samples as rendered show beyond doubt that it is more.
+        """
+        plain = self.halves.denoised_estimate(tried.pair)
+        if tried.unbiased is None or closed_form.is_out(plain, self.error):
+            return plain
+        estimate = self.halves.denoised_estimate(tried.pair, tried.unbiased)
+        return Estimate(max(estimate.error, 0.0) + closed_form.TYPICAL, estimate.standard_error)

@@ -42,7 +42,8 @@ class DirectPicture(NamedTuple):
 class Renderer(Protocol):
     """What the estimators call: factory.render.studio.Studio, or a substitute without Blender.
 
-    direct_light  None where no closed form holds
+    direct_light          None where no closed form holds
+    direct_light_samples  directions per pixel that it evaluates besides its maps; None as above
     """
 
     def portion(
@@ -50,6 +51,8 @@ class Renderer(Protocol):
     ) -> Portion: ...
 
     def direct_light(self) -> DirectPicture | None: ...
+
+    def direct_light_samples(self) -> int | None: ...
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ what      closed form · denoised picture / denoised picture without shadows and
           each half both pictures have the same seed, so that most of their noise is common and
           their ratio has little (Heitz, Hill and McGuire 2018, "Combining analytic direct
           illumination and stochastic shadows")
-bias      of the denoiser, where it treats the two pictures differently; the estimate contains it
+bias      of the denoiser, where it treats the two pictures differently: the estimate contains it.
+          That of the closed form is added to the estimate as it is on average
 cost      every sample twice, both denoisings, and the closed form
 fails     interreflection in strong highlights, which unoccluded light does not show. The ratio is
           cut off at MOST; where there is no light to divide by, the denoised picture stands
@@ -14,6 +15,7 @@ import math
 
 import numpy as np
 
+from factory.render.estimators.closed_form import TYPICAL
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
 from manifests.schema import Estimator
 
@@ -21,11 +23,12 @@ NAME: Estimator = "ratio"
 MOST = 3.0
 DARK = 1e-6  # radiance by which nothing is divided
 # error: SCALE · (error of the same samples without denoiser)^POWER
-SCALE, POWER = 0.9, 0.45
+SCALE, POWER = 0.5, 0.4
 # uncertainty of the estimate, in units of that of the pilot's with the same samples
 UNCERTAINTY = 0.3
 LEAST = 2  # samples of each half
-MOST_TRIES = 3
+MOST_SAMPLES = 1 << 20  # more never help
+MOST_TRIES = 2
 
 
 def combined(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
@@ -59,7 +62,8 @@ def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
     samples = LEAST
     while True:
         uncertainty = CONFIDENCE * UNCERTAINTY * pilot.standard_error * pilot_samples / samples
-        if predicted(pilot, pilot_samples, samples) + uncertainty <= error:
+        bound = predicted(pilot, pilot_samples, samples) + TYPICAL + uncertainty
+        if bound <= error or samples > MOST_SAMPLES:
             return samples
         samples = math.ceil(1.2 * samples)
 
