@@ -6,7 +6,7 @@ reflectance map (Ramamoorthi and Hanrahan 2001). Each closure is integrated as i
 wide    the sum over the light's texels, at the nodes of a map over the visible hemisphere, between
         which radiance is interpolated. Blocks of texels count as one light, at the centre of their
         energy, where the lobe is wider than they are
-narrow  at every normal, over sample directions that follow the lobe as far as `reach` around its
+narrow  at every normal, over sample directions that follow the lobe as far as `extent` around its
         axis; what a long-tailed lobe (GGX) reflects from beyond comes from a map as above
 
 The light is piecewise constant over its texels, as in the layer and in Cycles with nearest look-up.
@@ -28,7 +28,7 @@ NARROW = 0.1  # α below which a lobe is sampled
 MAP_SIZE = 64  # nodes of a map across the hemisphere
 BLOCKS = ((0.45, 16), (0.2, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
 SAMPLES = 12  # directions per normal of each of the two distributions
-REACH = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
+EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
 
 
@@ -127,22 +127,23 @@ class DirectLight:
         kind, narrow = self.mixture.kinds[k], self._is_narrow(k)
         if narrow and kind != "ggx":
             return
-        width = 1.0 if kind == "diffuse" else self._least[k]
+        # sheen is bright near the horizon, whatever its width
+        width = {"diffuse": 1.0, "sheen": 0.1}.get(kind, self._least[k])
         rows = len(self.light)
         if not narrow:
             rows = min(rows, next(rows for least, rows in BLOCKS if width >= least))
-        reach = np.float32(np.tan(REACH / 2) if narrow else 0)
+        extent = np.float32(np.tan(EXTENT / 2) if narrow else 0)
         w, h, energy = self.lights(rows)
         number = direct_light_kernels.KINDS[kind]
-        direct_light_kernels.add_lights(number, n, self._tables[k], reach, w, h, energy, out)
+        direct_light_kernels.add_lights(number, n, self._tables[k], extent, w, h, energy, out)
 
     def _sample(self, k: int, n: np.ndarray, samples: int, out: np.ndarray) -> None:
-        """Add to out (P, 3) what closure k reflects from within its reach."""
+        """Add to out (P, 3) what closure k reflects from within its extent."""
         direct_light_kernels.add_samples(
             direct_light_kernels.KINDS[self.mixture.kinds[k]],
             n,
             self._tables[k],
-            np.float32(np.tan(REACH / 2)),
+            np.float32(np.tan(EXTENT / 2)),
             self.light,
             np.ascontiguousarray(self.camera_from_light.T, np.float32),
             samples,

@@ -14,7 +14,7 @@ from numba import njit
 
 DIFFUSE, GGX, BECKMANN, ASHIKHMIN_SHIRLEY, SHEEN = range(5)
 KINDS = {"diffuse": 0, "ggx": 1, "beckmann": 2, "ashikhmin_shirley": 3, "sheen": 4}
-LEAST_REACH = np.float32(3)  # in units of tan θ_h / α
+LEAST_EXTENT = np.float32(3)  # in units of tan θ_h / α
 SHORT_TAILED = np.float32(25)  # t at which exponential lobes have ended
 ONE = np.float32(1)
 HALF = np.float32(0.5)
@@ -174,28 +174,37 @@ def _parameters(table, co, values):
 
 
 @_inlined
-def _end(alpha, reach):
-    """t at which samples of a narrow lobe end; reach: tan θ_h, 0: there are no samples."""
-    if reach <= 0:
+def _end(alpha, extent):
+    """t at which samples of a narrow lobe end; extent: tan θ_h, 0: there are no samples."""
+    if extent <= 0:
         return np.float32(0)
-    tan = max(reach / alpha, LEAST_REACH)
+    tan = max(extent / alpha, LEAST_EXTENT)
     return tan * tan
 
 
 @_compiled
-def add_lights(kind, n, table, reach, w, h, energy, out):
+def add_lights(
+    kind: int,
+    n: np.ndarray,
+    table: np.ndarray,
+    extent: np.float32,
+    w: np.ndarray,
+    h: np.ndarray,
+    energy: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Add to out (N, 3) what one closure reflects of lights.
 
     n      (N, 3)
     table  (S, 5) log α, tilt and weights at equal steps of 1 − n·v
-    reach  of `add_samples`, whose share is left out; 0: nothing is
+    extent  of `add_samples`, whose share is left out; 0: nothing is
     w, h, energy  (3, T) float32
     """
     f = np.empty(w.shape[1], np.float32)
     v = np.empty(5, np.float32)
     for i in range(len(n)):
         _parameters(table, n[i, 2], v)
-        e = _end(v[0], reach)
+        e = _end(v[0], extent)
         if kind == 0:
             _row(0, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
         elif kind == 1:
@@ -215,7 +224,7 @@ def add_lights(kind, n, table, reach, w, h, energy, out):
 
 @_inlined
 def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
-    """Set out (3,) to what one closure reflects at one normal from within its reach."""
+    """Set out (3,) to what one closure reflects at one normal from within its extent."""
     height, width = light.shape[0], light.shape[1]
     co = n[2]
     sin2_o = ONE - co * co
@@ -282,10 +291,19 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
 
 
 @_compiled
-def add_samples(kind, n, table, reach, light, to_light, count, out):
-    """Add to out (N, 3) what one narrow closure reflects from within its reach.
+def add_samples(
+    kind: int,
+    n: np.ndarray,
+    table: np.ndarray,
+    extent: np.float32,
+    light: np.ndarray,
+    to_light: np.ndarray,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) what one narrow closure reflects from within its extent.
 
-    reach  tan θ_h up to which a long-tailed lobe (GGX) is sampled
+    extent  tan θ_h up to which a long-tailed lobe (GGX) is sampled
     light  (height, width, 3) float32; to_light (3, 3) from the camera frame to the light frame
     count  directions of each of the two distributions
     """
@@ -293,7 +311,7 @@ def add_samples(kind, n, table, reach, light, to_light, count, out):
     v = np.empty(5, np.float32)
     for i in range(len(n)):
         _parameters(table, n[i, 2], v)
-        e = _end(v[0], reach) if kind == GGX else SHORT_TAILED
+        e = _end(v[0], extent) if kind == GGX else SHORT_TAILED
         if kind == 1:
             _samples(1, i, n[i], v[0], v[1], e, light, to_light, count, here)
         elif kind == 2:
@@ -315,7 +333,7 @@ def _catmull_rom(f, weights):
 
 
 @_compiled
-def interpolate(n, nodes, known, out):
+def interpolate(n: np.ndarray, nodes: np.ndarray, known: np.ndarray, out: np.ndarray) -> int:
     """Add to out (N, 3) the map's radiance at normals, by Catmull–Rom splines over 4 × 4 nodes.
 
     nodes (S, S, 3); known (S, S) uint8. Where a node is not known nothing is added, and it is

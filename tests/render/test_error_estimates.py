@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import choice, denoised, path_tracing
-from factory.render.estimators.halves import Estimate, Halves, Portion, Shown, half_seed, mean_over
+from factory.render.estimators import choice, closed_form, denoised, path_tracing, ratio
+from factory.render.estimators.halves import (
+    DirectPicture,
+    Estimate,
+    Halves,
+    Portion,
+    Shown,
+    half_seed,
+    mean_over,
+)
 from shaders import tone
 
 SIZE = 48
@@ -33,6 +41,46 @@ class Known:
         smooth = (self.truth + self.left * noise).astype(np.float32)
         smooth[:, ::2] += self.bias
         return Portion(noisy, alpha, smooth)
+
+    def direct_light_samples(self):
+        return None
+
+    def direct_light(self):
+        return None
+
+
+class Shaded(Known):
+    """A ramp of unblocked light, of which a share arrives: steps from column to column.
+
+    Both tiers' noise is that of the unblocked light. The denoiser blurs the steps. `closed` is what
+    the closed form is off by, as a factor.
+    """
+
+    def __init__(self, noise=0.6, deepest=0.4, closed=1.0, blur=True):
+        super().__init__(noise, left=0.1)
+        self.unblocked, self.closed, self.blur = self.truth, closed, blur
+        steps = (np.arange(SIZE) % 8 < 4).astype(np.float32)
+        self.share = (deepest + (1 - deepest) * steps)[None, :, None]
+        self.truth = self.unblocked * self.share
+
+    def portion(self, first, count, seed, tier, denoise=False):
+        self.requested.append((first, count, seed, denoise))
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
+        noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
+        share = self.share if tier != "direct" else 1
+        noisy = np.float32(share * (self.unblocked + noise))
+        if not denoise:
+            return Portion(noisy, MASK.astype(np.float32))
+        # what the noise hides is blurred in both pictures alike
+        smooth = self.unblocked + self.left * noise
+        ripple = 1 + (0.3 * np.sin(np.arange(SIZE))[None, :, None] if self.blur else 0)
+        return Portion(noisy, MASK.astype(np.float32), np.float32(share * smooth * ripple))
+
+    def direct_light_samples(self):
+        return 0
+
+    def direct_light(self):
+        return DirectPicture(np.float32(self.unblocked * self.closed), MASK.astype(np.float32))
 
 
 def error(picture, known):
@@ -146,3 +194,70 @@ def test_the_models_take_noise_in_proportion_to_samples():
     assert path_tracing.needed(pilot, 4, 10.0) == 42
     m = denoised.needed(pilot, 4, 10.0)
     assert denoised.predicted(pilot, 4, m) <= 10 < denoised.predicted(pilot, 4, m - 1)
+
+
+def test_the_closed_form_alone_is_taken_where_nothing_is_blocked():
+    known = Shaded(deepest=1.0)
+    at = Shown(known, 5, "direct", MASK)
+    made = choice.picture(at, 20.0)
+    assert made.estimator == closed_form.NAME and made.estimated.bound <= 20
+    np.testing.assert_array_equal(made.radiance, known.unblocked)
+    plain = choice.picture(at, 20.0, ("path-tracing",))
+    assert made.samples < plain.samples
+
+
+@pytest.mark.parametrize("closed", [0.8, 1.25])
+def test_a_closed_form_that_is_off_is_seen(closed):
+    known = Shaded(deepest=1.0, closed=closed)
+    made = choice.picture(shown(known), 20.0)
+    assert made.estimator not in (closed_form.NAME, ratio.NAME)
+    assert error(made.radiance, known) <= 20
+
+
+def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
+    known = Shaded(noise=0.8)
+    made = choice.picture(shown(known), 20.0)
+    assert made.estimator == ratio.NAME and error(made.radiance, known) <= 20
+    plain = choice.picture(shown(known), 20.0, ("path-tracing", "denoised"))
+    assert plain.estimator == path_tracing.NAME and made.samples < plain.samples / 2
+
+
+def test_the_ratio_stands_where_there_is_light_and_the_denoised_picture_elsewhere():
+    direct = np.full((1, 3, 3), 2.0)
+    noisy = np.zeros((1, 3, 3))
+    shown_, unblocked = (
+        Portion(noisy, noisy[..., 0], np.array(values)[None, :, None] * np.ones(3))
+        for values in ([0.5, 0.3, 9.0], [1.0, 0.0, 1.0])
+    )
+    picture = ratio.combined(direct, shown_, unblocked)
+    np.testing.assert_allclose(picture[0, :, 0], [1.0, 0.3, 2 * ratio.MOST])
+
+
+def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
+    known = Shaded(deepest=1.0)
+    halves = Halves(shown(known))
+    halves.grow(4, denoise=True)
+    pairs = zip(halves.last, halves.unblocked(4), strict=True)
+    for pair in pairs:
+        picture = ratio.unbiased(known.unblocked, *pair)
+        np.testing.assert_allclose(picture, known.truth, atol=1e-5)
+
+
+def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
+    pilot = Estimate(300.0, 6.0)
+    few, many = (ratio.needed(pilot, 4, limit) for limit in (40.0, 6.0))
+    assert ratio.LEAST <= few < many
+    bound = ratio.predicted(pilot, 4, many) + closed_form.TYPICAL
+    assert bound + 1.645 * ratio.UNCERTAINTY * 6 * 4 / many <= 6
+    assert ratio.needed(pilot, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's error
+    tried = Estimate(30.0, 0.0)
+    assert ratio.needed_after(tried, 8, 10.0) > 8
+
+
+def test_the_closed_form_is_out_only_beyond_doubt():
+    assert closed_form.is_out(Estimate(30.0, 5.0), 20.0)
+    assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
+    assert closed_form.needed(Estimate(30.0, 5.0), 4, 20.0) is None
+    assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
+    assert closed_form.cost(1000, 0) > closed_form.cost(10_000, 0)
+    assert closed_form.cost(1000, 1000) > closed_form.cost(1000, 0)

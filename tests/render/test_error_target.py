@@ -51,6 +51,48 @@ def test_the_denoiser_leaves_the_noisy_pixels_and_smooths_its_own(chair):
     assert errors[0] < errors[1] / 2
 
 
+def test_direct_light_by_the_closed_form_is_what_many_samples_show(chair):
+    mask = chair.geometry().mask
+    exact = chair.direct_light()
+    many = Halves(Shown(chair, 4, "direct", mask))
+    many.grow(1024)
+    exposure = tone.auto_exposure(many.picture, mask)
+    shown = tone.display_l2(exact.radiance, many.picture, exposure, mask)
+    assert shown < 8 + many.estimate().error
+    shaded = chair.portion(0, 256, 3, "shadow").noisy
+    assert tone.display_l2(exact.radiance, shaded, exposure, mask) > 10 * shown
+    np.testing.assert_allclose(exact.alpha, many.alpha, atol=0.2)
+    assert abs(exact.alpha.mean() - many.alpha.mean()) < 2e-3
+
+
+def test_direct_light_follows_the_material_and_the_light(chair):
+    first = chair.direct_light().radiance
+    earlier, seen = chair._mixtures, chair._seen
+    try:
+        chair.set_materials([Mixture.lambert([0.8, 0.5, 0.6])] * len(earlier))
+        other = chair.direct_light().radiance
+        np.testing.assert_allclose(other[..., 0], 2 * first[..., 0], rtol=1e-3, atol=1e-4)
+        chair.set_light(2 * seen, 0)
+        np.testing.assert_allclose(chair.direct_light().radiance, 2 * other, rtol=1e-3, atol=1e-4)
+    finally:
+        chair.set_light(seen, 0)
+        chair.set_materials(earlier)
+
+
+def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpolated(chair):
+    lens, seen = chair._lens, chair._seen
+    try:
+        chair.set_camera(Camera(size=(SIZE, SIZE), fov_deg=30))
+        assert chair.direct_light() is None and chair.direct_light_samples() is None
+        chair.set_camera(lens)
+        assert chair.direct_light_samples() == 0
+        chair.set_light(seen, 0, "full")
+        assert chair.direct_light() is None
+    finally:
+        chair.set_camera(lens)
+        chair.set_light(seen, 0)
+
+
 def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):
     before, _ = chair.picture(4, 3, "full")
     settings = {s.path: chair._scene.path_resolve(s.path) for s in PORTION}

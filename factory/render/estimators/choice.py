@@ -67,11 +67,11 @@ def picture(shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL)
     """
     attempt = _Attempt(shown, error, estimators)
     while attempt.now.bound > error and attempt.halves.samples < MOST_SAMPLES:
-        if found := attempt.closed():
-            return found
+        if made := attempt.closed():
+            return made
         plan = min(attempt.plans())
-        if found := attempt.run(plan):
-            return found
+        if made := attempt.run(plan):
+            return made
         attempt.now = attempt.halves.estimate()
     halves = attempt.halves
     return Picture(

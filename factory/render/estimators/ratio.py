@@ -28,7 +28,7 @@ SCALE, POWER = 0.5, 0.4
 UNCERTAINTY = 0.3
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
-MOST_TRIES = 2
+MOST_TRIES = 3
 
 
 def combined(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
@@ -59,15 +59,25 @@ def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
 
 def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
     """Return the samples of each half whose estimate is at most an error with 95 % confidence."""
-    samples = LEAST
-    while True:
-        uncertainty = CONFIDENCE * UNCERTAINTY * pilot.standard_error * pilot_samples / samples
-        bound = predicted(pilot, pilot_samples, samples) + TYPICAL + uncertainty
-        if bound <= error or samples > MOST_SAMPLES:
-            return samples
-        samples = math.ceil(1.2 * samples)
+    uncertainty = UNCERTAINTY * pilot.standard_error * pilot_samples
+    return _least(LEAST, predicted(pilot, pilot_samples, 1), uncertainty, error)
 
 
 def needed_after(tried: Estimate, samples: int, error: float) -> int:
     """Return the same number, by the estimate of `samples` of each half that failed."""
-    return max(samples + 1, math.ceil(1.1 * samples * (tried.bound / error) ** (1 / POWER)))
+    at_one = max(tried.error - TYPICAL, 0.0) * samples**POWER
+    return _least(samples + 1, at_one, tried.standard_error * samples, error)
+
+
+def _least(samples: int, at_one: float, uncertainty: float, error: float) -> int:
+    """Return the least samples, from `samples` in steps of a tenth, that keep an error.
+
+    at_one       error of one sample of each half, without that of the closed form
+    uncertainty  of the estimate, of one sample
+    """
+    while samples <= MOST_SAMPLES:
+        bound = TYPICAL + at_one / samples**POWER + CONFIDENCE * uncertainty / samples
+        if bound <= error:
+            break
+        samples = math.ceil(1.1 * samples)
+    return samples
