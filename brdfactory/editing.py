@@ -22,7 +22,7 @@ from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
-from learn.refinement import RefinementSettings
+from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
@@ -228,7 +228,7 @@ def decompose(
     check_exposure(exposure)
     opened = _opened(photo, mask, regions, white_balance, exposure)
     network, size = _network(str(weights_file(str(weights))), str(device))
-    settings = RefinementSettings() if refine else None
+    settings = PHOTOGRAPHS if refine else None
     return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
 
 

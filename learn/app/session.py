@@ -31,7 +31,7 @@ from learn.editing import decomposition, material_file, photograph
 from learn.editing.decomposition import Decomposition
 from learn.figures import montage
 from learn.networks import weights as checkpoint
-from learn.refinement import RefinementSettings
+from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
@@ -274,7 +274,7 @@ class Session:
                 if stop.is_set():
                     raise Stopped
                 reports.put(Progress(0.08, "reading shape, light and material"))
-                settings = RefinementSettings() if refine else None
+                settings = PHOTOGRAPHS if refine else None
                 size = metadata["size"]
                 reports.put(decomposition.decompose(opened, network, size, settings, watch))
             except BaseException as error:
@@ -330,7 +330,7 @@ class Session:
             return Chosen(name, label, named=False)
         opened = photograph.from_arrays(sent, name=name)
         network, metadata = self.network.loaded()
-        settings = RefinementSettings() if self.refined else None
+        settings = PHOTOGRAPHS if self.refined else None
         label = decomposition.decompose(opened, network, metadata["size"], settings).label[0]
         return Chosen(name, label, named=False)
 

@@ -109,7 +109,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
     from learn.data import devices, photographs
     from learn.editing import decomposition, photograph
     from learn.networks import weights as checkpoint
-    from learn.refinement import RefinementSettings
+    from learn.refinement import PHOTOGRAPHS
     from manifests import files
 
     for name in ("photo", "out"):
@@ -131,7 +131,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")
     device = devices.choose(arguments.device)
     network, metadata = checkpoint.load_parts(arguments.weights, device)
-    settings = RefinementSettings() if arguments.refine else None
+    settings = PHOTOGRAPHS if arguments.refine else None
     decomposed = decomposition.decompose(opened, network, metadata["size"], settings)
     linear, display = Viewer(decomposed).full(edit)
     photographs.require_finite(arguments.photo, linear)

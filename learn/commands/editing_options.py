@@ -60,7 +60,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     """Return the EditOptions of parsed arguments. Raises InputError."""
     from learn.data import devices
     from learn.editing.edit import EditOptions
-    from learn.refinement import RefinementSettings
+    from learn.refinement import PHOTOGRAPHS
 
     check(
         "--tolerance",
@@ -70,7 +70,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     )
     check("--detail", 0 <= arguments.detail <= 1, "a number from 0 to 1", arguments.detail)
     check_exposure(arguments.exposure)
-    settings = RefinementSettings() if arguments.refine else None
+    settings = PHOTOGRAPHS if arguments.refine else None
     balance = balance_of(arguments.white_balance)
     device = devices.choose(arguments.device)
     return EditOptions(

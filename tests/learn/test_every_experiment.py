@@ -99,6 +99,16 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and len({row["refined"]["edit_l2"] for row in r["rows"][:2]}) == 2
         ),
     ),
+    "edit-cost": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1"
+        " --hours {room.name}=2",
+        lambda r: (
+            list(r["hours"].values()) == [2]
+            and len({row["method"] for row in r["rows"]}) == len(r["rows"]) / 2 == 7
+            and len({row["edit_l2"] for row in r["rows"]}) == len(r["rows"])
+            and all(row["edit_l2_aligned"] <= row["edit_l2"] for row in r["rows"])
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
