@@ -37,6 +37,7 @@ BASELINES = {  # {name in learn.baselines: name here}
     "Baseline 1": "Baseline 1",
     "Baseline 2": "Baseline 2",
 }
+TICKS = (0.1, 0.2, 0.5, 1, 2, 5)
 LEAST_SECONDS = 0.01  # methods that take less do nothing, and are drawn as a line
 
 
@@ -343,7 +344,10 @@ def figure(report: runner.Report) -> Figure:
         left.set_xlabel("processor seconds of an edit")
         left.set_ylabel("edit, display L2 (mean, 95 %)")
         right.set_xlabel("processor hours of training")
-        left.legend(fontsize=7)
+        left.set_xticks(TICKS, [f"{seconds:g}" for seconds in TICKS], minor=False)
+        left.set_xticks([], minor=True)
+        right.legend(*left.get_legend_handles_labels(), fontsize=7, loc="upper right")
+        right.set_xlim(left=-0.2)
         for axis in (left, right):
             axis.grid(alpha=0.3)
     return drawn
@@ -359,6 +363,7 @@ def _points(
         [m - a for m, a in zip(mean, low, strict=True)],
         [b - m for m, b in zip(mean, high, strict=True)],
     ]
-    axis.errorbar(x, mean, yerr=errors, fmt="o-", color=color, capsize=2, linewidth=1, label=family)
+    axis.plot(x, mean, "o-", color=color, linewidth=1.5, markersize=5, label=family)
+    axis.errorbar(x, mean, yerr=errors, fmt="none", ecolor=color, alpha=0.3, capsize=2)
     for caption, across, up in zip(of, x, mean, strict=True):
         axis.annotate(caption, (across, up), xytext=(4, 4), textcoords="offset points", fontsize=7)
