@@ -38,7 +38,7 @@ def main() -> None:
     from learn.editing import decomposition, drawing, photograph, reflectance_store, targets
     from learn.editing.compositor import Compositor
     from learn.networks import weights
-    from learn.refinement import RefinementSettings
+    from learn.refinement import PHOTOGRAPHS
     from shaders import tone
 
     imports = time.process_time() - start
@@ -50,7 +50,7 @@ def main() -> None:
     )
     _, seconds = timed(lambda: decomposition.decompose(opened, parts, 128, None))
     print(f"{'prediction':24}{seconds:7.2f}")
-    result, both = timed(lambda: decomposition.decompose(opened, parts, 128, RefinementSettings()))
+    result, both = timed(lambda: decomposition.decompose(opened, parts, 128, PHOTOGRAPHS))
     print(f"{'refinement':24}{both - seconds:7.2f}")
     painter = Compositor(result, detail=0.25)
     always = reflectance_store.LOOKED_UP
