@@ -117,7 +117,7 @@ class Walk:
 
     def search(self, words: str) -> list[str]:
         self.enter("#words input, #words textarea", words)
-        listed = "[...document.querySelectorAll('#materials .caption-label')].map(e => e.innerText)"
+        listed = "[...document.querySelectorAll('#materials .caption')].map(e => e.innerText)"
         self.window.wait(f"({listed}).length < 100 || !{words!r}")
         time.sleep(0.3)
         return self.window.run(f"return {listed}")
@@ -202,7 +202,7 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         time.sleep(0.5)
         walk.shot("decomposed")
         assert window.run("return document.querySelectorAll('#decomposition img').length") == 5
-        assert window.run("return document.querySelectorAll('#materials img').length") == 151
+        assert window.run("return document.querySelectorAll('#materials button').length") == 151
 
         # a material by an everyday word
         names = walk.search("leather")
