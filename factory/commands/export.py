@@ -1,6 +1,7 @@
 """`export DIR`: a data set in the formats that people train from, or its own files in tars."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from manifests.exporting import FORMATS
@@ -10,11 +11,15 @@ from manifests.option_types import positive
 EPILOG = """examples:
   python -m factory export out/demo --to webdataset --out demo-shards
   python -m factory export out/demo --to huggingface --out demo-hub --by "A. Name"
-  python -m factory export out/demo --parquet demo.parquet
-  python -m factory export out/demo --tars demo-tars --split train
+  python -m factory export out/demo --to records --out demo.parquet
+  python -m factory export out/demo --to tars --out demo-tars --split train
 
-Run the same --to command again to continue: files that exist are whole and stay.
+Run the same command again to continue: files that exist are whole and stay. Tars and records are
+written anew.
 docs/exporting.md describes the formats."""
+
+# what is no format of samples: the data set's own files, and a table of its records
+OWN = ("tars", "records")
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -32,31 +37,23 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("folder", metavar="DIR", help="the data set's folder")
     parser.add_argument(
         "--to",
-        choices=FORMATS,
+        choices=(*FORMATS, *OWN),
         help=(
-            "write pictures, geometry, records and labels in this format to --out, with a data card"
-            " (hdf5: files as BlenderProc writes them)"
+            "webdataset, parquet, huggingface, hdf5 (as BlenderProc writes it): pictures, geometry,"
+            " records and labels, with a data card; tars: the data set's own files, unchanged;"
+            " records: a table of the records alone, as one Parquet file"
         ),
     )
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="the folder of --to")
     parser.add_argument(
-        "--by", default="", metavar="NAME", help="who rendered it, for the data card of --to"
+        "--out", type=Path, metavar="PATH", help="the folder to write to; of records, the file"
     )
     parser.add_argument(
-        "--parquet",
-        type=Path,
-        metavar="FILE",
-        help="write the records as a table to FILE (needs the package pyarrow)",
+        "--by", default="", metavar="NAME", help="who rendered it, for the data card"
     )
-    parser.add_argument(
-        "--tars",
-        type=Path,
-        metavar="DIR2",
-        help=(
-            "write records, pictures and geometry as tar files to DIR2, with dataset.json,"
-            " materials.json and the light maps beside them"
-        ),
-    )
+    for name, form in (("--parquet", "records"), ("--tars", "tars")):
+        parser.add_argument(
+            name, type=Path, metavar="PATH", help=f"deprecated: --to {form} --out PATH"
+        )
     parser.add_argument(
         "--split",
         choices=("train", "test", "mixed"),
@@ -84,10 +81,21 @@ def run(options: argparse.Namespace) -> int:
     store.dataset()
     if (options.to is None) != (options.out is None):
         raise InputError("export", "--to and --out together", "one of them", "give both")
-    if not (options.to or options.parquet or options.tars):
-        expected = "--to FORMAT --out FOLDER, --parquet FILE or --tars DIR2"
-        raise InputError("export", expected, "none of them", "give one of them")
-    if options.to:
+    tars, records = options.tars, options.parquet
+    for name, form, path in (("--tars", "tars", tars), ("--parquet", "records", records)):
+        if path is not None:
+            said = f"{name} is deprecated: write --to {form} --out {path}"
+            print(f"python -m factory export: {said}", file=sys.stderr)
+    if not (options.to or records or tars):
+        raise InputError("export", "--to FORMAT --out PATH", "neither", "see --help for formats")
+    if options.to in OWN and (tars or records):
+        expected = "one of --to, --tars and --parquet"
+        raise InputError("export", expected, "two", "run it twice, with --to alone")
+    if options.to == "tars":
+        tars = options.out
+    elif options.to == "records":
+        records = options.out
+    if options.to in FORMATS:
         from manifests.exporting.folders import export
 
         with tqdm(desc="exporting", unit="sample", delay=1.0) as bar:
@@ -102,10 +110,10 @@ def run(options: argparse.Namespace) -> int:
             )
         line = f"{options.out}: {result.samples} samples, {result.made} files written"
         print(line + (f", {result.already_there} were there" if result.already_there else ""))
-    if options.tars:  # first: it may be refused, and then nothing is written
+    if tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
-            count = to_tars(store, options.tars, options.split, options.each, bar.update)
-        print(f"{options.tars}: {count} tars")
-    if options.parquet:
-        print(f"{options.parquet}: {to_parquet(store, options.parquet, options.split)} records")
+            count = to_tars(store, tars, options.split, options.each, bar.update)
+        print(f"{tars}: {count} tars")
+    if records:
+        print(f"{records}: {to_parquet(store, records, options.split)} records")
     return 0

@@ -7,6 +7,7 @@ each is a sphere in the material, in preview lighting. Drawing them takes 20 sec
 """
 
 import functools
+import html
 import re
 from pathlib import Path
 
@@ -44,6 +45,25 @@ def words() -> dict[str, str]:
         family = f"{material.family} {FAMILY_WORDS.get(material.family, '')}"
         result[name] = re.sub(r"[-_]", " ", f"{name} {family} {alike}").lower()
     return result
+
+
+def page_tiles(names: list[str], address: str) -> str:
+    """Return HTML with a button for each of the named materials, with its picture and its name.
+
+    address  of PICTURES on the page. All buttons show parts of that one file.
+    """
+    places = {name: number for number, name in enumerate(load_catalogue())}
+    buttons = []
+    for name in names:
+        row, column = divmod(places[name], COLUMNS)
+        place = f"{-TILE * column}px {-TILE * row}px"
+        style = f"background: url('{address}') {place}"
+        text = html.escape(name)
+        buttons.append(
+            f'<button data-name="{text}"><span class="picture" style="{html.escape(style)}"></span>'
+            f'<span class="caption">{text}</span></button>'
+        )
+    return f'<div class="tiles">{"".join(buttons)}</div>'
 
 
 def search(text: str) -> list[str]:

@@ -39,13 +39,32 @@ CSS = """
 .gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important}
 .gradio-container main {width: 100%; max-width: 100% !important}
 #marking button {cursor: crosshair}
-#materials .grid-container {grid-template-columns: repeat(auto-fill, minmax(76px, 1fr)) !important;
-  gap: 4px}
-#materials .caption-label, #decomposition .caption-label {font-size: 10px; left: 0; right: 0;
-  bottom: 0; max-width: 100%; padding: 0 2px; white-space: normal; line-height: 1.15;
-  text-align: center; border: 0; border-radius: 0; overflow-wrap: anywhere; box-shadow: none}
+#materials .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(84px, 1fr));
+  gap: 4px; max-height: 300px; overflow-y: auto; contain: content}
+#materials button {display: flex; flex-direction: column; align-items: center; padding: 2px;
+  border: 2px solid transparent; border-radius: 4px; background: none; cursor: pointer}
+#materials button:hover, #materials button:focus-visible {border-color: var(--color-accent)}
+#materials .picture {width: 80px; height: 80px}
+.tiles .caption {font-size: 10px; line-height: 1.15; text-align: center; overflow-wrap: anywhere}
+#decomposition .tiles {display: flex; flex-wrap: wrap; gap: 8px}
+#decomposition figure {margin: 0; width: 110px; text-align: center}
+#decomposition img {width: 110px; height: 110px; object-fit: contain}
 #progress progress {width: 100%; height: 14px}
 footer {display: none !important}
+"""
+DONE = "Done."
+# Tabs that were an output of Python would be asked for all that they hold at each later change.
+OPEN_EDIT = """
+said => {
+  const tabs = [...document.querySelectorAll('[role=tab]')];
+  if (said === 'DONE') tabs.find(tab => tab.innerText.includes('Material and light')).click();
+}
+""".replace("DONE", DONE)
+TILE_CLICKS = """
+element.addEventListener('click', event => {
+  const tile = event.target.closest('button');
+  if (tile) trigger('click', {name: tile.dataset.name});
+});
 """
 
 
@@ -139,26 +158,32 @@ def bar(share: float, text: str) -> str:
     return f'<progress max="1" value="{share:.3f}"></progress><div>{html.escape(text)}</div>'
 
 
-def material_pictures(folder: Path) -> dict[str, Path]:
-    """Write the pictures of all materials into a folder and return {name: file}."""
-    folder.mkdir(parents=True, exist_ok=True)
-    result = {}
-    for name, picture in gallery.tiles().items():
-        result[name] = folder / f"{name}.png"
-        files.write_image(result[name], picture, "PNG")
-    return result
+def address_of(path: Path) -> str:
+    """Return the address under which the page's server has a file, relative to the page."""
+    return f"gradio_api/file={path}"
+
+
+def figures(pictures: list[tuple[Path, str]]) -> str:
+    """Return pictures, (file, caption), in a row, as HTML."""
+    each = (
+        f'<figure><img src="{html.escape(address_of(path))}" alt="">'
+        f'<figcaption class="caption">{html.escape(caption)}</figcaption></figure>'
+        for path, caption in pictures
+    )
+    return f'<div class="tiles">{"".join(each)}</div>'
 
 
 def page(sessions: Sessions) -> gr.Blocks:
     """Return the page. Its users' files are in the folder of `sessions`."""
-    pictures = material_pictures(sessions.folder / "materials")
+    picture = sessions.folder / "materials.jpg"
+    files.write_bytes(picture, gallery.PICTURES.read_bytes())
     gr.set_static_paths([sessions.folder])
 
     def mine(request: gr.Request) -> Session:
         return sessions.of(str(request.session_hash))
 
-    def entries(names: list[str]) -> list[tuple[str, str]]:
-        return [(str(pictures[name]), name) for name in names]
+    def tiles_of(names: list[str]) -> str:
+        return gallery.page_tiles(names, address_of(picture))
 
     def region_choices(count: int) -> list[tuple[str, int]]:
         return [(f"Region {number}", number) for number in range(1, count + 1)]
@@ -170,7 +195,7 @@ def page(sessions: Sessions) -> gr.Blocks:
             f"# {TITLE}\nGive an object of your photograph another material. The photograph stays"
             " on the computer that serves this page, and is deleted when you close it."
         )
-        with gr.Tabs(selected="object") as tabs:
+        with gr.Tabs(selected="object"):
             with gr.Tab("1  Photograph and object", id="object"), gr.Row():
                 with gr.Column(scale=1, min_width=280):
                     photo = gr.UploadButton(
@@ -252,17 +277,7 @@ def page(sessions: Sessions) -> gr.Blocks:
                     )
                     shown = gr.Markdown("Decompose a photograph first (tab 1).", elem_id="shown")
                     gr.Markdown("**What was read from the photograph**")
-                    parts = gr.Gallery(
-                        show_label=False,
-                        columns=5,
-                        height=165,
-                        allow_preview=False,
-                        interactive=False,
-                        buttons=[],
-                        object_fit="contain",
-                        elem_id="decomposition",
-                        type="filepath",
-                    )
+                    parts = gr.HTML(elem_id="decomposition")
                 with gr.Column(scale=2, min_width=320):
                     region = gr.Radio(
                         region_choices(1), value=1, label="Region", elem_id="region", visible=False
@@ -273,19 +288,10 @@ def page(sessions: Sessions) -> gr.Blocks:
                         show_label=False,
                         elem_id="words",
                     )
-                    count = gr.Markdown(f"{len(pictures)} materials", elem_id="count")
-                    materials = gr.Gallery(
-                        entries(gallery.search("")),
-                        show_label=False,
-                        allow_preview=False,
-                        interactive=False,
-                        buttons=[],
-                        height=300,
-                        object_fit="contain",
-                        elem_id="materials",
-                        type="filepath",
+                    count = gr.Markdown(f"{len(gallery.search(''))} materials", elem_id="count")
+                    materials = gr.HTML(
+                        tiles_of(gallery.search("")), js_on_load=TILE_CLICKS, elem_id="materials"
                     )
-                    names = gr.State(gallery.search(""))
                     share = gr.Slider(
                         0,
                         100,
@@ -452,7 +458,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         clear.click(take_back_all, None, marks, **quiet)
 
         running = [progress, decompose, stop]
-        decomposed_to = [*running, tabs, slider, shown, parts, region, share, rotation, light, hide]
+        decomposed_to = [*running, slider, shown, parts, region, share, rotation, light, hide]
 
         @one_line
         def run(refined: bool, request: gr.Request) -> Iterator[tuple[Any, ...]]:
@@ -473,19 +479,18 @@ def page(sessions: Sessions) -> gr.Blocks:
             viewer, edit = session.decomposed()
             before = str(session.write_view(viewer.before(), "before"))
             tiles = [
-                (str(session.write_view(_eight_bit(picture), f"part{k}")), caption)
+                (session.write_view(_eight_bit(picture), f"part{k}"), caption)
                 for k, (caption, picture) in enumerate(viewer.parts())
             ]
             several = len(edit.regions) > 1
             session.before = before
             yield (
-                "Done.",
+                DONE,
                 go,
                 halt,
-                gr.Tabs(selected="edit"),
                 (before, before),
                 "Choose a material on the right.",
-                tiles,
+                figures(tiles),
                 gr.Radio(region_choices(len(edit.regions)), value=1, visible=several),
                 0,
                 0,
@@ -499,7 +504,7 @@ def page(sessions: Sessions) -> gr.Blocks:
 
         decompose.click(
             run, refine, decomposed_to, concurrency_limit=2, trigger_mode="once", **quiet
-        )
+        ).success(None, progress, js=OPEN_EDIT)
         stop.click(halt, None, [progress, stop], queue=False, **quiet)
 
         # --- tab 2 ---------------------------------------------------------------------------
@@ -540,14 +545,20 @@ def page(sessions: Sessions) -> gr.Blocks:
             path = str(session.write_view(picture))
             return (session.before, path), f"{EXACT_TEXT} {caption(edit)}"
 
-        def live(listen: Callable[..., Any], function: Callable[..., Any], inputs: Any) -> None:
+        def live(
+            listen: Callable[..., Any],
+            function: Callable[..., Any],
+            inputs: Any,
+            outputs: Any = view,
+        ) -> None:
             """Show a quick view at each change, then the exact one."""
+            # a page asks for one at a time; a queue would cost two more requests
             first = listen(
                 one_line(function),
                 inputs,
-                view,
+                outputs,
                 trigger_mode="always_last",
-                concurrency_limit=4,
+                queue=False,
                 **quiet,
             )
             first.success(exact, None, view, concurrency_limit=2, trigger_mode="multiple", **quiet)
@@ -563,11 +574,19 @@ def page(sessions: Sessions) -> gr.Blocks:
 
             return change
 
+        def share_of(session: Session, number: int) -> float:
+            if session.edit is None:
+                return 0
+            painted = session.edit.regions[int(number) - 1]
+            return 0 if painted.second is None else 100 * painted.share
+
         def from_gallery(
-            number: int, place: str, listed: list[str], event: gr.SelectData, request: gr.Request
+            number: int, place: str, event: gr.EventData, request: gr.Request
         ) -> tuple[Any, ...]:
-            chosen = choices.catalogue_material(listed[int(event.index)])
-            return quick(mine(request), painted_with(int(number), place, chosen))
+            chosen = choices.catalogue_material(str(event.name))
+            session = mine(request)
+            result = quick(session, painted_with(int(number), place, chosen))
+            return (*result, share_of(session, number))
 
         def from_sliders(number: int, place: str, *values: Any) -> tuple[Any, ...]:
             *given, request = values
@@ -599,7 +618,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         def hidden(value: bool, request: gr.Request) -> tuple[Any, ...]:
             return quick(mine(request), lambda e: replace(e, hide_background=bool(value)))
 
-        live(materials.select, from_gallery, [region, slot, names])
+        live(materials.click, from_gallery, [region, slot], [*view, share])
         live(share.input, blended, [region, share])
         live(back.click, kept, [region])
         live(light.input, lit, [light, rotation])
@@ -624,26 +643,19 @@ def page(sessions: Sessions) -> gr.Blocks:
         for control in controls:
             live(control.input, sliders, [region, slot, color, *numbers])
 
-        def share_of(number: int, request: gr.Request) -> float:
-            session = mine(request)
-            if session.edit is None:
-                return 0
-            painted = session.edit.regions[int(number) - 1]
-            return 0 if painted.second is None else 100 * painted.share
+        def share_shown(number: int, request: gr.Request) -> float:
+            return share_of(mine(request), number)
 
-        region.input(share_of, region, share, **quiet)
-        materials.select(share_of, region, share, **quiet).then(share_of, region, share, **quiet)
+        region.input(share_shown, region, share, **quiet)
 
         def searched(text: str) -> tuple[Any, ...]:
             matching = gallery.search(text)
             said = "1 material" if len(matching) == 1 else f"{len(matching)} materials"
             if not matching:
                 said = "No material has such a name. Try wood, metal, fabric, plastic, stone …"
-            return entries(matching), matching, said
+            return tiles_of(matching), said
 
-        words.change(
-            searched, words, [materials, names, count], trigger_mode="always_last", **quiet
-        )
+        words.change(searched, words, [materials, count], trigger_mode="always_last", **quiet)
 
         @one_line
         def take_material(

@@ -17,6 +17,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ from learn.app.choices import Edit, LightChoice
 from learn.data import photographs
 from learn.data.devices import array
 from learn.editing import drawing, interactive, reflectance_store
-from learn.editing.compositor import Compositor
+from learn.editing.compositor import CLEAR, Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import Photograph
 from learn.figures import montage
@@ -60,7 +61,7 @@ class Viewer:
         self._scenes: OrderedDict[bytes, reflectance_store.Scene] = OrderedDict()
         self._lock = threading.Lock()
         self._full: Compositor | None = None
-        self._background: np.ndarray | None = None
+        self._covered: Covered | None = None
 
     def view(
         self, edit: Edit, exact: bool = False, is_current: Callable[[], bool] = lambda: True
@@ -81,7 +82,7 @@ class Viewer:
                 values = self.map_of(painted.parts(own), edit.light, exact, is_current)
                 radiance[at] = reflectance_store.interpolated(values, n)
         object_ = self.small.upsampled(radiance.reshape(self.small.grid, self.small.grid, 3))
-        return self._shown(composed(self.small, object_ / self.exposure, edit), edit)
+        return self._composed(object_, edit)
 
     def is_exact(self, edit: Edit) -> bool:
         """Return whether `view` shows an edit from exact maps already."""
@@ -184,6 +185,26 @@ class Viewer:
         square = photographs.placed(frame, self.decomposition.framed.box)
         return square / self.decomposition.exposure.astype(np.float32)
 
+    def _composed(self, object_: np.ndarray, edit: Edit) -> np.ndarray:
+        """Return what `composed` and `displayed` make of an object, of the pixels it covers alone.
+
+        object_  (side, side, 3) radiance times the display's exposure
+        """
+        if self._covered is None:
+            self._covered = covered_pixels(self.small, self.exposure)
+        covered, inside = self._covered, self._covered.coverage
+        values = object_.reshape(-1, 3)[covered.at]
+        if edit.light.unchanged:
+            values = values * covered.detail
+            kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
+            inside = inside * ~np.isin(covered.regions, kept)[:, None]
+        behind = np.where(inside > 0, covered.behind, covered.photograph)
+        mixed = inside * values + (1 - inside) * behind
+        shown = covered.display.copy()
+        shown[covered.rows, covered.columns] = montage.eight_bit(tone.display(mixed, 1.0))
+        photograph = self.small.decomposition.photograph
+        return with_opacity(shown, photograph, edit.hide_background)
+
     def _shown(self, linear: np.ndarray, edit: Edit) -> np.ndarray:
         photograph = self.small.decomposition.photograph
         return displayed(linear, self.exposure, photograph, edit.hide_background)
@@ -233,12 +254,77 @@ def displayed(
     linear: np.ndarray, exposure: float, photograph: Photograph, hide_background: bool
 ) -> np.ndarray:
     """Return display values (H, W, 3 or 4) uint8 of an edited photograph, linear (H, W, 3)."""
-    shown = tone.display(linear, exposure)
+    return with_opacity(tone.display(linear, exposure), photograph, hide_background)
+
+
+def with_opacity(shown: np.ndarray, photograph: Photograph, hide_background: bool) -> np.ndarray:
+    """Return display values (H, W, 3) as uint8, with a fourth channel where they have opacity."""
     if hide_background:
         shown = np.concatenate([shown, 255.0 * photograph.coverage[..., None]], -1)
     else:
         shown = drawing.with_alpha(shown, photograph)
-    return montage.eight_bit(shown)
+    return shown if shown.dtype == np.uint8 else montage.eight_bit(shown)
+
+
+class Covered(NamedTuple):
+    """The N pixels of a photograph that its object covers, and all else that their display takes.
+
+    at             flat indices in the object's square
+    rows, columns  in the photograph
+    coverage       (N, 1) of a pixel, 1 everywhere for a cut-out picture
+    regions        numbers of their regions, 1 the first
+    detail         (N, 3) factors of the fine shading
+    photograph     (N, 3) its radiance times the display's exposure
+    behind         (N, 3) the same of the background
+    display        (h, w, 3) uint8 of the photograph
+    """
+
+    at: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    coverage: np.ndarray
+    regions: np.ndarray
+    detail: np.ndarray
+    photograph: np.ndarray
+    behind: np.ndarray
+    display: np.ndarray
+
+
+def covered_pixels(compositor: Compositor, exposure: float) -> Covered:
+    """Return the Covered pixels of a compositor's photograph under a display's exposure."""
+    photograph, box = compositor.decomposition.photograph, compositor.decomposition.framed.box
+    height, width = photograph.mask.shape
+    row, column = (
+        each + start for each, start in zip(np.indices(2 * (box[2],)), box, strict=False)
+    )
+    within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    at = np.flatnonzero(within & (compositor.coverage > 0))
+    rows, columns = row.ravel()[at], column.ravel()[at]
+    inside = compositor.coverage.ravel()[at, None]
+    factor = np.float32(exposure)
+    seen = photograph.radiance[rows, columns] * factor
+    behind = seen
+    if photograph.cut_out:
+        inside = np.ones_like(inside)
+    else:
+        soft = inside < 1 - CLEAR
+        behind = np.where(soft, compositor.background().reshape(-1, 3)[at] * factor, seen)
+    detail = (
+        compositor.fine_shading().reshape(-1, 3)[at] ** np.float32(compositor.detail)
+        if compositor.detail
+        else np.ones_like(seen)
+    )
+    return Covered(
+        at,
+        rows,
+        columns,
+        inside.astype(np.float32),
+        compositor.filled.ravel()[at],
+        detail.astype(np.float32),
+        seen,
+        behind.astype(np.float32),
+        montage.eight_bit(tone.display(photograph.radiance, exposure)),
+    )
 
 
 def reduced(decomposed: Decomposition, longest: int) -> Decomposition:

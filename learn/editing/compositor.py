@@ -136,15 +136,21 @@ class Compositor:
         if photograph.cut_out:
             mixed = np.where((inside > 0)[..., None], object_, cut)
         else:
-            if self._background is None:
-                self._background = nearest(cut, self.coverage < CLEAR)
             soft = (inside > 0) & (inside < 1 - CLEAR)
             mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(
-                soft[..., None], self._background, cut
+                soft[..., None], self.background(), cut
             )
         return photographs.put_back(
             photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
         )
+
+    def background(self) -> np.ndarray:
+        """Return radiance (side, side, 3) behind the object: the nearest that is beside it."""
+        if self._background is None:
+            photograph = self.decomposition.photograph
+            cut = photographs.placed(photograph.radiance, self.decomposition.framed.box)
+            self._background = nearest(cut, self.coverage < CLEAR)
+        return self._background
 
     def own_radiance(self) -> np.ndarray:
         """Return radiance (side, side, 3) of the object in its own materials, rendered once."""

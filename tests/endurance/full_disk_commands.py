@@ -130,8 +130,12 @@ COMMANDS = (
     Command(
         "preview", "factory preview {room}/data --out {disk}/out --count 2 --size 32", "--overwrite"
     ),
-    Command("export --tars", "factory export {room}/data --tars {disk}/out --each 10", None),
-    Command("export --parquet", "factory export {room}/data --parquet {disk}/table.parquet"),
+    Command(
+        "export, tars", "factory export {room}/data --to tars --out {disk}/out --each 10", None
+    ),
+    Command(
+        "export, records", "factory export {room}/data --to records --out {disk}/table.parquet"
+    ),
     Command(
         "lights preview",
         "factory lights preview city {room}/lamp.exr --size 32 --out {disk}/lights.png",

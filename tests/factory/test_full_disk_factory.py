@@ -33,8 +33,8 @@ from tests.support.tetrahedron import FAKE, ROOT
 
 QUICK = (
     "preview",
-    "export --tars",
-    "export --parquet",
+    "export, tars",
+    "export, records",
     "lights preview",
     "lights add",
     "lights add, of npz",
@@ -79,7 +79,7 @@ def quick(monkeypatch):
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, name):
-    if name == "export --parquet":
+    if name == "export, records":
         pytest.importorskip("pyarrow", reason="needs pyarrow, which is optional")
     check(name, room, tmp_path, small_files, seed=QUICK.index(name))
 
@@ -88,7 +88,7 @@ def test_a_full_disk_costs_a_line_and_nothing_else(room, tmp_path, small_files, 
 def test_a_read_only_disk_can_be_read_and_costs_a_line_where_it_was_to_be_written(
     room, tmp_path, read_only, name
 ):
-    if name == "export --parquet":
+    if name == "export, records":
         pytest.importorskip("pyarrow", reason="needs pyarrow, which is optional")
     check_read_only(name, room, tmp_path, read_only)
 

@@ -79,7 +79,7 @@ BASES = {
     "factory status": "{seeds}/data",
     "factory verify": "{views}",
     "factory preview": "{seeds}/data --count 1 --size 16 --out {out}",
-    "factory export": "{seeds}/data --tars {out}",
+    "factory export": "{seeds}/data --to tars --out {out}",
     "factory materials list": "",
     "factory materials preview": (
         "own-brass --catalogue {seeds}/catalogue.json --light {seeds}/light.exr --size 16 --out"

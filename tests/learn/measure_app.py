@@ -40,7 +40,7 @@ const i = document.querySelector('SELECTOR input[type=range]');
 Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(i, VALUE);
 i.dispatchEvent(new Event('input', {bubbles: true}));
 """
-PICK = "document.querySelectorAll('#materials button.thumbnail-item')[NUMBER].click();"
+PICK = "document.querySelectorAll('#materials button')[NUMBER].click();"
 
 
 def changes(count: int) -> list[tuple[str, str]]:

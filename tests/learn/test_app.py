@@ -1,18 +1,20 @@
 """The parts of `brdfactory app` without its page: masks by clicks, search, sessions, blends."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from learn.app import choices, gallery
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
 from learn.app.session import Network, Session, Sessions, Stopped
-from learn.app.viewer import Superseded, Viewer
+from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
 from learn.data import photographs
 from learn.editing import decomposition, photograph, reflectance_store
@@ -161,6 +163,26 @@ def test_a_turned_light_changes_the_object_and_not_the_background() -> None:
     assert np.sqrt(((shown.astype(float) - display) ** 2).mean()) < 2.0
     _, cut = viewer.full(Edit(edit.regions, edit.light, hide_background=True))
     assert cut.shape[-1] == 4 and not cut[..., 3][outside].any()
+
+
+@pytest.mark.parametrize("cut_out", [False, True])
+@pytest.mark.parametrize("turned", [0.0, 40.0])
+@pytest.mark.parametrize("hidden", [False, True])
+def test_the_quick_composition_is_that_of_the_full_one(
+    cut_out: bool, turned: float, hidden: bool
+) -> None:
+    result = decomposed()
+    opened = result.photograph
+    coverage = gaussian_filter(opened.coverage, 1.0)
+    opened = replace(opened, coverage=coverage, cut_out=cut_out)
+    viewer = Viewer(replace(result, photograph=opened))
+    light = choices.LightChoice(rotation_deg=turned)
+    edit = Edit((Painted(chosen("brass")), Painted()), light, hide_background=hidden)
+    radiance = np.zeros((viewer.small.side, viewer.small.side, 3), np.float32)
+    radiance[:] = np.linspace(0, 1.2, viewer.small.side, dtype=np.float32)[:, None, None]
+    linear = composed(viewer.small, radiance / viewer.exposure, edit)
+    expected = displayed(linear, viewer.exposure, opened, hidden)
+    np.testing.assert_array_equal(viewer._composed(radiance, edit), expected)
 
 
 def test_a_positive_rotation_turns_the_light_as_rotations_of_jobs_do() -> None:
@@ -332,6 +354,27 @@ def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path)
     Image.fromarray(disk().astype(np.uint8) + disk(half=True)).save(mask)
     session.give_regions(mask)
     assert session.marked().count == 2
+
+
+def test_a_soft_masks_object_is_what_is_at_least_half_covered(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    grey = np.where(disk(), 128, 0).astype(np.uint8)
+    grey[:, :50][disk()[:, :50]] = 127
+    half = disk().copy()
+    half[:, :50] = False
+    assert half.any() and (disk() & ~half).any()
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    mask, cut = tmp_path / "mask.png", tmp_path / "cut.png"
+    Image.fromarray(grey).save(mask)
+    session.give_mask(mask)
+    assert session.selection is not None
+    np.testing.assert_array_equal(session.selection.labels() > 0, half)
+    np.testing.assert_allclose(session.marked().coverage, grey / 255, atol=1e-6)
+    Image.fromarray(np.dstack([scene(), grey])).save(cut)
+    session.load(cut)
+    np.testing.assert_array_equal(session.selection.labels() > 0, half)
 
 
 def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import gc
 import io
 import json
+import shlex
 import time
 import urllib.error
 import urllib.request
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 from learn.commands.options import EDITING_WEIGHTS
+from learn.data import photographs
 from learn.editing import photograph
 from tests.support import browser
 from tests.support.browser import Browser
@@ -117,7 +119,7 @@ class Walk:
 
     def search(self, words: str) -> list[str]:
         self.enter("#words input, #words textarea", words)
-        listed = "[...document.querySelectorAll('#materials .caption-label')].map(e => e.innerText)"
+        listed = "[...document.querySelectorAll('#materials .caption')].map(e => e.innerText)"
         self.window.wait(f"({listed}).length < 100 || !{words!r}")
         time.sleep(0.3)
         return self.window.run(f"return {listed}")
@@ -128,10 +130,10 @@ class Walk:
             f".find(e => e.innerText.includes({name!r})).click()"
         )
 
-    def errors(self) -> list[str]:
+    def errors(self, with_warnings: bool = True) -> list[str]:
         return [
             line
-            for line in self.window.console()
+            for line in self.window.console(errors_only=not with_warnings)
             if "favicon" not in line and "manifest.json" not in line
         ]
 
@@ -202,7 +204,7 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         time.sleep(0.5)
         walk.shot("decomposed")
         assert window.run("return document.querySelectorAll('#decomposition img').length") == 5
-        assert window.run("return document.querySelectorAll('#materials img').length") == 151
+        assert window.run("return document.querySelectorAll('#materials button').length") == 151
 
         # a material by an everyday word
         names = walk.search("leather")
@@ -260,6 +262,110 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         command = window.run("return document.querySelector('#command textarea').value")
         assert command.startswith("brdfactory app cup.png") and "--repeat edit.json" in command
         assert walk.errors() == []
+
+
+def open_tab(walk: Walk, text: str) -> None:
+    walk.window.run(
+        "[...document.querySelectorAll('[role=tab]')]"
+        f".find(e => e.innerText.includes({text!r})).click()"
+    )
+
+
+def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixels_again(
+    served, photo, tmp_path
+):
+    from brdfactory.command_line import run
+
+    folder = tmp_path / "screenshots"
+    folder.mkdir()
+    with Browser(1300, 1150) as window:
+        walk = opened(window, served, folder)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')")
+        assert window.run("return document.querySelector('#decompose').disabled")
+
+        # strokes over the cup
+        open_tab(walk, "Brush")
+        window.wait("document.querySelector('#brush canvas')?.getBoundingClientRect().width > 99")
+        time.sleep(2)  # the canvas is laid out in steps
+        x, y, width, height = window.run(
+            "const r = document.querySelector('#brush canvas').getBoundingClientRect();"
+            "return [r.left, r.top, r.width, r.height]"
+        )
+        ends = (0.3, 0.46)
+        for part in (0.45, 0.55, 0.65):
+            walk.window.drag([(x + width * end, y + height * part) for end in ends])
+        time.sleep(0.5)
+        walk.shot("strokes")
+        window.click("#use-brush")
+        walk.wait_for("#status", "covers")
+        covered = int(walk.text("#status").split("covers ")[1].split("%")[0])
+        assert 2 <= covered <= 40
+        open_tab(walk, "Click")
+        walk.shot("painted-mask")
+
+        window.run("document.querySelector('#refine input').click()")
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        walk.wait_for("#shown", "Choose a material")
+
+        # a material by sliders
+        open_all = "[...document.querySelectorAll('#own button, .label-wrap')]"
+        window.run(f"{open_all}.filter(e => !e.classList.contains('open')).forEach(e => e.click())")
+        window.wait("document.querySelector('#roughness input[type=range]')")
+        rough = walk.changed(lambda: walk.slide("#roughness", 0.9))
+        assert "principled(" in walk.text("#shown") and "roughness=0.9" in walk.text("#shown")
+        smooth = walk.changed(lambda: walk.slide("#roughness", 0.1))
+        metal = walk.changed(lambda: walk.slide("#metallic", 1.0))
+        assert abs(smooth - rough).mean() > 0.1 and abs(metal - smooth).mean() > 0.1
+        walk.shot("sliders")
+
+        # the material of another picture, which is cut out
+        cut = tmp_path / "other.png"
+        y_, x_ = np.mgrid[-1:1:96j, -1:1:96j]
+        depth = np.sqrt(np.clip(0.6 - x_ * x_ - y_ * y_, 0, 1))
+        shade = (60 + 150 * depth).clip(0, 255)[..., None] * [0.3, 0.9, 0.4]
+        opacity = np.where(depth > 0, 255, 0)[..., None]
+        Image.fromarray(np.concatenate([shade, opacity], -1).astype(np.uint8)).save(cut)
+        no_object = tmp_path / "opaque.png"
+        Image.fromarray(shade.astype(np.uint8)).save(no_object)
+        send(walk, "Choose a picture or material.json", no_object)
+        window.wait(f"({ERROR_TEXT}).join().includes('opaque.png')")
+        window.run("document.querySelector('.toast-close').click()")
+        window.wait(f"!({ERROR_TEXT}).length")
+        other = walk.changed(lambda: send(walk, "Choose a picture or material.json", cut))
+        assert "other.png" in walk.text("#shown") and abs(other - metal).mean() > 0.5
+        walk.shot("other-pictures-material")
+
+        # a light of one's own
+        light = np.full((32, 64, 3), 0.2, np.float32)
+        light[6:12, 10:20] = (30.0, 20.0, 10.0)
+        photographs.write_exr(tmp_path / "mine.exr", light)
+        lit = walk.changed(lambda: send(walk, "Or a map of your own (.exr)", tmp_path / "mine.exr"))
+        assert "light: mine.exr" in walk.text("#shown") and abs(lit - other).mean() > 0.5
+        walk.shot("own-light")
+
+        # the command repeats the files pixel by pixel
+        open_tab(walk, "Download")
+        window.click("#make")
+        walk.wait_for("#made", "files are ready")
+        links = window.run("return [...document.querySelectorAll('#downloads a')].map(a => a.href)")
+        command = window.run("return document.querySelector('#command textarea').value")
+        walk.shot("files")
+        assert walk.errors(with_warnings=False) == []  # Gradio's brush warns of its own library
+        for link in links:
+            data = urllib.request.urlopen(link, timeout=60).read()
+            (tmp_path / link.rsplit("/", 1)[1]).write_bytes(data)
+    program, *words = shlex.split(command)
+    assert program == "brdfactory" and "--repeat" in words
+    files = {"cup.png": photo} | {n: tmp_path / n for n in ("edit.json", "mask.png", "regions.png")}
+    assert run([str(files.get(word, word)) for word in words[:-1]] + [str(tmp_path / "again")]) == 0
+    made, again = (
+        np.asarray(Image.open(tmp_path / where / "edited.png"), int) for where in ("", "again")
+    )
+    assert made.shape == again.shape and abs(made - again).max() == 0
+    linear = [photographs.read_exr(tmp_path / where / "edited.exr")[0] for where in ("", "again")]
+    np.testing.assert_allclose(*linear, rtol=1e-5, atol=1e-6)  # the light is stored as an EXR
 
 
 def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):

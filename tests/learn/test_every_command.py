@@ -37,7 +37,7 @@ ELSEWHERE = {  # command: (file, what stands there)
         'command("verify", tmp_path / "data")[0] == 0',
     ),
     "factory preview": ("tests/factory/test_pipeline.py", '"preview"'),
-    "factory export": ("tests/factory/test_full_disk_factory.py", '"export --tars"'),
+    "factory export": ("tests/factory/test_full_disk_factory.py", '"export, tars"'),
     "factory materials": ("tests/factory/test_materials_command.py", '"materials", "add"'),
     "factory shapes": ("tests/factory/test_full_disk_factory.py", '"shapes add"'),
     "factory lights": ("tests/factory/test_full_disk_factory.py", '"lights add"'),

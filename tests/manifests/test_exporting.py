@@ -380,3 +380,13 @@ def test_the_command_needs_both_of_its_options_and_says_what_it_did(whole, tmp_p
     assert "8 samples, 2 files written" in capsys.readouterr().out
     assert run(words) == 0
     assert "0 files written, 2 were there" in capsys.readouterr().out
+    # the data set's own files by the same option; an earlier name does the same and says so
+    folders = [tmp_path / name for name in ("tars", "earlier")]
+    assert run(["export", data, "--to", "tars", "--out", str(folders[0])]) == 0
+    assert "deprecated" not in capsys.readouterr().err
+    assert run(["export", data, "--tars", str(folders[1])]) == 0
+    assert f"write --to tars --out {folders[1]}" in capsys.readouterr().err
+    contents = [{p.name: p.read_bytes() for p in f.iterdir() if p.is_file()} for f in folders]
+    assert contents[0] and contents[0] == contents[1]
+    words = ["export", data, "--to", "tars", "--out", "x", "--parquet", "y"]
+    assert run(words) == 1 and "expected one of --to" in capsys.readouterr().err

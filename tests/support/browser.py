@@ -153,9 +153,10 @@ class Browser:
         body = {"using": "css selector", "value": selector}
         return next(iter(self._call("POST", "/element", body).values()))
 
-    def console(self) -> list[str]:
+    def console(self, errors_only: bool = False) -> list[str]:
         """Return the console's messages since the last call."""
-        return [entry["message"] for entry in self._call("POST", "/se/log", {"type": "browser"})]
+        entries = self._call("POST", "/se/log", {"type": "browser"})
+        return [e["message"] for e in entries if e["level"] == "SEVERE" or not errors_only]
 
     def screenshot(self) -> bytes:
         """Return a PNG of the window."""
