@@ -16,6 +16,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     ),
     r"needs Debian's package sweethome3d-furniture": "a mesh library of one distribution",
     r"needs Debian's packages chromium and chromium-driver": "a browser, for pages",
+    r"needs Debian's packages firefox-esr and xvfb": "a second browser, for the page to keep",
     r"mitsuba is not installed": "extra `witness`: a second renderer, for whoever doubts the first",
     r"mitsuba finds no LLVM": "extra `witness` without a compiler for this processor",
     r"triton is not installed \(extra cuda\)": "extra `cuda`, which has no wheel for every system",

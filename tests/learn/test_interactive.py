@@ -23,7 +23,7 @@ from learn.figures import spheres
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap, tone
-from tests.support import browser
+from tests.support import browser, firefox
 from tests.support.known_ball import Knowing, ball, label_of
 
 CHOSEN = ("brass", "chrome", "green-fabric", "red-plastic")
@@ -255,6 +255,26 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
         before = pixels(window, "editPage.state.split = 0")
         np.testing.assert_array_equal(before, Page(made.text).planes[0])
         assert window.console() == []
+
+
+@pytest.mark.skipif(
+    not firefox.is_available(), reason="needs Debian's packages firefox-esr and xvfb"
+)
+@pytest.mark.long
+@pytest.mark.parametrize("screen", [True, False])
+def test_firefox_shows_the_compositors_pictures(made, screen, tmp_path):
+    """On a screen with WebGL, and without a screen, where it has none."""
+    mask = made.result.decomposition.photograph.regions > 0
+    with firefox.Firefox(screen=screen) as window:
+        window.open(made.path)
+        window.wait("document.documentElement.dataset.ready")
+        assert window.run("return editPage.webgl") == screen
+        for names in [("brass", None), ("chrome", "green-fabric")]:
+            shown = pixels(window, choice(made, *names))
+            assert distance(shown, edited(made, *names), mask | ~mask) < LIMIT, names
+        asked = window.run("return performance.getEntriesByType('resource').map(e => e.name)")
+        assert not [name for name in asked if not name.startswith(("data:", "blob:"))]
+        (tmp_path / "firefox.png").write_bytes(window.screenshot())
 
 
 @needs_browser
