@@ -25,7 +25,7 @@ from factory.planning.plan import TEXELS, Shot
 from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Portion, Shown
+from factory.render.estimators.halves import DirectPicture, Portion, Shown
 from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
 from manifests.ids import camera_of
@@ -59,6 +59,10 @@ class Studio(Protocol):
     def portion(
         self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
     ) -> Portion: ...
+
+    def direct_light(self) -> DirectPicture | None: ...
+
+    def direct_light_samples(self) -> int | None: ...
 
 
 class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
