@@ -10,6 +10,7 @@ radiance  (height, width, 3) float32, linear Rec.709, black outside the object; 
 
 from __future__ import annotations
 
+import math
 import platform
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
@@ -58,6 +59,7 @@ Purpose = Literal["picture", "geometry"]
 # each; mirror-like materials need more, for in a pixel normals turn by more than their lobes
 SUBPIXELS = {"glossy": (4, 12), "mirror-like": (8, 4)}
 MIRROR_LIKE = 0.03  # α below which a lobe is
+MOST_POINTS = 1 << 22  # of a picture, some 150 MB
 MOST_DIRECT = 64  # maps of direct light in memory
 MOST_GROUPS = 512  # node groups in memory: more than there are materials in a catalogue
 # least n·v of a normal: near a coarse mesh's silhouette smooth normals may face away
@@ -338,14 +340,17 @@ class Studio:
     def direct_light_samples(self) -> int | None:
         """Return how many directions per pixel `direct_light` evaluates besides its maps.
 
-        None for cameras in perspective and for lights that are not looked up texel by texel, where
-        it does not hold.
+        None where it does not hold: for cameras in perspective, for lights that are not looked up
+        texel by texel, and for pictures of which too few points per pixel fit into memory.
         """
         lens = self._require_camera()
         if lens.fov_deg is not None or not self._nearest or not self._mixtures:
             return None
         direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
-        across, samples = self._subpixels(direct)
+        points = self._points(direct, lens)
+        if points is None:
+            return None
+        across, samples = points
         return 2 * across**2 * samples * max(each.narrow for each in direct)
 
     def direct_light(self) -> DirectPicture | None:
@@ -354,13 +359,13 @@ class Studio:
         A square pixel is the mean over points of a grid (SUBPIXELS). None where
         `direct_light_samples` is.
         """
-        lens = self._require_camera()
         if self.direct_light_samples() is None:
             return None
+        lens = self._require_camera()
         direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
-        across, samples = self._subpixels(direct)
-        if lens.pixel == "centre":
-            across, samples = 1, across * across * samples
+        points = self._points(direct, lens)
+        assert points is not None
+        across, samples = points
         height, width = lens.size
         self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
         try:
@@ -377,10 +382,19 @@ class Studio:
             fine.mask.reshape(blocks).mean((1, 3), dtype=np.float32),
         )
 
-    def _subpixels(self, direct: Sequence[DirectLight]) -> tuple[int, int]:
-        """Return the entry of SUBPIXELS that materials need."""
+    def _points(self, direct: Sequence[DirectLight], lens: Camera) -> tuple[int, int] | None:
+        """Return the points across a pixel, and the samples of narrow lobes at each of them.
+
+        None where fewer than two points across a square pixel fit into MOST_POINTS.
+        """
         mirror_like = min(each.narrowest for each in direct) < MIRROR_LIKE
-        return SUBPIXELS["mirror-like" if mirror_like else "glossy"]
+        across, samples = SUBPIXELS["mirror-like" if mirror_like else "glossy"]
+        per_pixel = across * across * samples
+        pixels = lens.size[0] * lens.size[1]
+        across = 1 if lens.pixel == "centre" else min(across, math.isqrt(MOST_POINTS // pixels))
+        if pixels > MOST_POINTS or (across < 2 and lens.pixel != "centre"):
+            return None
+        return across, -(-per_pixel // across**2)
 
     def _direct_light(self, mixture: Mixture, lens: Camera) -> DirectLight:
         """Return the direct light of a mixture under the light that is shown."""

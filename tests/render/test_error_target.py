@@ -3,9 +3,11 @@
 import subprocess
 import sys
 
+import msgspec
 import numpy as np
 import pytest
 
+from factory.render import studio as studio_module
 from factory.render.estimators import choice
 from factory.render.estimators.halves import Halves, Shown
 from factory.render.settings import PORTION
@@ -91,6 +93,28 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
     finally:
         chair.set_camera(lens)
         chair.set_light(seen, 0)
+
+
+def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chair, monkeypatch):
+    lens, earlier = chair._lens, chair._mixtures
+    shown = []
+    geometry = chair.geometry
+    monkeypatch.setattr(chair, "geometry", lambda: shown.append(chair._lens.size) or geometry())
+    shiny = Mixture.constant("ggx", 0.02, [0.5] * 3)
+    try:
+        chair.set_materials([shiny] * len(earlier))
+        for most, across in ((1 << 22, 8), (9 * SIZE**2, 3), (4 * SIZE**2 - 1, None)):
+            monkeypatch.setattr(studio_module, "MOST_POINTS", most)
+            assert (chair.direct_light() is None) == (across is None)
+            if across:
+                assert shown[-1] == (SIZE * across, SIZE * across)
+                # as many directions per pixel, whatever the points
+                assert chair.direct_light_samples() == pytest.approx(2 * 256, abs=2 * across**2)
+        chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
+        assert chair.direct_light_samples() == 2 * 256
+    finally:
+        chair.set_camera(lens)
+        chair.set_materials(earlier)
 
 
 def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):
