@@ -65,10 +65,20 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what has this name, the first time that it is used."""
+    """Import what has this name, the first time that it is used.
+
+    Raises  ImportError with the extra that is missing, if one is
+    """
     if name not in _HOMES:
         raise AttributeError(f"module 'brdfactory' has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
+    try:
+        value = getattr(import_module(_HOMES[name]), name)
+    except ModuleNotFoundError as error:
+        from manifests.errors import missing_package
+
+        if (missing := missing_package(error)) is None:
+            raise
+        raise ImportError(f"brdfactory.{name} needs {missing}") from None
     globals()[name] = value
     return value
 

@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from manifests.errors import InputError, closest, printable
+from manifests.errors import InputError, closest, missing_package, printable
 
 
 def main(
@@ -89,6 +89,10 @@ def main(
             _flush_output()
     except InputError as problem:
         return _failed(program, problem, debug)
+    except ModuleNotFoundError as error:
+        if (missing := missing_package(error)) is None:
+            raise
+        return _failed(program, missing, debug)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         return _failed(program, error, debug)

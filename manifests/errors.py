@@ -3,6 +3,22 @@
 import difflib
 from collections.abc import Iterable
 
+# packages of the extras that commands need, and the extras that bring them
+EXTRAS = {
+    "bpy": "factory",
+    "trimesh": "factory",
+    "psutil": "factory",
+    "scipy": "factory",
+    "torch": "learn",
+    "numba": "factory",
+    "safetensors": "learn",
+    "skimage": "learn",
+    "flip_evaluator": "learn",
+    "matplotlib": "learn",
+    "gradio": "app",
+    "ray": "ray",
+}
+
 
 class InputError(ValueError):
     """An error in data or arguments from outside.
@@ -21,6 +37,20 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple:  # crosses process borders whole
         return InputError, (self.where, self.expected, self.found, self.remedy)
+
+
+def missing_package(error: ModuleNotFoundError) -> InputError | None:
+    """Return the error of a package that an extra brings, or None if no extra does."""
+    package = (error.name or "").partition(".")[0]
+    if package not in EXTRAS:
+        return None
+    extra = EXTRAS[package]
+    return InputError(
+        package,
+        f"a package of the extra {extra}",
+        "that it is not installed",
+        f"pip install 'brdfactory[{extra}]', or '.[{extra}]' in a checkout",
+    )
 
 
 def printable(text: str) -> str:

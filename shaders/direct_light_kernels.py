@@ -8,6 +8,8 @@ tests/shaders/test_direct_light.py compares them with shaders.closures.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -24,7 +26,15 @@ GOLDEN = np.float32((math.sqrt(5) - 1) / 2)
 SHIFT = np.float32(0.7548776662)  # irrational, and independent of the golden ratio
 
 _inlined = njit(forceinline=True, fastmath=True, error_model="numpy")
-_compiled = njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Return the function compiled, from numba's cache where a folder for it can be written."""
+    options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "nogil": True}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:  # neither beside this file nor in the user's cache folder
+        return njit(**options)(function)
 
 
 @_inlined

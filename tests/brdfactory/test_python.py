@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import brdfactory as bf
+from manifests.errors import missing_package
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
@@ -178,3 +179,29 @@ def test_a_job_is_rendered_and_continued(tmp_path):
         "failed": 0,
     }
     assert len(bf.Records(tmp_path)) == 2
+
+
+WITHOUT = """
+import sys
+sys.modules["torch"] = None  # as if it were not installed
+"""
+
+
+def test_a_missing_extra_is_one_line_with_the_remedy_in_python_and_on_the_command_line(tmp_path):
+    script = WITHOUT + "import brdfactory as bf\nbf.edit"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.strip().splitlines()[-1] == (
+        "ImportError: brdfactory.edit needs torch: expected a package of the extra learn, found"
+        " that it is not installed (pip install 'brdfactory[learn]', or '.[learn]' in a checkout)"
+    )
+    words = ["brdfactory", "edit", "photo.png", "--material", "brass", "--out", str(tmp_path)]
+    script = WITHOUT + f"sys.argv = {words}\nfrom brdfactory.__main__ import main\nsys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1 and len(done.stderr.strip().splitlines()) == 1
+    assert "torch: expected a package of the extra learn" in done.stderr
+
+
+def test_a_module_that_no_extra_brings_is_an_error_of_the_program():
+    assert missing_package(ModuleNotFoundError("no module", name="nothing.at.all")) is None
+    assert missing_package(ModuleNotFoundError("no module", name="bpy")).where == "bpy"

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from shaders import direct_light, envmap, frames
+from shaders import direct_light, direct_light_kernels, envmap, frames
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
 
@@ -122,3 +122,16 @@ def test_narrow_lobes_are_those_below_the_limit(light):
     direct = DirectLight(mixture, light, ROTATION)
     assert direct.narrow == 1 and direct.narrowest == pytest.approx(0.02)
     assert DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION).narrowest == 1
+
+
+def test_kernels_compile_without_a_cache_where_no_folder_can_be_written(monkeypatch):
+    requested = []
+
+    def refusing(**options):
+        requested.append(options.get("cache", False))
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(direct_light_kernels, "njit", refusing)
+    assert direct_light_kernels._compiled(len) is len and requested == [True, False]
