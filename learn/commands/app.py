@@ -6,7 +6,7 @@ import argparse
 import ipaddress
 from pathlib import Path
 
-from learn.commands import options
+from learn.commands import editing_options, options
 from manifests.errors import InputError
 
 LOCAL = "127.0.0.1"
@@ -63,6 +63,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
+    editing_options.let_waiting_threads_sleep()
     from learn.data import devices
 
     if arguments.repeat is not None:

@@ -84,6 +84,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
+    editing_options.let_waiting_threads_sleep()
     from learn.editing import edit
 
     masks = [Path(mask) for mask in arguments.mask if mask != "alpha"]

@@ -45,6 +45,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
+    editing_options.let_waiting_threads_sleep()
     from learn.data import devices
     from learn.editing import predict
 

@@ -76,6 +76,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
+    editing_options.let_waiting_threads_sleep()
     from learn.editing import transfer
 
     editing_options.check(

@@ -4,6 +4,7 @@ Each test fails if one of them is dropped on the way.
 """
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -279,3 +280,22 @@ def middle(picture):
     """
     H, W = picture.shape[:2]
     return picture[H // 2 - 4 : H // 2 + 4, W // 2 - 4 : W // 2 + 4]
+
+
+@pytest.mark.parametrize("command", ["edit", "predict", "transfer", "app"])
+@pytest.mark.parametrize("before, after", [(None, "passive"), ("active", "active")])
+def test_threads_that_wait_sleep_unless_the_user_says_otherwise(
+    command, before, after, monkeypatch, tmp_path
+):
+    monkeypatch.setenv("OMP_WAIT_POLICY", before or "")
+    if before is None:
+        monkeypatch.delenv("OMP_WAIT_POLICY")
+    words = {
+        "edit": ["none.png", "--material", "brass"],
+        "predict": ["none.png"],
+        "transfer": ["none.png", "none2.png"],
+        "app": ["--port", "0"],
+    }[command]
+    out = [] if command == "app" else ["--out", str(tmp_path / "out")]
+    assert main("learn", "", COMMANDS, [command, *words, *out]) in (1, 2)
+    assert os.environ["OMP_WAIT_POLICY"] == after

@@ -1,0 +1,67 @@
+"""Time an edit alone and beside busy processes, in turn: wall clock and processor seconds.
+
+PYTHONPATH=. python tests/learn/measure_busy.py PHOTO MASK [--busy 4] [--rounds 2]
+"""
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+SPIN = "while True: pass"
+
+
+@contextlib.contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Keep `count` processes busy meanwhile."""
+    processes = [subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for each in processes:
+            each.kill()
+            each.wait()
+
+
+def edit(photo: Path, mask: Path) -> tuple[float, float]:
+    """Return wall-clock and processor seconds of one edit, the program's start included."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["edit", str(photo), "--mask", str(mask), "--material", "brass", "--out", folder]
+        before, start = os.times(), time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "learn", *words, "--overwrite"], check=True, capture_output=True
+        )
+        wall, after = time.perf_counter() - start, os.times()
+    children = after.children_user + after.children_system
+    return wall, children - before.children_user - before.children_system
+
+
+def main() -> None:
+    """Print a row for each round, and the ratios of the least times."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("photo", type=Path)
+    parser.add_argument("mask", type=Path)
+    parser.add_argument("--busy", type=int, default=4)
+    parser.add_argument("--rounds", type=int, default=2)
+    options = parser.parse_args()
+    alone, beside = [], []
+    for _ in range(options.rounds):
+        alone.append(edit(options.photo, options.mask))
+        with busy(options.busy):
+            beside.append(edit(options.photo, options.mask))
+        for name, (wall, processor) in (("alone", alone[-1]), ("beside", beside[-1])):
+            print(f"{name:8}{wall:7.1f} s wall clock {processor:7.1f} s processor", flush=True)
+    for k, name in enumerate(("wall clock", "processor")):
+        ratio = min(each[k] for each in beside) / min(each[k] for each in alone)
+        print(f"ratio, {name}: {ratio:.2f}")
+
+
+if __name__ == "__main__":
+    main()
