@@ -158,9 +158,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 def methods_of(
     weights: Sequence[Path], baselines: Path | None = None
 ) -> tuple[dict[str, Callable[[], Method]], int]:
-    """Return {name: a function that returns the method anew} and the size of their pictures.
+    """Return {name: a function that makes the method} and the size of their pictures.
 
-    A method is made anew for each edit, because it remembers the parts of its last picture.
+    A method is made for each edit, because it remembers the parts of its last picture.
     Raises InputError for weights of different sizes.
     """
     import functools

@@ -14,7 +14,8 @@ from factory.render.estimators.halves import CONFIDENCE, Estimate
 from manifests.schema import Estimator
 
 NAME: Estimator = "closed-form"
-TYPICAL = 2.0  # mean error against Cycles in the direct tier, of 16 shots at 128²
+# mean error against Cycles in the direct tier, of 16 shots of own shapes (docs/rendering.md)
+TYPICAL = 2.0
 # samples of each half that take as long: FIXED for the pixels, MAPS / pixels for the map of
 # normals, and SAMPLED for each direction that is sampled per pixel
 FIXED, MAPS, SAMPLED = 4.0, 40_000.0, 0.015
@@ -38,6 +39,6 @@ def needed(estimate: Estimate, samples: int, error: float) -> int | None:
     if is_out(estimate, error):
         return None
     left = error - max(estimate.error, 0.0)
-    if left <= 0:
+    if left <= 0:  # above the limit, but not beyond doubt: a closer look decides
         left = error / 4
     return max(samples + 1, math.ceil(samples * CONFIDENCE * estimate.standard_error / left))

@@ -20,7 +20,7 @@ from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
 from manifests.schema import Estimator
 
 NAME: Estimator = "ratio"
-MOST = 3.0
+MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
 # error: SCALE · (error of the same samples without denoiser)^POWER
 SCALE, POWER = 0.5, 0.4
