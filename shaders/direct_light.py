@@ -44,10 +44,11 @@ GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vect
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
 SAMPLES = 12  # directions per normal of each of the two distributions
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
-COS_LEANING = float(np.cos(np.radians(1.0)))  # between normals and facets that differ
+COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
 # α of lobes that end at the facet. Cycles cuts all of them off where it draws directions by the
 # lobe, but of wide ones it finds most of that light by drawing towards the light
 CUT = 0.3
+BELOW = 2.0  # tan θ_h / α beyond which what a lobe would reflect from below a facet is left in
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
@@ -145,8 +146,8 @@ class DirectLight:
             n,
             facets,
             self._tables[k],
-            np.float32(WITHIN[kind]),
-            self.lights(len(self.light)),
+            np.float32(BELOW),
+            self.lights(min(len(self.light), BLOCKS[1][1])),
             out,
         )
 
@@ -275,7 +276,7 @@ class DirectLight:
         return self._detail[parts]
 
     def _lit(self, w: np.ndarray, energy: np.ndarray) -> np.ndarray:
-        """Return lights (B, 9, T), as the kernels take them, of directions and energies (B, T, 3)."""
+        """Return the kernels' lights (B, 9, T) of directions and energies (B, T, 3)."""
         w = w @ self.camera_from_light.T
         w /= np.linalg.norm(w, axis=-1, keepdims=True)
         half = w + np.array([0.0, 0.0, 1.0])
@@ -330,7 +331,7 @@ class DirectLight:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """Radiance of a closure of unit weight over normals: nodes (S, S, 3), and known (S, S) uint8."""
+    """Radiance of a closure of unit weight: nodes (S, S, 3), and known (S, S) uint8."""
 
     nodes: np.ndarray
     known: np.ndarray

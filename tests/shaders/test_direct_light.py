@@ -209,7 +209,7 @@ def test_narrow_lobes_reflect_nothing_from_below_a_facet_and_matte_closures_do(l
     for alpha in (0.25, 0.15, 0.01):
         mixture = Mixture.constant("beckmann", alpha, [0.5] * 3)
         direct = DirectLight(mixture, light, ROTATION)
-        w, solid_angle = envmap.directions(*light.shape[:2])
+        w, _ = envmap.directions(*light.shape[:2])
         above = (w @ (facet[0] @ ROTATION) > 0)[..., None]
         cut = DirectLight(mixture, light * above, ROTATION)
         whole, left, expected = (

@@ -4,10 +4,10 @@ python -m factory.render.validation.direct_light_error --shots 24 --out DIR
 python -m factory.render.validation.direct_light_error --shots 24 --meshes FOLDER --out DIR
 
 shots    drawn from a seed as in error_target, all of the tier `direct`
-error    display L2 over the mask against a reference in two halves, whose noise cancels in the mean;
-         "facing" is the part of pixels with n·v above 0.3
-seconds  of one thread: of a first view under a new light, and of a second one, for which most of the
-         maps are there already
+error    display L2 over the mask against a reference in two halves, whose noise cancels in the
+         mean; "facing" is the part of pixels with n·v above 0.3
+seconds  of one thread: of a first view under a new light, and of a second one, for which most of
+         the maps are there already
 samples  of each half of a picture that take as long
 """
 
