@@ -19,7 +19,8 @@ from manifests.errors import InputError
 
 T = TypeVar("T")
 # Path("s3://bucket") has lost a slash; a scheme has two letters or more, a Windows drive has one
-URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
+# plug-ins in front of a scheme ("simplecache::s3://…") are recognised, to be refused
+URL = re.compile(r"((?:[A-Za-z]\w*::)*[A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 BY_OBSTORE = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az")
 # protocols of file systems, where a file that is being written can be seen: it is renamed at last
 RENAMED = ("file", "local", "sftp", "ssh", "smb", "ftp", "hdfs", "webdav")
@@ -65,7 +66,7 @@ def normalised(url: object) -> str:
     if ":" in authority.rpartition("@")[0] or "?" in rest or "#" in rest:
         remedy = "put credentials into the environment: docs/clusters.md names the variables"
         raise InputError(f"{scheme}://…", "a URL without password or query", "one", remedy)
-    if ".." in rest.split("/") or "::" in rest or not rest:
+    if ".." in rest.split("/") or "::" in f"{scheme}{rest}" or not rest:
         raise InputError(
             f"{scheme}://{rest}", "SCHEME://BUCKET/FOLDER", "something else", "check the URL"
         )
@@ -213,7 +214,11 @@ def _file_system(scheme: str, url: str) -> Any:
 
             return FsspecStore(
                 scheme,
-                client_options={"timeout": timedelta(seconds=TIMEOUT)},
+                client_options={
+                    "timeout": timedelta(seconds=TIMEOUT),
+                    # obstore's own variable has no effect beside other options
+                    "allow_http": os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                },
                 # the pauses are ours: the library's own end sooner
                 retry_config={"max_retries": 1, "retry_timeout": timedelta(seconds=TIMEOUT)},
             )
