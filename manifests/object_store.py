@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
+from importlib import import_module
 from typing import Any, TypeVar
 
 from manifests.errors import InputError
@@ -210,9 +211,7 @@ def _file_system(scheme: str, url: str) -> Any:
         raise InputError(url, "the package fsspec", "that it is not installed", EXTRA) from None
     try:
         if scheme in BY_OBSTORE:
-            from obstore.fsspec import FsspecStore
-
-            return FsspecStore(
+            return import_module("obstore.fsspec").FsspecStore(
                 scheme,
                 client_options={
                     "timeout": timedelta(seconds=TIMEOUT),

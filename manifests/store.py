@@ -12,6 +12,9 @@
     partial/                       unfinished files; what is there after a run can be deleted
     .lock*                         held by a run while it writes
 
+On an object store the folder is the same, but records, views and facts are written as parts, one
+after the other (factory.execution.uploads), and there are neither drafts nor locks.
+
 A kill at any moment loses at most the current shot: a file is written under partial/ and renamed,
 and readers ignore an unfinished last line, which the next writer cuts off.
 """

@@ -10,16 +10,20 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from factory.__main__ import COMMANDS
 from factory.commands.status import counted
 from factory.execution import uploads
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import facts
-from manifests import object_store
+from factory.planning.assets import opened
+from manifests import cli, object_store
 from manifests.cached_store import open_store
 from manifests.errors import InputError
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support import s3_server
 from tests.support.network_faults import KINDS, Proxy
+from tests.support.tetrahedron import FAKE, ROOT
 
 pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
 
@@ -119,11 +123,16 @@ def test_views_without_pictures_are_written_too(url, render, small_job, tmp_path
     assert faults_of(theirs) == []
 
 
-def test_what_was_read_of_shapes_is_known_to_the_next_run(url, render, small_job, monkeypatch):
-    render(small_job, url)
+def test_what_was_read_of_shapes_is_known_to_the_next_run(
+    url, render, small_job, catalogue, monkeypatch
+):
+    plan = planned(small_job, opened(small_job, catalogues=[catalogue]))
+    run_options = RunOptions(studio=FAKE)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    assert carry_out(plan, url, run_options).made == 12
     assert open_store(url).remote.names(facts.FOLDER)
     monkeypatch.setattr("factory.planning.reading.facts_of", lambda _: pytest.fail("it reads"))
-    assert render(small_job, url).already_there == 12
+    assert carry_out(plan, url, run_options).already_there == 12
 
 
 def test_pictures_leave_the_scratch_folder_once_they_are_sent(
@@ -199,7 +208,8 @@ def test_a_part_that_was_written_before_an_error_is_written_once(
 
 
 def test_ray_and_repair_need_a_folder(url, render, small_job):
-    from factory.__main__ import main
+    def main(words):
+        return cli.main("factory", "", COMMANDS, words)
 
     with pytest.raises(InputError, match="a folder, not a URL"):
         render(small_job, url, ray="auto")

@@ -182,7 +182,7 @@ def test_verify_finds_what_is_wrong_on_a_store(stored):
 
 
 def test_what_was_changed_or_removed_on_a_store_is_not_read_from_copies(stored):
-    remote, folder = stored
+    remote, _ = stored
     count = len(list(open_store(remote.url).records()))
     (first,) = remote.names("records")
     remote.write("records/more.jsonl", remote.read(first))
