@@ -17,6 +17,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from manifests.errors import InputError
+from manifests.files import replacing
 from manifests.object_store import ObjectFolder, is_url
 from manifests.store import LINES, Store, inside
 
@@ -70,7 +71,7 @@ class CachedStore(Store):
             with contextlib.suppress(FileNotFoundError):
                 data = self.remote.read(relative)
                 self._make_room(len(data))
-                _write(path, data)
+                self._write(path, data)
 
     def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield the objects in folders of files that nothing names; see Store."""
@@ -90,13 +91,24 @@ class CachedStore(Store):
             if name in changing or not path.is_file() or path.stat().st_size != size:
                 missing.append(name)
         for name, data in self.remote.read_all(missing):
-            _write(inside(self.folder, name), data)
+            self._write(inside(self.folder, name), data)
         for kind in ("", *LINES, "lights"):
             folder = self.folder / kind
             for path in list(folder.iterdir()) if folder.is_dir() else []:
                 is_copy = path.is_file() and not path.name.startswith(".lock")
                 if is_copy and path.relative_to(self.folder).as_posix() not in expected:
                     path.unlink(missing_ok=True)
+
+    def _write(self, path: Path, data: bytes) -> None:
+        """Write a copy; another process may write the same one. An empty object has none."""
+        if not data:
+            path.unlink(missing_ok=True)
+            return
+        draft = self.folder / "partial" / uuid.uuid4().hex
+        for each in (draft, path):
+            each.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path, draft) as file:
+            file.write(data)
 
     def _size(self) -> int:
         return sum(size for _, size, _ in self._copies())
@@ -125,17 +137,6 @@ class CachedStore(Store):
                     break
                 path.unlink(missing_ok=True)
                 self._held -= held
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write a copy; another process may write the same one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{uuid.uuid4().hex}.copying")
-    try:
-        draft.write_bytes(data)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def _cache() -> Path:

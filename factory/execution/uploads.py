@@ -28,6 +28,7 @@ import msgspec
 from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
+from manifests.files import write_bytes
 from manifests.object_store import THREADS, ObjectFolder
 from manifests.schema import Record, View
 from manifests.store import LINES, Store, encoded
@@ -114,7 +115,8 @@ class Uploads:
         for name, data in self.remote.read_all(names):
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+            if data:
+                write_bytes(path, data)
             self._hashes[name] = hashlib.sha256(data).hexdigest()
             if name.endswith(".jsonl"):
                 self._offsets[path] = len(data)
