@@ -3,6 +3,8 @@ and on an S3 server whose connection is disturbed.
 """
 
 import os
+import shutil
+import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -21,6 +23,7 @@ from manifests.cached_store import open_store
 from manifests.errors import InputError
 from manifests.store import Store
 from manifests.verification import faults_of
+from tests.endurance.kill_and_resume import compared, disturbed
 from tests.support import s3_server
 from tests.support.network_faults import KINDS, Proxy
 from tests.support.tetrahedron import FAKE, ROOT
@@ -205,6 +208,35 @@ def test_a_part_that_was_written_before_an_error_is_written_once(
     render(small_job, url)
     theirs = open_store(url, fresh=True)
     assert len(content(theirs)) == 12 and faults_of(theirs) == []
+
+
+@pytest.mark.long
+def test_runs_into_a_store_that_are_killed_lose_and_double_nothing(
+    url, render, small_job, tmp_path, catalogue
+):
+    job = msgspec.structs.replace(small_job, views=tuple(range(24)), rotations=(0, 1))
+    (tmp_path / "job.json").write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(job, lights=("lamp.exr",)))
+    )
+    shutil.copy(small_job.lights[0], tmp_path / "lamp.exr")
+    command = [sys.executable, "-m", "tests.support.fake_render", str(tmp_path / "job.json")]
+    command += [f"file://{tmp_path}/killed", str(catalogue), "0.1"]
+    environment = {"PYTHONPATH": str(ROOT), "FAKE_STUDIO": "slow", "TMPDIR": str(tmp_path)}
+    kills = disturbed(
+        command,
+        tmp_path / "killed",
+        kills=4,
+        window=(0.0, 0.3),
+        seed=0,
+        environment=environment,
+        working=True,
+    )
+    assert kills == 4
+    render(msgspec.structs.replace(job, lights=(str(tmp_path / "lamp.exr"),)), tmp_path / "whole")
+    assert compared(tmp_path / "whole", tmp_path / "killed") == []
+    said = [fault.text for fault in faults_of(Store(tmp_path / "killed"))]
+    # drafts of killed writes, as a folder has them
+    assert [text for text in said if not text.startswith("partial/")] == []
 
 
 def test_ray_and_repair_need_a_folder(url, render, small_job):
