@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 from collections import Counter
 from pathlib import Path
 
@@ -133,9 +134,10 @@ def test_what_was_read_of_shapes_is_known_to_the_next_run(
     run_options = RunOptions(studio=FAKE)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     assert carry_out(plan, url, run_options).made == 12
-    assert open_store(url).remote.names(facts.FOLDER)
+    parts = open_store(url).remote.names(facts.FOLDER)
     monkeypatch.setattr("factory.planning.reading.facts_of", lambda _: pytest.fail("it reads"))
     assert carry_out(plan, url, run_options).already_there == 12
+    assert open_store(url).remote.names(facts.FOLDER) == parts != {}
 
 
 def test_pictures_leave_the_scratch_folder_once_they_are_sent(
@@ -154,6 +156,25 @@ def test_pictures_leave_the_scratch_folder_once_they_are_sent(
     render(job, url, watch)
     assert len(held) == 144 and max(held) < 72
     assert len(content(open_store(url, fresh=True))) == 144
+
+
+def test_a_run_waits_for_a_store_that_is_slower(url, render, small_job, monkeypatch):
+    monkeypatch.setattr(uploads, "SECONDS", 0.01)
+    monkeypatch.setattr(uploads, "MOST_WAITING", 3)
+    written, opened_again, made = object_store.ObjectFolder.write, threading.Event(), []
+
+    def held(self, relative, data):
+        if relative.startswith("records/"):
+            opened_again.wait()
+        written(self, relative, data)
+
+    monkeypatch.setattr(object_store.ObjectFolder, "write", held)
+    timer = threading.Timer(1.0, lambda: made.append(len(made)) or opened_again.set())
+    timer.start()
+    outcome = render(small_job, url, lambda event, _: made.append(0) if event == "made" else None)
+    timer.join()
+    # the first part may have been begun with some of these shots, none of which it has sent
+    assert max(made) <= 4 and outcome.made == 12
 
 
 def test_a_store_that_is_lost_ends_the_run_in_a_line_and_the_next_one_completes_it(
