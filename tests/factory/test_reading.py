@@ -327,6 +327,6 @@ def test_similar_names_are_looked_for_only_where_a_file_is_missing(
         assert len(assets.opened(named, catalogues=[catalogue]).unread) == 6
     assert not listed
     lost = msgspec.structs.replace(job, shapes=(f"{tmp_path}/meshes/mesh9.ply",))
-    with pytest.raises(InputError, match="no such file .none is near"):
+    with pytest.raises(InputError, match=r"no such file .none is near"):
         assets.opened(lost, catalogues=[catalogue])
     assert listed == ["mesh9.ply"]
