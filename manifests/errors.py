@@ -17,6 +17,8 @@ EXTRAS = {
     "matplotlib": "learn",
     "gradio": "app",
     "ray": "ray",
+    "fsspec": "stores",
+    "obstore": "stores",
 }
 
 

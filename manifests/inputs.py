@@ -2,6 +2,7 @@
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 from manifests.errors import InputError
@@ -18,13 +19,14 @@ _KINDS = (
 def require_file(
     path: str | os.PathLike,
     expected: str,
-    remedy: str = "check the path",
+    remedy: str | Callable[[], str] = "check the path",
     maximum_bytes: int | None = None,
 ) -> Path:
     """Return the path, if an ordinary file of bounded size lies there.
 
     expected       what should lie there, with its article: "a mesh file"
-    remedy         what to do if there is no such file
+    remedy         what to do if there is no such file, or a function that says it: to look for
+                   similar names among thousands of files takes a while
     maximum_bytes  size above which the file is refused unread; None: any size
     Raises         InputError: missing, a folder, a pipe, a device, a socket, a name that no file
                    can have, links in a circle, no permission, too large
@@ -32,13 +34,14 @@ def require_file(
     try:
         status = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(path, expected, "no such file", remedy) from None
+        raise InputError(path, expected, "no such file", _text(remedy)) from None
     except ValueError:  # a NUL inside
         raise InputError(
-            repr(str(path)), expected, "a name that no file can have", remedy
+            repr(str(path)), expected, "a name that no file can have", _text(remedy)
         ) from None
     except OSError as error:  # a circle of links, no permission, a name too long
-        raise InputError(path, expected, str(error.strerror or error).lower(), remedy) from None
+        cause = str(error.strerror or error).lower()
+        raise InputError(path, expected, cause, _text(remedy)) from None
     if (result := kind_of(status.st_mode)) is not None:
         hint = "name a file in it" if result == "a folder" else "save it as a file first"
         raise InputError(path, expected, result, hint)
@@ -48,6 +51,11 @@ def require_file(
             path, f"{expected} of at most {bound}", size, "check that this is the right file"
         )
     return Path(path)
+
+
+def _text(remedy: str | Callable[[], str]) -> str:
+    """Return a remedy as text."""
+    return remedy if isinstance(remedy, str) else remedy()
 
 
 def kind_of(mode: int) -> str | None:

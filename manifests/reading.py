@@ -34,7 +34,7 @@ def read_bytes(path: str | os.PathLike, maximum_bytes: int = MAXIMUM_BYTES) -> b
     Raises  InputError: missing, no ordinary file, too large
     """
     path = Path(path)
-    require_file(path, "a JSON file", _remedy(path), maximum_bytes)
+    require_file(path, "a JSON file", lambda: _remedy(path), maximum_bytes)
     return path.read_bytes().removeprefix(codecs.BOM_UTF8)  # editors on Windows write the mark
 
 

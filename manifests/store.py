@@ -12,6 +12,9 @@
     partial/                       unfinished files; what is there after a run can be deleted
     .lock*                         held by a run while it writes
 
+On an object store the folder is the same, but records, views and facts are written as parts, one
+after the other (factory.execution.uploads), and there are neither drafts nor locks.
+
 A kill at any moment loses at most the current shot: a file is written under partial/ and renamed,
 and readers ignore an unfinished last line, which the next writer cuts off.
 """
@@ -24,7 +27,7 @@ import os
 import re
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -166,12 +169,35 @@ class Store:
     def __init__(self, folder: str | os.PathLike):
         self.folder = Path(folder)
 
+    @property
+    def name(self) -> str:
+        """What the user calls the data set: its folder, or its URL (manifests.cached_store)."""
+        return str(self.folder)
+
+    def fetch(self, relative: str) -> Path:
+        """Return the path of a file that a manifest names, whether or not there is one.
+
+        Raises  InputError for a path that leaves the folder
+        """
+        self.copy_here(relative)
+        return inside(self.folder, relative)
+
+    def copy_here(self, relative: str) -> None:
+        """Copy a file into the folder; there is nothing to do unless it is elsewhere."""
+
+    def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
+        """Yield objects that nothing names and that have no copy in the folder: none here.
+
+        named   {folder: paths of the files that may lie there}
+        """
+        return ()
+
     def dataset(self) -> Dataset:
         """Return dataset.json. Raises InputError: missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
             raise InputError(
-                self.folder,
+                self.name,
                 "a data set (dataset.json)",
                 "none",
                 "make one with: python -m factory render JOB --out DIR",

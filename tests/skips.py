@@ -26,6 +26,8 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"could not import 'h5py'": "extra `export` or `features`",
     r"webdataset is not installed": "extra `export`",
     r"ray is not installed": "extra `ray`: 260 MB",
+    r"(fsspec|obstore) is not installed \(extra stores\)": "extra `stores`",
+    r"moto is not installed": "an S3 server, with a virtual environment of its own (140 MB)",
     r"the package datasets is not installed": "brings pandas; the layout is tested without it",
     r"needs the package lpips": "brings torchvision and downloads weights",
     r"hed-?tensor|HED": "extra `features`: weights that are downloaded on request",

@@ -185,6 +185,14 @@ WRITERS = {
     ): "a worker's complaints, read while it lives and then thrown away",
     ("factory/execution/forecast.py", "tempfile.TemporaryDirectory"): "three shots made on trial",
     (
+        "factory/execution/uploads.py",
+        "tempfile.TemporaryDirectory",
+    ): "a data set on its way to an object store",
+    (
+        "manifests/cached_store.py",
+        "tempfile.TemporaryDirectory",
+    ): "copies of objects for one verification",
+    (
         "factory/render/validation/benchmark.py",
         "tempfile.TemporaryDirectory",
     ): "pictures made to be timed",

@@ -30,6 +30,8 @@ EPILOG = """examples:
     python -m factory render my-job.json --out out/mine --error 5
   on a Ray cluster, or on a local one if none is there:
     python -m factory render my-job.json --out out/mine --ray auto
+  into an object store; credentials are those of the environment:
+    python -m factory render my-job.json --out s3://bucket/mine
   no job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
@@ -59,7 +61,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--out",
         required=True,
         metavar="DIR",
-        help="the data set's folder; it is made if it does not exist, and added to if it does",
+        help=(
+            "the data set's folder; made if it does not exist, and added to if it does; or the"
+            " URL of one on an object store, such as s3://bucket/mine (extra stores)"
+        ),
     )
     job_options.add(parser)
     job_options.add_error(parser)
@@ -232,10 +237,8 @@ def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:
     if outcome.already_there:
         line += f", {outcome.already_there} were there already"
     if outcome.failed:
-        line += (
-            f"; {outcome.failed} FAILED, see {folder}/failures.jsonl; the same command tries them"
-            " again"
-        )
+        where = f"{folder}/failures*.jsonl" if "://" in folder else f"{folder}/failures.jsonl"
+        line += f"; {outcome.failed} FAILED, see {where}; the same command tries them again"
     return line
 
 

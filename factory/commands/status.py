@@ -27,7 +27,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         epilog=EPILOG,
         formatter_class=HelpFormatter,
     )
-    parser.add_argument("folder", metavar="DIR", help="the data set's folder")
+    parser.add_argument(
+        "folder", metavar="DIR", help="the data set's folder, or the URL of one on an object store"
+    )
     parser.add_argument("--json", action="store_true", help="print the counts as JSON")
     parser.set_defaults(run=run)
 
@@ -89,9 +91,9 @@ def counted(folder: str) -> dict[str, Any]:
 
     import msgspec
 
-    from manifests.store import Store
+    from manifests.cached_store import open_store
 
-    store = Store(folder)
+    store = open_store(folder)
     dataset = store.dataset()
     kinds = ("split", "category", "tier", "light_resolution", "light")
     counts: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}

@@ -41,7 +41,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         epilog=EPILOG,
         formatter_class=HelpFormatter,
     )
-    parser.add_argument("folders", nargs="+", metavar="DIR", help="a data set's folder")
+    parser.add_argument(
+        "folders",
+        nargs="+",
+        metavar="DIR",
+        help="a data set's folder, or the URL of one on an object store",
+    )
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -60,15 +65,20 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Return 0 if every folder is clean or was repaired, else 1."""
-    from manifests.store import Store
+    from manifests.cached_store import open_store
+    from manifests.object_store import is_url
     from manifests.verification import shared_between
 
     dirty = 0
     datasets: dict[str, Dataset] = {}
     for folder in options.folders:
         try:
-            dirty += not _is_clean(folder, options)
-            datasets[folder] = Store(folder).dataset()
+            if options.repair and is_url(folder):
+                remedy = "copy it to a disk, repair it there, and copy it back"
+                raise InputError(folder, "a folder, not a URL, to repair", "a URL", remedy)
+            store = open_store(folder, fresh=True)
+            dirty += not _is_clean(folder, store, options)
+            datasets[folder] = store.dataset()
         except (InputError, OSError) as error:
             print(f"factory: {error}", file=sys.stderr)
             dirty += 1
@@ -81,13 +91,11 @@ def run(options: argparse.Namespace) -> int:
     return 1 if dirty else 0
 
 
-def _is_clean(folder: str, options: argparse.Namespace) -> bool:
+def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
     """Print a report on one folder; return whether it is clean or was repaired."""
     from factory.planning.fingerprint import render_fingerprint
-    from manifests.store import Store
     from manifests.verification import Verification, repair, summary
 
-    store = Store(folder)
     verification = Verification(store, render_fingerprint(), reference_light)
     with _locked(store, options.repair):
         faults = _faults(verification, options.quick)

@@ -19,6 +19,7 @@ import msgspec
 from factory.execution.pipeline import Assignment, LightSource, ShapeSource
 from factory.execution.pool import Pool
 from factory.execution.registration import note_settings, register, register_shapes
+from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
 from factory.planning.assets import Arrivals, Assets, Shape, follows_alone, read_whole
 from factory.planning.facts import Facts, Memory
@@ -28,6 +29,7 @@ from factory.planning.reading import Reading, processors
 from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
+from manifests.object_store import is_url
 from manifests.schema import Failure, Job
 from manifests.store import Lines, Store, geometry_path
 
@@ -91,6 +93,7 @@ def carry_out(
 ) -> Outcome:
     """Make every shot of a plan that the folder does not hold yet.
 
+    folder  a path, or the URL of a folder on an object store (manifests.object_store)
     watch   called with (event, value): "total" and the number of this run's shots, "already_there"
             and 1, "made" and a Reply, "failed" and a Failure, "note" and a line for the user,
             "unread" and the number of shapes that are still to be read. While there are such,
@@ -98,6 +101,8 @@ def carry_out(
     Raises  InputError; OSError (full disk), after which everything written before is intact
     """
     watch = watch or (lambda event, value: None)
+    if is_url(folder):
+        return _carried_out_remotely(plan, str(folder), run_options, watch)
     # workers on other nodes are given absolute paths
     store = Store(folder if run_options.ray is None else Path(folder).absolute())
     prefix = "worker-" if run_options.ray is None else "worker-ray-"
@@ -109,6 +114,24 @@ def carry_out(
         with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
             parts = _parts(plan, store, reading, run_options.shard, watch)
             return _made(plan, parts, store, run_options, prefix, descriptors, watch)
+
+
+def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: Watch) -> Outcome:
+    """Carry a plan out in a scratch folder, and send what is made to an object store."""
+    if run_options.ray is not None:
+        remedy = (
+            "render with --ray into a folder that the cluster shares, or without it on each machine"
+            " with --shard"
+        )
+        raise InputError("render --ray", "a folder, not a URL, as --out", "a URL", remedy)
+    with uploading(url) as uploads:
+
+        def watched(event: str, value: Any) -> None:
+            watch(event, value)
+            if event == "made":
+                uploads.replied(value)
+
+        return carry_out(plan, uploads.folder, run_options, watched)
 
 
 def _parts(

@@ -21,7 +21,7 @@ FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
 
 def require_mesh_file(path: str | Path) -> None:
     """Raise InputError unless there is a file, and a readable one, at the path of a mesh."""
-    require_file(path, "a mesh file", _remedy(Path(path)))
+    require_file(path, "a mesh file", lambda: _remedy(Path(path)))
 
 
 def read(path: str | Path, maximum: int = MAXIMUM_TRIANGLES) -> Raw:

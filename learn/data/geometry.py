@@ -120,7 +120,7 @@ class Geometry:
             or first_camera.fov_deg is not None
             or first_camera.roll_deg != 0
         )
-        self.folder, self.size = Path(folder), first_camera.size
+        self.folder, self.size = records.folder, first_camera.size
         elevation_deg = np.degrees(ELEVATION) if self.several else first_camera.elevation_deg
         self.elevation = float(np.radians(elevation_deg))
         shapes = records.dataset.shapes

@@ -23,10 +23,11 @@ import numpy as np
 import torch
 
 from manifests import arrays
+from manifests.cached_store import open_store
 from manifests.errors import InputError
 from manifests.materials import Material, material, read_catalogue
 from manifests.schema import Record, View
-from manifests.store import Store, inside
+from manifests.store import inside
 from manifests.verification.contents import turned_away
 from manifests.verification.lines import Judge
 from shaders.dsbrdf import SIZE
@@ -104,13 +105,13 @@ class Records(torch.utils.data.Dataset):
     """
 
     def __init__(self, folder: str | Path, keep: Callable[[Record], bool] | None = None):
-        """Open a folder.
+        """Open a folder, or the URL of one on an object store, whose files are copied when used.
 
         keep    which records to use; None: all
         Raises  InputError if the folder holds no data set, or a record that does not match its id
         """
-        self.store = Store(folder)
-        self.folder = Path(folder)
+        self.store = open_store(folder)
+        self.folder = self.store.folder
         self.dataset = self.store.dataset()
         self.materials = {
             entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials
@@ -182,7 +183,7 @@ class Records(torch.utils.data.Dataset):
         Raises InputError for a file other than the record's.
         """
         return arrays.read_picture(
-            inside(self.folder, record.image), record.camera.size, record.image_hash
+            self.store.fetch(record.image), record.camera.size, record.image_hash
         )
 
     def geometry(self, record: Record | View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -190,7 +191,7 @@ class Records(torch.utils.data.Dataset):
 
         normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64. Raises InputError.
         """
-        path = inside(self.folder, record.geometry)
+        path = self.store.fetch(record.geometry)
         geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
         normals, depth, segments = geometry
         if away := turned_away(geometry, record.camera):

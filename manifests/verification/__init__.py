@@ -109,7 +109,13 @@ class Verification:
         watch  called once for each record and view
         """
         files, orders = (
-            Files(self.store.folder, self.dataset, self._labels or {}, self._reference),
+            Files(
+                self.store.folder,
+                self.dataset,
+                self._labels or {},
+                self._reference,
+                self.store.copy_here,
+            ),
             Orders(self.dataset),
         )
         yield from files.light_faults()
@@ -132,6 +138,8 @@ class Verification:
         yield from orders.faults()
         yield from files.packed_faults()
         yield from stray_faults(self.store.folder, files.named)
+        for name in self.store.unnamed(files.named):
+            yield Fault(f"{name}: expected a record that names it, found none", stray=True)
 
 
 def faults_of(

@@ -12,6 +12,7 @@ from manifests import archives, arrays
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.materials import Entry
+from manifests.object_store import Unreachable
 from manifests.schema import Dataset, Record, View
 from manifests.store import image_path, light_path
 from manifests.verification import contents
@@ -40,14 +41,21 @@ class Files:
 
     labels     {name: Entry} of materials.json
     reference  see Verification; None: no light is known
+    copy_here  called with the path of a file, relative to the folder, before it is read
     named      {"images": paths, "geometry": paths, "lights": paths} that lines and dataset.json
                have named so far
     """
 
     def __init__(
-        self, folder: Path, dataset: Dataset, labels: dict[str, Entry], reference: Reference | None
+        self,
+        folder: Path,
+        dataset: Dataset,
+        labels: dict[str, Entry],
+        reference: Reference | None,
+        copy_here: Callable[[str], object] = lambda relative: None,
     ):
         self.folder, self.dataset, self._reference = folder, dataset, reference
+        self._copy_here = copy_here
         self.named: dict[str, set[str]] = {"images": set(), "geometry": set(), "lights": set()}
         self._shines: dict[str, bool] = {}
         self._reflects = {name: _reflects(entry) for name, entry in labels.items()}
@@ -69,6 +77,8 @@ class Files:
                 self._require_own(entry.file)
                 L = arrays.read_light(path, entry.file_hash)
                 scale = arrays.read_scale(path)
+            except Unreachable:
+                raise
             except (InputError, OSError) as problem:
                 yield Fault(_said(entry.file, problem), file=path)
                 continue
@@ -115,6 +125,8 @@ class Files:
             radiance = arrays.read_picture(
                 self.folder / record.image, record.camera.size, record.image_hash, exact=True
             )
+        except Unreachable:
+            raise
         except (InputError, OSError) as problem:
             return [_said(record.image, problem)]
         mask = self._mask(record)
@@ -140,6 +152,8 @@ class Files:
         try:
             self._require_own(line.geometry)
             geometry = arrays.read_geometry(path, line.camera.size, line.geometry_hash, exact=True)
+        except Unreachable:
+            raise
         except (InputError, OSError) as problem:
             return _Seen([_said(line.geometry, problem)])
         texts = [
@@ -162,6 +176,7 @@ class Files:
     def _mask(self, record: Record) -> np.ndarray:
         """Return the mask (height, width) bool of a record whose geometry is good."""
         if record.geometry not in self._masks:
+            self._copy_here(record.geometry)
             self._keep(
                 record.geometry,
                 arrays.read_geometry(self.folder / record.geometry, record.camera.size).mask,
@@ -171,7 +186,11 @@ class Files:
         return np.unpackbits(bits, count=height * width).reshape(height, width).astype(bool)
 
     def _require_own(self, relative: str) -> None:
-        """Raise InputError unless an ordinary file lies there, in folders that are no links."""
+        """Raise InputError unless an ordinary file lies there, in folders that are no links.
+
+        Raises Unreachable if it cannot be fetched from an object store.
+        """
+        self._copy_here(relative)
         *parents, _ = relative.split("/")
         for depth in range(1, len(parents) + 1):
             part = "/".join(parents[:depth])

@@ -14,6 +14,7 @@ from factory.planning import assets, facts, reading
 from factory.planning.facts import Facts, Memory, facts_of
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
+from factory.shapes import files
 from manifests.errors import InputError
 from manifests.schema import Job
 from manifests.store import Store
@@ -312,3 +313,20 @@ def test_a_killed_run_continues_and_ends_as_an_undisturbed_one(
     stream(job, tmp_path / "whole")
     assert lines(tmp_path / "killed") == lines(tmp_path / "whole")
     assert [fault.text for fault in faults_of(Store(tmp_path / "killed"))] == []
+
+
+def test_similar_names_are_looked_for_only_where_a_file_is_missing(
+    job, catalogue, tmp_path, monkeypatch
+):
+    """For each of thousands of files it took as long as there are files."""
+    paths = written(tmp_path / "meshes")
+    listed = []
+    monkeypatch.setattr(files, "closest", lambda name, _: listed.append(name) or "none is near")
+    for folder_or_files in (job.shapes, tuple(map(str, paths))):
+        named = msgspec.structs.replace(job, shapes=folder_or_files)
+        assert len(assets.opened(named, catalogues=[catalogue]).unread) == 6
+    assert not listed
+    lost = msgspec.structs.replace(job, shapes=(f"{tmp_path}/meshes/mesh9.ply",))
+    with pytest.raises(InputError, match=r"no such file .none is near"):
+        assets.opened(lost, catalogues=[catalogue])
+    assert listed == ["mesh9.ply"]

@@ -1,9 +1,12 @@
 """Records become tensors in the layer's conventions, and damaged datasets are named in one line."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from learn.data.geometry import Geometry
 from learn.data.records import Records
 from learn.editing import photograph
 from learn.layer import render
@@ -24,6 +27,21 @@ def test_a_record_rendered_by_the_layer_is_its_own_picture(folder):
         seen = render(**sample.for_layer(), method="exact")[0]
         # the file holds halves: 2^-11 of each value
         torch.testing.assert_close(sample.image, seen, rtol=6e-4, atol=0)
+
+
+def test_records_and_geometry_are_read_by_a_url_as_from_the_folder(folder, tmp_path, monkeypatch):
+    pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
+    monkeypatch.setenv("BRDFACTORY_STORE_CACHE", str(tmp_path / "copies"))
+    here = Records(folder)
+    for url in (f"file://{folder}", Path(f"file://{folder}")):  # options make paths of arguments
+        there = Records(url)
+        assert there.folder.is_relative_to(tmp_path / "copies")
+        for ours, theirs in zip(here, there, strict=True):
+            assert ours.record == theirs.record
+            torch.testing.assert_close(ours.for_layer(), theirs.for_layer(), rtol=0, atol=0)
+    geometry = Geometry(f"file://{folder}", progress=False)
+    assert geometry.views == Geometry(folder, progress=False).views
+    assert (there.folder / "packed").is_dir()
 
 
 def test_the_light_is_rolled_by_the_records_rotation(folder):

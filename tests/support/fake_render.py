@@ -1,16 +1,21 @@
 """Carry a job out with the fake studio, as a process that can be killed.
 
-python -m tests.support.fake_render JOB OUT CATALOGUE
+python -m tests.support.fake_render JOB OUT CATALOGUE [SECONDS]
+
+SECONDS are those between two parts, where OUT is a URL.
 """
 
 import sys
 
+from factory.execution import uploads
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from tests.support.tetrahedron import FAKE
 
 if __name__ == "__main__":
+    if len(sys.argv) > 4:
+        uploads.SECONDS = float(sys.argv[4])
     job, folder = jobs.load(sys.argv[1])
     assets = resolve(job, folder, catalogues=[sys.argv[3]])
     carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))

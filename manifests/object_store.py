@@ -1,0 +1,228 @@
+"""Folders on object stores, named by a URL: s3://BUCKET/FOLDER, gs, abfs, sftp, file, memory.
+
+An object is written whole or not at all, and cannot be appended to. Requests that fail are tried
+again with growing pauses for some minutes, and a write that was tried twice leaves one object with
+the same bytes. The package obstore serves s3, gs and abfs; other protocols have plug-ins of fsspec.
+Credentials are those of the environment; a URL must not hold any.
+"""
+
+import os
+import re
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from importlib import import_module
+from typing import Any, TypeVar
+
+from manifests.errors import InputError
+
+T = TypeVar("T")
+# Path("s3://bucket") has lost a slash; a scheme has two letters or more, a Windows drive has one
+# plug-ins in front of a scheme ("simplecache::s3://…") are recognised, to be refused
+URL = re.compile(r"((?:[A-Za-z]\w*::)*[A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
+BY_OBSTORE = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az")
+# protocols of file systems, where a file that is being written can be seen: it is renamed at last
+RENAMED = ("file", "local", "sftp", "ssh", "smb", "ftp", "hdfs", "webdav")
+PATIENCE = 300.0  # seconds for which a request is tried again
+VARIABLE = "BRDFACTORY_STORE_PATIENCE"  # another number of seconds
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 20.0
+TIMEOUT = 60  # seconds for one request
+THREADS = 16
+# errors that another try does not mend
+LASTING = (
+    FileNotFoundError,
+    PermissionError,
+    IsADirectoryError,
+    NotADirectoryError,
+    ImportError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    NotImplementedError,
+)
+EXTRA = "pip install 'brdfactory[stores]', or '.[stores]' in a checkout"
+
+
+class Unreachable(InputError):
+    """The store did not answer, or refuses. Nothing can be said of its objects."""
+
+
+def is_url(folder: object) -> bool:
+    """Return whether a data set's folder is named by a URL."""
+    return URL.fullmatch(str(folder)) is not None
+
+
+def normalised(url: object) -> str:
+    """Return a URL with two slashes after its scheme and none at its end.
+
+    Raises  InputError for one with a password, a query, or ".."
+    """
+    match = URL.fullmatch(str(url))
+    assert match, "a URL, as is_url says"
+    scheme, rest = match[1].lower(), match[2].rstrip("/")
+    authority = rest.partition("/")[0]
+    # nothing of the URL after its scheme is shown: it may be a secret
+    if ":" in authority.rpartition("@")[0] or "?" in rest or "#" in rest:
+        remedy = "put credentials into the environment: docs/clusters.md names the variables"
+        raise InputError(f"{scheme}://…", "a URL without password or query", "one", remedy)
+    if ".." in rest.split("/") or "::" in f"{scheme}{rest}" or not rest:
+        raise InputError(
+            f"{scheme}://{rest}", "SCHEME://BUCKET/FOLDER", "something else", "check the URL"
+        )
+    return f"{scheme}:///{rest}" if scheme == "file" else f"{scheme}://{rest}"
+
+
+class ObjectFolder:
+    """A folder on an object store. Several threads may use it.
+
+    url       as `normalised` returns it
+    patience  seconds for which a request that fails is tried again; None: VARIABLE or PATIENCE
+    Raises    InputError: an unknown protocol, a package that is missing
+    """
+
+    def __init__(self, url: object, patience: float | None = None):
+        self.url = normalised(url)
+        self._patience = _patience() if patience is None else patience
+        self._scheme = self.url.partition(":")[0]
+        self._files = _file_system(self._scheme, self.url)
+        self._base = str(self._files._strip_protocol(self.url)).rstrip("/")
+
+    def names(self, folder: str, deep: bool = False) -> dict[str, int | None]:
+        """Return {path: size in bytes} of the objects in a folder, paths relative to the URL's.
+
+        deep    those in folders below it, too
+        Raises  Unreachable
+        """
+        result: dict[str, int | None] = {}
+        waiting = [folder]
+        while waiting:
+            for name, size, is_folder in self._listed(waiting.pop()):
+                if not is_folder:
+                    result[name] = size
+                elif deep:
+                    waiting.append(name)
+        return result
+
+    def _listed(self, folder: str) -> list[tuple[str, int | None, bool]]:
+        """Return (path, size, whether it is a folder) of what lies in a folder."""
+        place = f"{self._base}/{folder}".rstrip("/")
+
+        def listed() -> list[dict[str, Any]]:
+            self._files.invalidate_cache()
+            try:
+                return self._files.ls(place, detail=True)
+            except FileNotFoundError:  # an empty folder does not exist on an object store
+                return []
+
+        result = []
+        for entry in self._tried(f"{self.url}/{folder}", listed):
+            name = str(entry["name"]).rstrip("/").rpartition("/")[2]
+            if name and str(entry["name"]).rstrip("/").lstrip("/") != place.strip("/"):
+                is_folder = entry["type"] == "directory"
+                path = f"{folder}/{name}" if folder else name
+                result.append((path, entry.get("size"), is_folder))
+        return result
+
+    def read(self, relative: str) -> bytes:
+        """Return an object's bytes. Raises FileNotFoundError; Unreachable."""
+        place = f"{self._base}/{relative}"
+        return self._tried(f"{self.url}/{relative}", lambda: bytes(self._files.cat_file(place)))
+
+    def write(self, relative: str, data: bytes) -> None:
+        """Write an object whole; an earlier one of that name is replaced. Raises Unreachable."""
+        place = f"{self._base}/{relative}"
+
+        def written() -> None:
+            if self._scheme not in RENAMED:
+                self._files.pipe_file(place, data)
+                return
+            draft = f"{self._base}/partial/{uuid.uuid4().hex}"
+            for path in (draft, place):
+                self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
+            self._files.pipe_file(draft, data)
+            self._files.mv(draft, place)
+
+        try:
+            self._tried(f"{self.url}/{relative}", written)
+        except FileNotFoundError as error:
+            raise Unreachable(
+                self.url, "a bucket that exists", _said(error), "make it, or check its name"
+            ) from None
+
+    def read_all(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+        """Yield (name, bytes) of objects, several at a time. Raises as `read`."""
+        names = list(names)
+        with ThreadPoolExecutor(THREADS, thread_name_prefix="store") as threads:
+            yield from zip(names, threads.map(self.read, names), strict=True)
+
+    def _tried(self, where: str, request: Callable[[], T]) -> T:
+        """Return what a request returns, after several tries.
+
+        Raises  FileNotFoundError at once; Unreachable after the last try, or for a lasting error
+        """
+        end, pause = time.monotonic() + self._patience, FIRST_PAUSE
+        while True:
+            try:
+                return request()
+            except FileNotFoundError:
+                raise
+            except LASTING as error:
+                raise Unreachable(
+                    where, "a store that serves this", _said(error), "check the URL and credentials"
+                ) from None
+            except Exception as error:  # each plug-in has its own
+                denied = "credential" in str(error).lower() or type(error).__name__ in (
+                    "PermissionDeniedError",
+                    "UnauthenticatedError",
+                )
+                if denied or time.monotonic() + pause > end:
+                    remedy = (
+                        "check the credentials: docs/clusters.md names the variables"
+                        if denied
+                        else "check the network, then run the same command: what was written stays"
+                    )
+                    raise Unreachable(where, "a store that answers", _said(error), remedy) from None
+            time.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+
+def _said(error: Exception) -> str:
+    """Return an error as a short line."""
+    words = " ".join(f"{type(error).__name__}: {error}".split())
+    return words if len(words) <= 200 else f"{words[:200]}…"
+
+
+def _patience() -> float:
+    try:
+        return float(os.environ.get(VARIABLE, PATIENCE))
+    except ValueError:
+        raise InputError(
+            VARIABLE, "a number of seconds", f"'{os.environ[VARIABLE]}'", f"export {VARIABLE}=300"
+        ) from None
+
+
+def _file_system(scheme: str, url: str) -> Any:
+    """Return fsspec's file system of a protocol. Raises InputError."""
+    try:
+        import fsspec
+    except ModuleNotFoundError:
+        raise InputError(url, "the package fsspec", "that it is not installed", EXTRA) from None
+    try:
+        if scheme in BY_OBSTORE:
+            return import_module("obstore.fsspec").FsspecStore(
+                scheme,
+                client_options={
+                    "timeout": timedelta(seconds=TIMEOUT),
+                    # obstore's own variable has no effect beside other options
+                    "allow_http": os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                },
+                # the pauses are ours: the library's own end sooner
+                retry_config={"max_retries": 1, "retry_timeout": timedelta(seconds=TIMEOUT)},
+            )
+        options = {"auto_mkdir": True} if scheme in ("file", "local") else {}
+        return fsspec.filesystem(scheme, **options)
+    except (ValueError, ImportError) as error:
+        remedy = EXTRA if scheme in BY_OBSTORE else "install fsspec's plug-in for it"
+        raise InputError(url, "a protocol that can be used", _said(error), remedy) from None
