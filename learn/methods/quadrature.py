@@ -34,10 +34,26 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.engines import lights, machine_code, threads
-from learn.engines.derivatives import require_reverse_mode
-from learn.engines.layout import FOOTPRINT_ROWS, LANES, SAMPLE_TILE
-from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
+from learn.engines import cpu, lights, machine_code, threads
+from learn.engines.derivatives import Context, Step, last, require_reverse_mode
+from learn.engines.layout import (
+    FOOTPRINT_ROWS,
+    LANES,
+    SAMPLE_CHUNKS,
+    SAMPLE_SCRATCH,
+    SAMPLE_TILE,
+    VALUES,
+)
+from learn.methods import (
+    HELD_SAMPLES,
+    Batch,
+    Card,
+    by_group,
+    first_only,
+    load,
+    refusal,
+    wants_gradient,
+)
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT, differentiable_half_angles
 from shaders.spline import basis
@@ -212,13 +228,14 @@ def over_samples(
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
     around, solid_angle = spiral(m.detach()[:, used], samples)
-    plain = (
-        not wants_gradient(n, view, m, light)
-        and n.dtype == torch.float32
-        and n.device.type == "cpu"
-    )
-    if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
-        return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
+    if has_kernels(n, m):
+        rotation = camera_from_light.to(torch.float32)
+        if wants_gradient(n, view, m, light):
+            require_reverse_mode(n, view, m, light)
+            return SampledSum.apply(n, view, m, light, rotation, around, solid_angle, used)
+        return torch.from_numpy(
+            Kernels(n, view, m, light, rotation, around, solid_angle, used).radiance()
+        )
     m = m[:, used]
     constants = (
         *(torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle)),
@@ -241,51 +258,141 @@ def over_samples(
     )
 
 
-def by_kernel(
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    around: np.ndarray,
-    solid_angle: np.ndarray,
-) -> torch.Tensor:
-    """As `over_samples`, without derivatives, by learn.engines.sample_directions."""
-    require_reverse_mode(n, view, m, light)
-    arrays = [
-        np.ascontiguousarray(x.detach().numpy(), np.float32)
-        for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)
-    ]
-    rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
-    values, _, _ = lights.general_tables(m.detach().double().numpy())
-    gamma = m.detach()[..., 1, :].amin(-1)
-    least = (
-        torch.where(m.detach()[..., 0, :].amax(-1) > 0, gamma, torch.inf)
-        .amin(0)
-        .clamp(max=1e9)
-        .float()
-        .numpy()
-    )
-    texels = np.ascontiguousarray(light.detach().numpy(), np.float32)
-    rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
-    arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, texels]
-    out = np.empty((len(n), 3), np.float32)
-    sizes = len(n), len(around) // LANES, *light.shape[:2]
+def has_kernels(n: torch.Tensor, m: torch.Tensor) -> bool:
+    """Whether learn.engines.sample_directions takes these tensors; plain torch takes the others."""
+    if n.dtype != torch.float32 or n.device.type != "cpu" or not machine_code.is_available():
+        return False
+    most = MAX_EXPONENT if torch.is_grad_enabled() and m.requires_grad else LARGEST_IN_KERNEL
+    return bool(m.detach()[..., 0, :].max() <= most and m.detach().max() <= LARGEST_IN_KERNEL)
 
-    def run(first, last):
-        machine_code.call(
-            "sample_directions.forward",
-            first,
-            last,
-            *sizes,
-            *arrays,
-            np.empty(LANES * FOOTPRINT_ROWS, np.float32),
-            out,
+
+class Kernels:
+    """One group's sums by learn.engines.sample_directions; arguments as `over_samples`.
+
+    used  (3,) lobes that reflect
+    """
+
+    def __init__(
+        self,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        light: torch.Tensor,
+        rotation: torch.Tensor,
+        around: np.ndarray,
+        solid_angle: np.ndarray,
+        used: torch.Tensor,
+    ):
+        self.n, self.light, turn = (
+            np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, light, rotation)
         )
+        self.view = np.ascontiguousarray(
+            np.broadcast_to(np.float32([0, 0, 1]), self.n.shape)
+            if view is None
+            else view.detach().numpy(),
+            np.float32,
+        )
+        rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
+        values, self.steps, smallest = lights.general_tables(m.detach().double().numpy())
+        self.used = used.numpy()
+        least = np.where(self.used, smallest, np.float32(1e9)).astype(np.float32)
+        self.scene = lights.blocked(rows), values, least, turn.reshape(9), self.light
+        self.sizes = len(around) // LANES, *self.light.shape[:2]
+        self.workers = torch.get_num_threads()
 
-    workers = torch.get_num_threads()
-    threads.run(run, threads.split(-(-len(n) // SAMPLE_TILE), 8 * workers), workers)
-    return torch.from_numpy(out)
+    def radiance(self) -> np.ndarray:
+        """Radiance (p, 3)."""
+        out = np.empty_like(self.n)
+
+        def run(first: int, last: int) -> None:
+            scratch = np.empty(LANES * FOOTPRINT_ROWS, np.float32)
+            arrays = self.n, self.view, *self.scene, scratch, out
+            machine_code.call(
+                "sample_directions.forward", first, last, len(self.n), *self.sizes, *arrays
+            )
+
+        tiles = -(-len(self.n) // SAMPLE_TILE)
+        threads.run(run, threads.split(tiles, 8 * self.workers), self.workers)
+        return out
+
+    def gradients(
+        self, g: np.ndarray, with_view: bool, with_light: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of Σ g · radiance by n, view, m and light, those by n and view tangential.
+
+        with_view, with_light  whether these are computed; they are 0 otherwise
+        Pixels are worked through in slices of PASS, whose sums are added in float64.
+        """
+        by_n, by_view = np.empty_like(self.n), np.zeros_like(self.n)
+        by_light, m_sums = np.zeros(self.light.shape), np.zeros(VALUES)
+        around, values, least, turn, texels = self.scene
+        scratch = np.empty(SAMPLE_CHUNKS * SAMPLE_SCRATCH, np.float32)
+        for start in range(0, len(self.n), cpu.PASS):
+            pixels = slice(start, start + cpu.PASS)
+            n, g_here = self.n[pixels], np.ascontiguousarray(g[pixels])
+            shape = (SAMPLE_CHUNKS, *self.light.shape) if with_light else (1,)
+            light_part = np.zeros(shape, np.float32)
+            m_part = np.empty((-(-len(n) // SAMPLE_TILE), VALUES), np.float32)
+            sizes = len(n), *self.sizes, int(with_view), int(with_light)
+            inputs = n, self.view[pixels], around, values, self.steps, least, turn, texels
+            outputs = by_n[pixels], by_view[pixels], light_part, m_part
+
+            def run(
+                first: int,
+                last: int,
+                sizes: tuple[int, ...] = sizes,
+                arrays: tuple[np.ndarray, ...] = (*inputs, scratch, g_here, *outputs),
+            ) -> None:
+                machine_code.call("sample_directions.backward", first, last, *sizes, *arrays)
+
+            threads.run(run, threads.split(SAMPLE_CHUNKS, SAMPLE_CHUNKS), self.workers)
+            if with_light:
+                by_light += light_part.sum(0, dtype=np.float64)
+            m_sums += m_part.sum(0, dtype=np.float64)
+        by_m = lights.general_material_gradient(m_sums)
+        by_m[:, ~self.used] = 0  # kernels skip blocks by lobe, and may add parts of those
+        return by_n, by_view, by_m, by_light
+
+
+class SampledSum(Step):
+    """`over_samples` by kernels, with derivatives by n, view, m and light.
+
+    n, view (p, 3) or None, m, light, rotation (3, 3), samples, solid angles, used lobes → (p, 3)
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Context,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        light: torch.Tensor,
+        rotation: torch.Tensor,
+        around: np.ndarray,
+        solid_angle: np.ndarray,
+        used: torch.Tensor,
+    ) -> torch.Tensor:
+        ctx.refusal = refusal(CARD.name, HELD_SAMPLES)
+        ctx.save_for_backward(n, view, m, light)
+        ctx.constants = rotation, around, solid_angle, used
+        return torch.from_numpy(Kernels(n, view, m, light, *ctx.constants).radiance())
+
+    @staticmethod
+    @last
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        n, view, m, light = ctx.saved_tensors
+        _, with_view, _, with_light, *_ = ctx.needs_input_grad
+        kernels = Kernels(n, view, m, light, *ctx.constants)
+        by_n, by_view, by_m, by_light = kernels.gradients(
+            g.detach().numpy().astype(np.float32), with_view, with_light
+        )
+        return (
+            torch.from_numpy(by_n),
+            torch.from_numpy(by_view) if with_view else None,
+            torch.from_numpy(np.ascontiguousarray(by_m)).to(m.dtype),
+            torch.from_numpy(by_light).to(light.dtype) if with_light else None,
+            *[None] * 4,
+        )
 
 
 def place(
