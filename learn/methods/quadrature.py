@@ -39,6 +39,7 @@ from learn.engines.derivatives import Context, Step, last, require_reverse_mode
 from learn.engines.layout import (
     FOOTPRINT_ROWS,
     LANES,
+    NEGLIGIBLE,
     SAMPLE_CHUNKS,
     SAMPLE_SCRATCH,
     SAMPLE_TILE,
@@ -49,7 +50,9 @@ from learn.methods import (
     Batch,
     Card,
     by_group,
+    directional,
     first_only,
+    light_tables,
     load,
     refusal,
     wants_gradient,
@@ -84,6 +87,8 @@ WIDER = {4: 2, None: 1}
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
+LEFT_OUT = 0.1  # of the tolerance: what a sum over split texels may leave out
+CULLED = "whose sums over split texels have first derivatives only"
 LEAST, MOST = 256, 16384  # samples
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material
@@ -105,9 +110,11 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
     out = 0 * batch.n
     low, samples = -1.0, sample_count_for(tolerance)
-    # The engine's samples have no backward pass: where derivatives are requested, split texels are
-    # faster as far as they reach.
-    by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
+    # Without kernels, split texels are faster where derivatives are requested. Where all of it is
+    # short, they stay the sum that can be differentiated twice.
+    derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
+    kernels = has_kernels(batch.n, batch.m) and batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
+    texels = batch.light.shape[1] * batch.light.shape[2]
     for split in (*SPLITS, None):  # None: samples
         high = math.inf if split is None else broadest(split * rows, tolerance, low)
         lobes = (exponent > low) & (exponent <= high)
@@ -115,13 +122,26 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
+        small = split is not None and len(batch.n) * split**2 * texels <= directional.WHOLE
+        by_texels = tolerance < LOOSE or (derivatives and (small or not kernels))
         if split is not None and (split <= ALWAYS_SPLIT or by_texels):
             light = (
                 batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
                 if split > 1
                 else batch.light
             )
-            out = out + load("exact").radiance(replace(band, light=light), tolerance)
+            band = replace(band, light=light)
+            if split == 1 or small or not kernels:
+                out = out + load("exact").radiance(band, tolerance)
+            else:
+                out = out + by_group(
+                    first_only(band, CARD.name, CULLED),
+                    functools.partial(
+                        over_split_texels,
+                        camera_from_light=batch.camera_from_light,
+                        left_out=LEFT_OUT * tolerance,
+                    ),
+                )
         else:
             band, count = (
                 first_only(band, CARD.name, HELD_SAMPLES),
@@ -134,6 +154,33 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
                 ),
             )
     return out
+
+
+def over_split_texels(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    left_out: float,
+) -> torch.Tensor:
+    """Radiance (p, 3) of one group by the sum over texels, without texels where a lobe is faint.
+
+    left_out  part of the mean radiance that a pixel may lack. Lobes that need split texels are
+              narrow: most texels are skipped.
+    """
+    texels, energy = light_tables.of_map(light, camera_from_light)
+    lacking = 0.0 if view is not None else left_out * directional.scale(n, view, m, energy, texels)
+    return directional.radiance(
+        n,
+        view,
+        m,
+        energy,
+        texels,
+        lacking,
+        method=CARD.name,
+        negligible=math.log2(max(left_out, 2.0**NEGLIGIBLE)),
+    )
 
 
 def broadest(rows: float, tolerance: float, otherwise: float) -> float:
@@ -287,7 +334,7 @@ class Kernels:
             np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, light, rotation)
         )
         self.view = np.ascontiguousarray(
-            np.broadcast_to(np.float32([0, 0, 1]), self.n.shape)
+            np.broadcast_to([0.0, 0.0, 1.0], self.n.shape)
             if view is None
             else view.detach().numpy(),
             np.float32,
