@@ -15,12 +15,14 @@ N^−¾.
 
 Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured
 lobe of that width is often broad at another θ_d, where samples are too far apart to see a lamp of
-one texel. Narrower ones may take texels split into 4 × 4, which have a fast backward pass. Maps of
-few texels are too coarse for any lobe, because the horizon cuts through texels: there all lobes
-take split texels or samples.
+one texel. The sum over them leaves out a tenth of the tolerance at most, except where it is short.
+Narrower ones take texels split into 4 × 4 at small tolerances, or where derivatives are requested
+and there are no kernels. Maps of few texels are too coarse for any lobe, because the horizon cuts
+through texels: there all lobes take split texels or samples.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
-differentiated with w_i and dω_i held, which estimates the true derivative ∫ ∂(f μ) L dω; moving the
+differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk` in plain
+torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
 samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
@@ -73,7 +75,10 @@ CARD = Card(
         "pixels × (texels if a lobe is broad + 256 to 1,024 samples if one is narrow), at tolerance"
         " 1e-2"
     ),
-    memory="below 64 MiB at any size: chunks of pixels, computed again in the backward pass",
+    memory=(
+        "below 64 MiB at any size: chunks of pixels, computed again in the backward pass; with the"
+        " gradient of light by kernels also twelve times the light's size, and that of split texels"
+    ),
 )
 # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve
 # four times as much
@@ -87,6 +92,9 @@ WIDER = {4: 2, None: 1}
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
+# pairs of a pixel and a part of a texel up to which split texels are summed whole, and can be
+# differentiated twice
+SHORT = 2**19
 LEFT_OUT = 0.1  # of the tolerance: what a sum over split texels may leave out
 CULLED = "whose sums over split texels have first derivatives only"
 LEAST, MOST = 256, 16384  # samples
@@ -122,7 +130,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
-        small = split is not None and len(batch.n) * split**2 * texels <= directional.WHOLE
+        small = split is not None and len(batch.n) * split**2 * texels <= SHORT
         by_texels = tolerance < LOOSE or (derivatives and (small or not kernels))
         if split is not None and (split <= ALWAYS_SPLIT or by_texels):
             light = (
