@@ -3,11 +3,16 @@
 A mixture's radiance is a function of the normal alone when the viewer and the light are distant: a
 reflectance map (Ramamoorthi and Hanrahan 2001). Each closure is integrated as its width asks for:
 
-wide    the sum over the light's texels, at the nodes of a map over the visible hemisphere, between
-        which radiance is interpolated. Blocks of texels count as one light, at the centre of their
-        energy, where the lobe is wider than they are
+wide    by maps over the visible hemisphere, of unit weight, between whose nodes radiance is
+        interpolated. A node is the sum over the light's texels: blocks of them count as one light
+        where the lobe is much wider, and near a narrower lobe's axis each is divided
 narrow  at every normal, over sample directions that follow the lobe as far as `extent` around its
         axis; what a long-tailed lobe (GGX) reflects from beyond comes from a map as above
+
+What Cycles does besides is part of it: on coarse meshes, whose interpolated normals lean from their
+facets, narrower lobes reflect no light from below the facet; where such a normal faces away
+from the viewer, they reflect only if their tilted normal does not; and Cycles draws some half
+vectors of Ashikhmin and Shirley's closure wrongly, which brightens grazing views.
 
 The light is piecewise constant over its texels, as in the layer and in Cycles with nearest look-up.
 
@@ -18,17 +23,33 @@ nodes  of a map: polar angle θ and azimuth φ of the normal at ((θ cos φ, θ 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from shaders import direct_light_kernels, envmap
 from shaders.mixture import Mixture, ramp_table
 
 LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
-NARROW = 0.1  # α below which a lobe is sampled
-MAP_SIZE = 64  # nodes of a map across the hemisphere
+NARROW = 0.03  # α below which a lobe is sampled
+WIDE = 0.1  # α from which blocks of texels may count as one light
+LEAST_NODES = 64  # of a map across the hemisphere
+SPACING = 0.5  # of nodes, in units of the lobe's α
 BLOCKS = ((0.45, 16), (0.2, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
+LAMPS = 64  # texels of most energy, which are divided where the others are not
+BLOCK = 4  # texels across a block of the light that counts in detail near a lobe's axis
+PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
+GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
+WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
 SAMPLES = 12  # directions per normal of each of the two distributions
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
+COS_LEANING = float(np.cos(np.radians(1.0)))  # between normals and facets that differ
+# α of lobes that end at the facet. Cycles cuts all of them off where it draws directions by the
+# lobe, but of wide ones it finds most of that light by drawing towards the light
+CUT = 0.3
+HALF_VECTORS = 512  # per normal, of those that Cycles turns round
+UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
 
 
@@ -38,16 +59,27 @@ class DirectLight:
     mixture            of closures
     light              (height, width, 3) radiance, light frame, nearest look-up
     camera_from_light  (3, 3)
+    misdirected        whether light counts that Cycles finds by mistake
+                       (direct_light_kernels.add_misdirected)
     """
 
-    def __init__(self, mixture: Mixture, light: np.ndarray, camera_from_light: np.ndarray):
+    def __init__(
+        self,
+        mixture: Mixture,
+        light: np.ndarray,
+        camera_from_light: np.ndarray,
+        misdirected: bool = True,
+    ):
         self.mixture = mixture
         self.light = np.ascontiguousarray(light, np.float32)
         self.camera_from_light = camera_from_light
-        self._lights: dict[int, tuple[np.ndarray, ...]] = {}
-        self._nodes = np.zeros((MAP_SIZE, MAP_SIZE, 3), np.float32)
-        self._known = np.zeros((MAP_SIZE, MAP_SIZE), np.uint8)
+        self._lights: dict[int, np.ndarray] = {}
+        self._detail: dict[int, tuple[Any, ...]] = {}
         self._least = np.exp(mixture.log_alpha.min(0))
+        self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
+        self._misdirected: _Map | None = None
+        if misdirected and "ashikhmin_shirley" in mixture.kinds and self.light.any():
+            self._misdirected = _Map.empty(LEAST_NODES)
         self._tables = [_table(mixture, k) for k in range(len(mixture.kinds))]
 
     @property
@@ -63,45 +95,123 @@ class DirectLight:
         """The number of narrow closures."""
         return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
 
-    def at(self, n: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
-        """Return radiance (P, 3) float32 at normals (P, 3).
+    def at(
+        self, n: np.ndarray, samples: int = SAMPLES, facets: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return radiance (P, 3) float32 at normals (P, 3), of which some may face away.
 
         samples  directions per normal of each of the two distributions of a narrow lobe; few
                  suffice where many normals are averaged, for their errors differ
+        facets   (P, 3) normals of the surface itself: as in Cycles, narrow lobes reflect no light
+                 from below it. None: the normals
         """
+        given = np.ascontiguousarray(n, np.float32)
         n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
         n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+        facets = n if facets is None else np.ascontiguousarray(facets, np.float32)
         radiance = np.zeros_like(n)
-        while direct_light_kernels.interpolate(n, self._nodes, self._known, radiance):
-            self._fill(np.argwhere(self._known == 2))
-            radiance[:] = 0
         for k in range(len(self.mixture.kinds)):
+            if self._has_map(k):
+                at = self._maps[k]
+                if direct_light_kernels.mark(n, at.known):
+                    self._fill(k, np.argwhere(at.known == 2))
+                direct_light_kernels.interpolate(n, at.nodes, self._tables[k], radiance)
             if self._is_narrow(k):
-                self._sample(k, n, samples, radiance)
+                self._sample(k, n, facets, samples, radiance)
+        if self._misdirected is not None:
+            at = self._misdirected
+            if direct_light_kernels.mark(n, at.known):
+                nodes = np.argwhere(at.known == 2)
+                at.set(nodes, self.misdirected(at.normals(nodes)))
+            direct_light_kernels.interpolate(n, at.nodes, UNWEIGHTED, radiance)
+        (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
+        if len(leaning):
+            hidden = np.zeros((len(leaning), 3), np.float32)
+            for k in range(len(self.mixture.kinds)):
+                self._below_facets(k, n[leaning], facets[leaning], hidden)
+            radiance[leaning] = np.maximum(radiance[leaning] - hidden, 0)
+        (away,) = np.nonzero(given[:, 2] < LEAST_COS)
+        if len(away):
+            radiance[away] = self._away(given[away], facets[away])
+        return radiance
+
+    def _below_facets(self, k: int, n: np.ndarray, facets: np.ndarray, out: np.ndarray) -> None:
+        """Add to out (P, 3) what closure k would reflect from below the facets (P, 3)."""
+        kind, least = self.mixture.kinds[k], self._least[k]
+        if kind not in LOBES or not NARROW <= least < CUT:
+            return
+        direct_light_kernels.add_below(
+            direct_light_kernels.KINDS[kind],
+            n,
+            facets,
+            self._tables[k],
+            np.float32(WITHIN[kind]),
+            self.lights(len(self.light)),
+            out,
+        )
+
+    def _away(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
+        """Return radiance (P, 3) at normals (P, 3) that face away, as they may on coarse meshes.
+
+        Diffuse closures reflect there as elsewhere, the others where their tilted normal faces the
+        viewer.
+        """
+        lights = self.lights(min(len(self.light), BLOCKS[1][1]))
+        irradiance = np.maximum(n @ lights[:3], 0) @ lights[6:].T / np.float32(np.pi)
+        radiance = np.zeros_like(n)
+        for k, kind in enumerate(self.mixture.kinds):
+            if kind == "diffuse":
+                _, _, weights = self.mixture.at(np.abs(n[:, 2]).astype(np.float64))
+                radiance += irradiance * weights[:, k].astype(np.float32)
+            else:
+                number = direct_light_kernels.KINDS[kind]
+                table = self._tables[k]
+                direct_light_kernels.add_away(number, n, facets, table, lights, radiance)
         return radiance
 
     def _is_narrow(self, k: int) -> bool:
         return self.mixture.kinds[k] in LOBES and bool(self._least[k] < NARROW)
 
-    def _fill(self, nodes: np.ndarray) -> None:
-        """Compute the map's nodes (N, 2) by row and column."""
-        place = ((nodes[:, ::-1] - 1) / (MAP_SIZE - 3) * 2 - 1) * (np.pi / 2)
-        theta = np.linalg.norm(place, axis=1)
-        along = place / np.maximum(theta[:, None], 1e-12)
-        theta = np.minimum(theta, np.arccos(LEAST_COS))
-        n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
-        radiance = np.zeros(n.shape, np.float32)
-        for k in range(len(self.mixture.kinds)):
-            self._sum(k, n.astype(np.float32), radiance)
-        rows, columns = nodes.T
-        self._nodes[rows, columns] = radiance
-        self._known[rows, columns] = 1
+    def _has_map(self, k: int) -> bool:
+        """Whether a closure is wide, or reflects from beyond its extent."""
+        return not self._is_narrow(k) or self.mixture.kinds[k] == "ggx"
 
-    def lights(self, rows: int) -> tuple[np.ndarray, ...]:
+    def _size(self, k: int) -> int:
+        """Return the nodes across closure k's map."""
+        width = self._least[k] if self.mixture.kinds[k] in LOBES else 1.0
+        if self._is_narrow(k):
+            width = EXTENT / 4  # across which the samples' share falls off
+        return max(LEAST_NODES, 3 + int(np.ceil(np.pi / (SPACING * width))))
+
+    def _fill(self, k: int, nodes: np.ndarray) -> None:
+        """Compute nodes (N, 2), by row and column, of closure k's map."""
+        n = self._maps[k].normals(nodes)
+        radiance = np.zeros_like(n)
+        self._sum(k, n, radiance)
+        self._maps[k].set(nodes, radiance)
+
+    def misdirected(self, n: np.ndarray) -> np.ndarray:
+        """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3)."""
+        radiance = np.zeros_like(n)
+        # Cycles draws texels by their mean over the channels and the sine at their middle
+        _, solid_angle = envmap.directions(*self.light.shape[:2])
+        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
+        direct_light_kernels.add_misdirected(
+            np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
+            n,
+            np.stack(self._tables),
+            self.light,
+            (drawn / (drawn.sum() * solid_angle)).astype(np.float32),
+            np.ascontiguousarray(self.camera_from_light.T, np.float32),
+            HALF_VECTORS,
+            radiance,
+        )
+        return radiance
+
+    def lights(self, rows: int) -> np.ndarray:
         """Return the lights that stand for blocks of the map, `rows` blocks from pole to pole.
 
-        Returns  directions, half vectors and radiance times solid angle, (3, T) float32 each, in
-                 the camera frame
+        Returns  (9, T) float32, as direct_light_kernels.add_lights takes them
         """
         if rows not in self._lights:
             height, width = self.light.shape[:2]
@@ -113,35 +223,102 @@ class DirectLight:
             def blocks(values: np.ndarray) -> np.ndarray:
                 return values.reshape(rows, step, width // step, step, 3).sum((1, 3)).reshape(-1, 3)
 
-            centre = blocks(w * brightness) @ self.camera_from_light.T
-            centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-            half = centre + np.array([0.0, 0.0, 1.0])
-            half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-            self._lights[rows] = tuple(
-                np.ascontiguousarray(each.T, np.float32) for each in (centre, half, blocks(energy))
-            )
+            centres, energies = blocks(w * brightness), blocks(energy)
+            if step == 1:  # few lamps make most of a map's light: they are divided
+                lamps = np.argsort(energies.sum(-1))[-LAMPS:]
+                w, solid_angle = envmap.directions(4 * height, 4 * width)
+                parts = (
+                    (4 * (lamps // width)[:, None, None] + np.arange(4)[:, None]),
+                    (4 * (lamps % width)[:, None, None] + np.arange(4)),
+                )
+                inside = solid_angle[parts] / solid_angle[parts].sum((1, 2), keepdims=True)
+                divided = energies[lamps][:, None, None] * inside[..., None]
+                energies[lamps] = 0
+                centres = np.concatenate([centres, w[parts].reshape(-1, 3)])
+                energies = np.concatenate([energies, divided.reshape(-1, 3)])
+            self._lights[rows] = self._lit(centres[None], energies[None])[0]
         return self._lights[rows]
 
+    def detail(self, parts: int) -> tuple[Any, ...]:
+        """Return blocks of the light: centres, radii, lights in detail and few lights of each.
+
+        Texels are divided into parts × parts. Arguments as direct_light_kernels.add_blocks has them
+        """
+        if parts not in self._detail:
+            height, width = self.light.shape[:2]
+            w, solid_angle = envmap.directions(height * parts, width * parts)
+            light = self.light.repeat(parts, 0).repeat(parts, 1).astype(np.float64)
+            energy = light * solid_angle[..., None]
+
+            def gathered(values: np.ndarray, across: int) -> np.ndarray:
+                """(rows, columns, 3) → (blocks, texels of each, 3), `across` a block"""
+                rows, columns = values.shape[0] // across, values.shape[1] // across
+                parted = values.reshape(rows, across, columns, across, 3).swapaxes(1, 2)
+                return parted.reshape(rows * columns, across * across, 3)
+
+            brightness = energy.sum(-1, keepdims=True) + 1e-12
+            half = BLOCK * parts // 2
+            sums = [gathered(each, half).sum(1) for each in (w * brightness, energy)]
+            rows, columns = height // BLOCK * 2, width // BLOCK * 2
+            few = [gathered(each.reshape(rows, columns, 3), 2) for each in sums]
+            near = gathered(w, BLOCK * parts), gathered(energy, BLOCK * parts)
+            centres = near[0].sum(1)
+            centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+            nearest = np.einsum("btc,bc->bt", near[0], centres).min(1)
+            radii = np.arccos(np.clip(nearest, -1, 1)) + np.pi / len(self.light)
+            self._detail[parts] = (
+                np.ascontiguousarray(centres @ self.camera_from_light.T, np.float32),
+                np.stack([np.cos(radii), np.sin(radii)], axis=1).astype(np.float32),
+                self._lit(*near),
+                np.ascontiguousarray(self._lit(*few).swapaxes(0, 1).reshape(9, -1)),
+            )
+        return self._detail[parts]
+
+    def _lit(self, w: np.ndarray, energy: np.ndarray) -> np.ndarray:
+        """Return lights (B, 9, T), as the kernels take them, of directions and energies (B, T, 3)."""
+        w = w @ self.camera_from_light.T
+        w /= np.linalg.norm(w, axis=-1, keepdims=True)
+        half = w + np.array([0.0, 0.0, 1.0])
+        half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
+        every = np.concatenate([w, half, energy], axis=-1)
+        return np.ascontiguousarray(every.swapaxes(1, 2), np.float32)
+
     def _sum(self, k: int, n: np.ndarray, out: np.ndarray) -> None:
-        """Add to out (N, 3) what closure k reflects of all lights, but not what `_sample` adds."""
+        """Add to out (N, 3) what closure k reflects of all lights, but not what `_sample` adds.
+
+        Its weights are 1.
+        """
         kind, narrow = self.mixture.kinds[k], self._is_narrow(k)
-        if narrow and kind != "ggx":
+        number, table, least = direct_light_kernels.KINDS[kind], self._tables[k], self._least[k]
+        extent = np.float32(np.tan(EXTENT / 2) if narrow else 0)
+        if kind in LOBES and NARROW <= least < WIDE:
+            parts = next(parts for width, parts in PARTS if least >= width)
+            grazing = n[:, 2] < GRAZING
+            for here, divided in ((~grazing, parts), (grazing, 2 * parts)):
+                radiance = np.zeros((int(here.sum()), 3), np.float32)
+                direct_light_kernels.add_blocks(
+                    number,
+                    n[here],
+                    table,
+                    np.float32(WITHIN[kind]),
+                    *self.detail(divided),
+                    radiance,
+                )
+                out[here] += radiance
             return
         # sheen is bright near the horizon, whatever its width
-        width = {"diffuse": 1.0, "sheen": 0.1}.get(kind, self._least[k])
-        rows = len(self.light)
-        if not narrow:
-            rows = min(rows, next(rows for least, rows in BLOCKS if width >= least))
-        extent = np.float32(np.tan(EXTENT / 2) if narrow else 0)
-        w, h, energy = self.lights(rows)
-        number = direct_light_kernels.KINDS[kind]
-        direct_light_kernels.add_lights(number, n, self._tables[k], extent, w, h, energy, out)
+        width = {"diffuse": 1.0, "sheen": 0.1}.get(kind, least)
+        rows = min(len(self.light), next(rows for wide, rows in BLOCKS if width >= wide))
+        direct_light_kernels.add_lights(number, n, table, extent, self.lights(rows), out)
 
-    def _sample(self, k: int, n: np.ndarray, samples: int, out: np.ndarray) -> None:
+    def _sample(
+        self, k: int, n: np.ndarray, facets: np.ndarray, samples: int, out: np.ndarray
+    ) -> None:
         """Add to out (P, 3) what closure k reflects from within its extent."""
         direct_light_kernels.add_samples(
             direct_light_kernels.KINDS[self.mixture.kinds[k]],
             n,
+            facets,
             self._tables[k],
             np.float32(np.tan(EXTENT / 2)),
             self.light,
@@ -149,6 +326,33 @@ class DirectLight:
             samples,
             out,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """Radiance of a closure of unit weight over normals: nodes (S, S, 3), and known (S, S) uint8."""
+
+    nodes: np.ndarray
+    known: np.ndarray
+
+    def normals(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the normals (N, 3) of nodes (N, 2), by row and column."""
+        place = ((nodes[:, ::-1] - 1) / (len(self.known) - 3) * 2 - 1) * (np.pi / 2)
+        theta = np.linalg.norm(place, axis=1)
+        along = place / np.maximum(theta[:, None], 1e-12)
+        theta = np.minimum(theta, np.arccos(LEAST_COS))
+        n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
+        return n.astype(np.float32)
+
+    def set(self, nodes: np.ndarray, radiance: np.ndarray) -> None:
+        """Keep the radiance (N, 3) of nodes (N, 2)."""
+        rows, columns = nodes.T
+        self.nodes[rows, columns] = radiance
+        self.known[rows, columns] = 1
+
+    @classmethod
+    def empty(cls, size: int) -> _Map:
+        return cls(np.zeros((size, size, 3), np.float32), np.zeros((size, size), np.uint8))
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

@@ -144,10 +144,11 @@ def _share(t, end):
 
 
 @_inlined
-def _row(kind, n, alpha, tilt, end, wx, wy, wz, hx, hy, hz, f):
+def _row(kind, n, alpha, tilt, end, least, wx, wy, wz, hx, hy, hz, f):
     """Fill f (T,) with f · cos_i of one closure at one normal for lights w with half vectors h.
 
-    end  t at which samples take over, 0: nowhere
+    end    t at which samples take over, 0: nowhere
+    least  cosine between normal and light from which it is lit
     """
     nx, ny, co = n[0], n[1], n[2]
     sin2_o = ONE - co * co
@@ -161,7 +162,7 @@ def _row(kind, n, alpha, tilt, end, wx, wy, wz, hx, hy, hz, f):
         along = cd - co * cos_h
         ci = scale * (cos_i + tilt * (np.float32(2) * cd * along - sin2_o))
         ch = scale * (cos_h + tilt * along)
-        lit = seen and cos_i > LEAST and ci > LEAST and ch > LEAST
+        lit = seen and cos_i > least and ci > LEAST and ch > LEAST
         ci = min(max(ci, LEAST), ONE)
         ch = min(max(ch, LEAST), ONE)
         value = _value(kind, alpha, ci, o, ch, cd) * ci
@@ -192,48 +193,216 @@ def _end(alpha, extent):
     return tan * tan
 
 
+@_inlined
+def _evaluate(kind, n, alpha, tilt, end, least, lights, count, f):
+    """Fill f (T,) with f · cos_i of one closure for the first lights (9, T).
+
+    The rows are cut one by one, since a part of a matrix would not be contiguous.
+    """
+    x, y, z = lights[0][:count], lights[1][:count], lights[2][:count]
+    hx, hy, hz = lights[3][:count], lights[4][:count], lights[5][:count]
+    if kind == 0:
+        _row(0, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+    elif kind == 1:
+        _row(1, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+    elif kind == 2:
+        _row(2, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+    elif kind == 3:
+        _row(3, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+    else:
+        _row(4, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+
+
+@_inlined
+def _add_energy(f, lights, count, out):
+    """Add to out (3,) the first lights' energies (9, T) times f (T,)."""
+    for c in range(3):
+        energy = lights[6 + c][:count]
+        total = np.float32(0)
+        for j in range(count):
+            total += f[j] * energy[j]
+        out[c] += total
+
+
 @_compiled
 def add_lights(
     kind: int,
     n: np.ndarray,
     table: np.ndarray,
     extent: np.float32,
-    w: np.ndarray,
-    h: np.ndarray,
-    energy: np.ndarray,
+    lights: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Add to out (N, 3) what one closure reflects of lights.
+    """Add to out (N, 3) what one closure of unit weight reflects of lights.
 
-    n      (N, 3)
-    table  (S, 5) log α, tilt and weights at equal steps of 1 − n·v
+    n       (N, 3)
+    table   (S, 5) log α, tilt and weights at equal steps of 1 − n·v
     extent  of `add_samples`, whose share is left out; 0: nothing is
-    w, h, energy  (3, T) float32
+    lights  (9, T) directions, half vectors, and radiance times solid angle
     """
-    f = np.empty(w.shape[1], np.float32)
+    count = lights.shape[1]
+    f = np.empty(count, np.float32)
     v = np.empty(5, np.float32)
     for i in range(len(n)):
         _parameters(table, n[i, 2], v)
-        e = _end(v[0], extent)
-        if kind == 0:
-            _row(0, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
-        elif kind == 1:
-            _row(1, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
-        elif kind == 2:
-            _row(2, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
-        elif kind == 3:
-            _row(3, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
-        else:
-            _row(4, n[i], v[0], v[1], e, w[0], w[1], w[2], h[0], h[1], h[2], f)
-        for c in range(3):
-            total = np.float32(0)
-            for j in range(len(f)):
-                total += f[j] * energy[c, j]
-            out[i, c] += total * v[2 + c]
+        _evaluate(kind, n[i], v[0], v[1], _end(v[0], extent), LEAST, lights, count, f)
+        _add_energy(f, lights, count, out[i])
 
 
 @_inlined
-def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
+def _axis(n, tilt):
+    """Return the tilted normal."""
+    co = n[2]
+    scale = ONE / math.sqrt(ONE + tilt * tilt * (ONE - co * co))
+    side = scale * (ONE - tilt * co)
+    return side * n[0], side * n[1], scale * (co + tilt * (ONE - co * co))
+
+
+@_inlined
+def _mirrored(n, tilt):
+    """Return the direction into which the tilted normal mirrors the viewer."""
+    ax, ay, az = _axis(n, tilt)
+    return np.float32(2) * az * ax, np.float32(2) * az * ay, np.float32(2) * az * az - ONE
+
+
+@_compiled
+def add_blocks(
+    kind: int,
+    n: np.ndarray,
+    table: np.ndarray,
+    within: np.float32,
+    centres: np.ndarray,
+    radii: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) what one closure of unit weight reflects, in detail only around its axis.
+
+    table    as of `add_lights`
+    within   tan θ_h / α of the half vectors within which a block of the light counts in detail
+    centres  (B, 3) of the blocks; radii (B, 2): cosine and sine of the angle
+    near     (B, 9, T) each block's lights in detail, as of `add_lights`
+    far      (9, F) the same, with an equal number of lights for each block, for the blocks beyond
+    """
+    blocks, _, each = near.shape
+    many = far.shape[1]
+    few = many // blocks
+    gathered = np.empty((9, blocks * each), np.float32)
+    beyond = np.empty(many, np.float32)
+    f = np.empty(blocks * each, np.float32)
+    v = np.empty(5, np.float32)
+    for i in range(len(n)):
+        _parameters(table, n[i, 2], v)
+        alpha, tilt = v[0], v[1]
+        mx, my, mz = _mirrored(n[i], tilt)
+        cone = np.float32(2) * np.float32(math.atan(within * alpha))
+        cos, sin = np.float32(math.cos(cone)), np.float32(math.sin(cone))
+        count = 0
+        for b in range(blocks):
+            cosine = mx * centres[b, 0] + my * centres[b, 1] + mz * centres[b, 2]
+            limit = cos * radii[b, 0] - sin * radii[b, 1]
+            is_near = cosine > limit or sin * radii[b, 0] + cos * radii[b, 1] <= 0
+            if is_near:
+                for m in range(9):
+                    for j in range(each):
+                        gathered[m, count + j] = near[b, m, j]
+                count += each
+            for j in range(few * b, few * b + few):
+                beyond[j] = np.float32(0) if is_near else ONE
+        _evaluate(kind, n[i], alpha, tilt, np.float32(0), LEAST, gathered, count, f)
+        _add_energy(f, gathered, count, out[i])
+        if kind == GGX:
+            _evaluate(kind, n[i], alpha, tilt, np.float32(0), LEAST, far, many, f)
+            for j in range(many):
+                f[j] *= beyond[j]
+            _add_energy(f, far, many, out[i])
+
+
+@_compiled
+def add_below(
+    kind: int,
+    n: np.ndarray,
+    facets: np.ndarray,
+    table: np.ndarray,
+    within: np.float32,
+    lights: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) what one closure would reflect of the lights below each point's facet.
+
+    facets  (N, 3) unit normals
+    within  tan θ_h / α around the lobe's axis: where no light below the facet is so near to it,
+            nothing is added
+    Others as of `add_lights`.
+    """
+    count = lights.shape[1]
+    f = np.empty(count, np.float32)
+    x, y, z = lights[0], lights[1], lights[2]
+    v = np.empty(5, np.float32)
+    total = np.empty(3, np.float32)
+    for i in range(len(n)):
+        _parameters(table, n[i, 2], v)
+        mx, my, mz = _mirrored(n[i], v[1])
+        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
+        cone = np.float32(2) * np.float32(math.atan(within * v[0]))
+        if cone < PI / 2 and mx * fx + my * fy + mz * fz > np.float32(math.sin(cone)):
+            continue
+        _evaluate(kind, n[i], v[0], v[1], np.float32(0), LEAST, lights, count, f)
+        for j in range(count):
+            f[j] *= ONE if fx * x[j] + fy * y[j] + fz * z[j] < 0 else np.float32(0)
+        total[:] = 0
+        _add_energy(f, lights, count, total)
+        for c in range(3):
+            out[i, c] += total[c] * v[2 + c]
+
+
+@_compiled
+def add_away(
+    kind: int,
+    n: np.ndarray,
+    facets: np.ndarray,
+    table: np.ndarray,
+    lights: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) what one closure with a lobe reflects where normals (N, 3) face away.
+
+    Only a tilted normal may face the viewer there. As in Cycles it is lit by all light above the
+    facet, and parameters are those at |n·v|. Arguments as of `add_below`.
+    """
+    count = lights.shape[1]
+    f = np.empty(count, np.float32)
+    x, y, z = lights[0], lights[1], lights[2]
+    v = np.empty(5, np.float32)
+    total = np.empty(3, np.float32)
+    for i in range(len(n)):
+        _parameters(table, abs(n[i, 2]), v)
+        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
+        _evaluate(kind, n[i], v[0], v[1], np.float32(0), np.float32(-2), lights, count, f)
+        for j in range(count):
+            f[j] *= np.float32(0) if fx * x[j] + fy * y[j] + fz * z[j] < 0 else ONE
+        total[:] = 0
+        _add_energy(f, lights, count, total)
+        for c in range(3):
+            out[i, c] += total[c] * v[2 + c]
+
+
+@_inlined
+def _texel(to_light, wx, wy, wz, height, width):
+    """Return row and column of the map's texel in a direction of the camera frame."""
+    lx = to_light[0, 0] * wx + to_light[0, 1] * wy + to_light[0, 2] * wz
+    ly = to_light[1, 0] * wx + to_light[1, 1] * wy + to_light[1, 2] * wz
+    lz = to_light[2, 0] * wx + to_light[2, 1] * wy + to_light[2, 2] * wz
+    polar = _arctan(math.sqrt(lx * lx + lz * lz), ly)
+    row = min(int(polar / PI * np.float32(height)), height - 1)
+    around = _arctan(lz, lx) / (np.float32(2) * PI)
+    around = around + ONE if around < 0 else around
+    return row, min(int(around * np.float32(width)), width - 1)
+
+
+@_inlined
+def _samples(kind, first, n, facet, alpha, tilt, end, light, to_light, count, out):
     """Set out (3,) to what one closure reflects at one normal from within its extent."""
     height, width = light.shape[0], light.shape[1]
     co = n[2]
@@ -283,18 +452,13 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
         ci = wx * ax + wy * ay + wz * az
         if cos_i <= LEAST or ci <= LEAST or hz <= LEAST:
             continue
+        if wx * facet[0] + wy * facet[1] + wz * facet[2] < 0:
+            continue
         value = _value(kind, alpha, min(ci, ONE), min(o, ONE), min(cos, ONE), hz)
         value *= ci * np.float32(4) * hz / (np.float32(2 * count) * p)
         if kind == GGX:
             value *= _share(t, end)
-        lx = to_light[0, 0] * wx + to_light[0, 1] * wy + to_light[0, 2] * wz
-        ly = to_light[1, 0] * wx + to_light[1, 1] * wy + to_light[1, 2] * wz
-        lz = to_light[2, 0] * wx + to_light[2, 1] * wy + to_light[2, 2] * wz
-        polar = _arctan(math.sqrt(lx * lx + lz * lz), ly)
-        row = min(int(polar / PI * np.float32(height)), height - 1)
-        around = _arctan(lz, lx) / (np.float32(2) * PI)
-        around = around + ONE if around < 0 else around
-        column = min(int(around * np.float32(width)), width - 1)
+        row, column = _texel(to_light, wx, wy, wz, height, width)
         out[0] += value * light[row, column, 0]
         out[1] += value * light[row, column, 1]
         out[2] += value * light[row, column, 2]
@@ -304,6 +468,7 @@ def _samples(kind, first, n, alpha, tilt, end, light, to_light, count, out):
 def add_samples(
     kind: int,
     n: np.ndarray,
+    facets: np.ndarray,
     table: np.ndarray,
     extent: np.float32,
     light: np.ndarray,
@@ -323,11 +488,11 @@ def add_samples(
         _parameters(table, n[i, 2], v)
         e = _end(v[0], extent) if kind == GGX else SHORT_TAILED
         if kind == 1:
-            _samples(1, i, n[i], v[0], v[1], e, light, to_light, count, here)
+            _samples(1, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
         elif kind == 2:
-            _samples(2, i, n[i], v[0], v[1], e, light, to_light, count, here)
+            _samples(2, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
         else:
-            _samples(3, i, n[i], v[0], v[1], e, light, to_light, count, here)
+            _samples(3, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
         for c in range(3):
             out[i, c] += here[c] * v[2 + c]
 
@@ -342,44 +507,177 @@ def _catmull_rom(f, weights):
     weights[3] = HALF * (f3 - f2)
 
 
-@_compiled
-def interpolate(n: np.ndarray, nodes: np.ndarray, known: np.ndarray, out: np.ndarray) -> int:
-    """Add to out (N, 3) the map's radiance at normals, by Catmull–Rom splines over 4 × 4 nodes.
+@_inlined
+def _place(n, size, x, y):
+    """Set the spline's weights x, y (4,) at a normal; return the first row and column of 4 × 4."""
+    flat = math.sqrt(n[0] * n[0] + n[1] * n[1])
+    theta = _arctan(flat, n[2]) * np.float32(2 / math.pi)
+    along = theta / max(flat, np.float32(1e-12))
+    px = (along * n[0] + ONE) * HALF * np.float32(size - 3) + ONE
+    py = (along * n[1] + ONE) * HALF * np.float32(size - 3) + ONE
+    column = min(max(int(px), 1), size - 3)
+    row = min(max(int(py), 1), size - 3)
+    _catmull_rom(px - np.float32(column), x)
+    _catmull_rom(py - np.float32(row), y)
+    return row - 1, column - 1
 
-    nodes (S, S, 3); known (S, S) uint8. Where a node is not known nothing is added, and it is
-    marked with 2: the caller computes these and begins again.
+
+@_compiled
+def mark(n: np.ndarray, known: np.ndarray) -> int:
+    """Mark with 2 the nodes that `interpolate` needs at normals (N, 3) and that are not known.
+
+    known    (S, S) uint8, 1: is known
     Returns  the number of nodes that are marked
     """
-    size = nodes.shape[0]
     marked = 0
     x = np.empty(4, np.float32)
     y = np.empty(4, np.float32)
     for i in range(len(n)):
-        flat = math.sqrt(n[i, 0] * n[i, 0] + n[i, 1] * n[i, 1])
-        theta = _arctan(flat, n[i, 2]) * np.float32(2 / math.pi)
-        along = theta / max(flat, np.float32(1e-12))
-        px = (along * n[i, 0] + ONE) * HALF * np.float32(size - 3) + ONE
-        py = (along * n[i, 1] + ONE) * HALF * np.float32(size - 3) + ONE
-        column = min(max(int(px), 1), size - 3)
-        row = min(max(int(py), 1), size - 3)
-        _catmull_rom(px - np.float32(column), x)
-        _catmull_rom(py - np.float32(row), y)
-        r = g = b = np.float32(0)
-        complete = True
+        row, column = _place(n[i], known.shape[0], x, y)
         for a in range(4):
             for c in range(4):
-                k, m = row - 1 + a, column - 1 + c
-                if known[k, m] != 1:
-                    complete = False
-                    if known[k, m] == 0:
-                        known[k, m] = 2
-                        marked += 1
-                weight = y[a] * x[c]
-                r += weight * nodes[k, m, 0]
-                g += weight * nodes[k, m, 1]
-                b += weight * nodes[k, m, 2]
-        if complete:
-            out[i, 0] += max(r, np.float32(0))
-            out[i, 1] += max(g, np.float32(0))
-            out[i, 2] += max(b, np.float32(0))
+                if known[row + a, column + c] == 0:
+                    known[row + a, column + c] = 2
+                    marked += 1
     return marked
+
+
+@_compiled
+def interpolate(n: np.ndarray, nodes: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
+    """Add to out (N, 3) a map's radiance at normals times the closure's weights there.
+
+    By Catmull–Rom splines over 4 × 4 of the nodes (S, S, 3); table as of `add_lights`.
+    """
+    x = np.empty(4, np.float32)
+    y = np.empty(4, np.float32)
+    v = np.empty(5, np.float32)
+    for i in range(len(n)):
+        row, column = _place(n[i], nodes.shape[0], x, y)
+        r = g = b = np.float32(0)
+        for a in range(4):
+            for c in range(4):
+                weight = y[a] * x[c]
+                r += weight * nodes[row + a, column + c, 0]
+                g += weight * nodes[row + a, column + c, 1]
+                b += weight * nodes[row + a, column + c, 2]
+        _parameters(table, n[i, 2], v)
+        out[i, 0] += max(r, np.float32(0)) * v[2]
+        out[i, 1] += max(g, np.float32(0)) * v[3]
+        out[i, 2] += max(b, np.float32(0)) * v[4]
+
+
+@_inlined
+def _lobe(kind, alpha, o, i, ch, cd):
+    """Return f · cos_i and the density by which Cycles draws w, where w may be longer than 1."""
+    if kind == DIFFUSE:
+        return i / PI, i / PI
+    if kind == SHEEN:
+        return _sheen(alpha, i, o, ch, cd) * i, HALF / PI
+    if kind == ASHIKHMIN_SHIRLEY:
+        n = np.float32(2) / (alpha * alpha) - np.float32(2)
+        density = (n + ONE) / (np.float32(8) * PI) * np.float32(ch**n) / cd
+        return i / max(o, i) * density, density
+    c2, a2 = ch * ch, alpha * alpha
+    tan2 = max(ONE / (i * i) - ONE, np.float32(0))
+    if kind == GGX:
+        spread = (ONE - c2) + a2 * c2
+        d = a2 / (PI * spread * spread)
+        hidden_i = HALF * (math.sqrt(ONE + a2 * tan2) - ONE)
+        hidden_o = HALF * (math.sqrt(ONE + a2 * (ONE / (o * o) - ONE)) - ONE)
+    else:
+        d = math.exp(-(ONE - c2) / (c2 * a2)) / (PI * a2 * c2 * c2)
+        hidden_i = _smith(min(i, ONE), alpha)
+        hidden_o = _smith(o, alpha)
+    common = np.float32(0.25) * d / o
+    return common / (ONE + hidden_i + hidden_o), common / (ONE + hidden_o)
+
+
+@_compiled
+def add_misdirected(
+    kinds: np.ndarray,
+    n: np.ndarray,
+    tables: np.ndarray,
+    light: np.ndarray,
+    density: np.ndarray,
+    to_light: np.ndarray,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) the light that Cycles finds by half vectors that face away.
+
+    When Ashikhmin and Shirley's closure draws a half vector h with h·v < 0, Cycles turns it round,
+    but keeps h·v as it was, so that w = −v + 2 |h·v| h is no mirrored direction, and longer than 1.
+    What comes from there is added to the picture, by the weight that it would have as a proper
+    sample beside those of the light.
+
+    kinds    (K,) of the mixture's closures; tables (K, S, 5) as of `add_lights`
+    density  (height, width) by which Cycles draws directions to the light, in 1/sr
+    count    half vectors per normal and closure
+    """
+    height, width = light.shape[0], light.shape[1]
+    closures = len(kinds)
+    v = np.empty((closures, 5), np.float32)
+    for i in range(len(n)):
+        co = n[i, 2]
+        total = np.float32(0)
+        for k in range(closures):
+            _parameters(tables[k], co, v[k])
+            total += (v[k, 2] + v[k, 3] + v[k, 4]) / np.float32(3)
+        for k in range(closures):
+            if kinds[k] != ASHIKHMIN_SHIRLEY or total <= 0:
+                continue
+            picked = (v[k, 2] + v[k, 3] + v[k, 4]) / (np.float32(3) * total)
+            ax, ay, az = _axis(n[i], v[k, 1])
+            if az <= LEAST or picked <= 0:
+                continue
+            exponent = np.float32(2) / (v[k, 0] * v[k, 0]) - ONE
+            least = np.float32(math.sqrt(max(ONE - az * az, np.float32(0))))
+            if least**exponent < np.float32(1e-4):
+                continue  # hardly any half vector faces away
+            side = max(math.sqrt(ax * ax + ay * ay), np.float32(1e-6))
+            xx, xy = ay / side, -ax / side
+            yx, yy, yz = -az * xy, az * xx, ax * xy - ay * xx
+            for j in range(count):
+                u = (np.float32(j) + HALF) / np.float32(count)
+                # of all half vectors only those below `least` may face away
+                cos = np.float32((u * least**exponent) ** (ONE / exponent))
+                sin = np.float32(math.sqrt(max(ONE - cos * cos, np.float32(0))))
+                phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
+                sx, sy = np.float32(sin * math.cos(phi)), np.float32(sin * math.sin(phi))
+                hx = ax * cos + xx * sx + yx * sy
+                hy = ay * cos + xy * sx + yy * sy
+                hz = az * cos + yz * sy
+                if hz >= 0:
+                    continue
+                cd = max(-hz, np.float32(1e-6))
+                wx, wy, wz = (
+                    np.float32(2) * cd * hx,
+                    np.float32(2) * cd * hy,
+                    np.float32(2) * cd * hz - ONE,
+                )
+                if wx * n[i, 0] + wy * n[i, 1] + wz * co < 0:
+                    continue
+                fr = fg = fb = p = np.float32(0)
+                for m in range(closures):
+                    bx, by, bz = _axis(n[i], v[m, 1])
+                    if kinds[m] == DIFFUSE:
+                        bx, by, bz = n[i, 0], n[i, 1], co
+                    ci = bx * wx + by * wy + bz * wz
+                    ch = bx * hx + by * hy + bz * hz
+                    if ci <= LEAST or bz <= LEAST or ch <= LEAST:
+                        continue
+                    f, q = _lobe(kinds[m], v[m, 0], bz, ci, min(ch, ONE), cd)
+                    fr += f * v[m, 2]
+                    fg += f * v[m, 3]
+                    fb += f * v[m, 4]
+                    p += q * (v[m, 2] + v[m, 3] + v[m, 4]) / (np.float32(3) * total)
+                if p <= 0:
+                    continue
+                length = np.float32(math.sqrt(wx * wx + wy * wy + wz * wz))
+                wx, wy, wz = wx / length, wy / length, wz / length
+                row, column = _texel(to_light, wx, wy, wz, height, width)
+                other = density[row, column]
+                share = picked * least**exponent / np.float32(count) * p / (p * p + other * other)
+                out[i, 0] += share * fr * light[row, column, 0]
+                out[i, 1] += share * fg * light[row, column, 1]
+                out[i, 2] += share * fb * light[row, column, 2]

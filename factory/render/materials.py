@@ -12,6 +12,8 @@ import bpy
 from factory.render.settings import assign
 from shaders import nodes
 
+FACET_SHIFT = 2.0  # added to a facet's normal, so that no channel that is emitted is negative
+
 
 def new(name: str) -> bpy.types.Material:
     """Return a new material that shows no node group yet."""
@@ -97,19 +99,39 @@ def _fill_ramp(ramp: bpy.types.ColorRamp, stops: Sequence[tuple[float, Sequence[
 
 
 def id_emission(level: int) -> bpy.types.NodeTree:
-    """Return a node group that emits `level` in all channels, to render a segment's number.
+    """Return a node group that emits a segment's number and the facet's direction.
 
-    It has no closure with a normal of its own, so the Normal pass, which averages the closures'
-    normals, shows the surface's normal.
+    Red is `level`; green and blue are x + 2 and y + 2 of the facet's unit normal, which faces the
+    viewer, in the camera's frame: x right, y up. It has no closure with a normal of its own, so the
+    Normal pass, which averages the closures' normals, shows the surface's normal.
     """
-    emission = nodes.Node(
-        "emission",
-        "ShaderNodeEmission",
-        inputs={"Color": (1.0, 1.0, 1.0, 1.0), "Strength": float(level)},
-    )
+    node, link = nodes.Node, nodes.Link
+    shift = {"operation": "ADD"}
     return build(
         nodes.Graph(
-            (nodes.OUTPUT, emission),
-            (nodes.Link("emission", "Emission", nodes.OUTPUT.name, "Surface"),),
+            (
+                nodes.OUTPUT,
+                node("geometry", "ShaderNodeNewGeometry"),
+                node(
+                    "in camera",
+                    "ShaderNodeVectorTransform",
+                    {"vector_type": "NORMAL", "convert_from": "WORLD", "convert_to": "CAMERA"},
+                ),
+                node("parts", "ShaderNodeSeparateXYZ"),
+                node("x", "ShaderNodeMath", shift, {"Value_001": FACET_SHIFT}),
+                node("y", "ShaderNodeMath", shift, {"Value_001": FACET_SHIFT}),
+                node("colour", "ShaderNodeCombineColor", inputs={"Red": float(level)}),
+                node("emission", "ShaderNodeEmission", inputs={"Strength": 1.0}),
+            ),
+            (
+                link("geometry", "True Normal", "in camera", "Vector"),
+                link("in camera", "Vector", "parts", "Vector"),
+                link("parts", "X", "x", "Value"),
+                link("parts", "Y", "y", "Value"),
+                link("x", "Value", "colour", "Green"),
+                link("y", "Value", "colour", "Blue"),
+                link("colour", "Color", "emission", "Color"),
+                link("emission", "Emission", nodes.OUTPUT.name, "Surface"),
+            ),
         )
     )

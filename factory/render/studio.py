@@ -15,7 +15,7 @@ import platform
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import bpy
 import msgspec
@@ -79,6 +79,21 @@ class Geometry:
 
     normals: np.ndarray
     mask: np.ndarray
+    depth: np.ndarray
+    segments: np.ndarray
+
+
+class _Surface(NamedTuple):
+    """What the rays through pixels' centres meet: a mask (height, width), and of its pixels
+
+    normals   (P, 3) float32, camera frame, as they are interpolated: they may lean away
+    facets    (P, 3) normals of the facets, which face a distant viewer
+    depth     (P,) as in Geometry; segments (P,) uint8
+    """
+
+    mask: np.ndarray
+    normals: np.ndarray
+    facets: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
 
@@ -252,31 +267,47 @@ class Studio:
 
     def geometry(self) -> Geometry:
         """Return the Geometry of shape and view, by one ray through each pixel's centre."""
+        lens = self._require_camera()
+        at = self._surface()
+        view = (
+            None if lens.fov_deg is None else camera.view_vectors(lens)[at.mask].astype(np.float32)
+        )
+        shot = Geometry(
+            np.zeros((*lens.size, 3), np.float32),
+            at.mask,
+            np.zeros(lens.size, np.float32),
+            np.zeros(lens.size, np.uint8),
+        )
+        shot.normals[at.mask] = _facing(at.normals, view)
+        shot.depth[at.mask] = at.depth
+        shot.segments[at.mask] = at.segments
+        return shot
+
+    def _surface(self) -> _Surface:
+        """Return what one ray through each pixel's centre meets."""
         self._show("geometry")
         lens = self._require_camera()
         (top, bottom, left, right), passes = self._render_passes(lens)
         mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
         inside = mask[top:bottom, left:right]
-        world = passes["Normal"][inside]
+        world, emitted = passes["Normal"][inside], passes["Combined"][inside]
         squares = np.einsum("pi,pi->p", world, world)
         if squares.size and np.abs(squares - 1).max() > 2 * checks.UNIT_TOLERANCE:
             raise RuntimeError(
                 "geometry: expected unit normals, found n·n"
                 f" {squares.min():.3f}–{squares.max():.3f} (the filter mixes pixels)"
             )
-        view = None if lens.fov_deg is None else camera.view_vectors(lens)[mask].astype(np.float32)
-        shot = Geometry(
-            np.zeros((*lens.size, 3), np.float32),
+        facets = np.zeros_like(world)
+        facets[:, :2] = emitted[:, 1:3] - np.float32(materials.FACET_SHIFT)
+        across = np.einsum("pi,pi->p", facets, facets)
+        facets[:, 2] = np.sqrt(np.maximum(1 - across, 0))
+        return _Surface(
             mask,
-            np.zeros(lens.size, np.float32),
-            np.zeros(lens.size, np.uint8),
+            normals=world @ camera.camera_from_fixed_world(lens).T.astype(np.float32),
+            facets=facets,
+            depth=passes["Depth"][inside][:, 0] - np.float32(camera.distance(lens)),
+            segments=np.rint(emitted[:, 0]).astype(np.uint8),
         )
-        shot.normals[mask] = _facing(
-            world @ camera.camera_from_fixed_world(lens).T.astype(np.float32), view
-        )
-        shot.depth[mask] = passes["Depth"][inside][:, 0] - np.float32(camera.distance(lens))
-        shot.segments[mask] = np.rint(passes["Combined"][inside][:, 0])
-        return shot
 
     def render(self, samples: int, seed: int, tier: Tier = "direct") -> np.ndarray:
         """Return radiance (height, width, 3); arguments as `picture` takes them."""
@@ -369,13 +400,15 @@ class Studio:
         height, width = lens.size
         self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
         try:
-            fine = self.geometry()
+            fine = self._surface()
         finally:
             self.set_camera(lens)
-        radiance = np.zeros((*fine.mask.shape, 3), np.float32)
+        values = np.zeros_like(fine.normals)
         for number, each in enumerate(direct, 1):
             here = fine.segments == number
-            radiance[here] = each.at(fine.normals[here], samples)
+            values[here] = each.at(fine.normals[here], samples, fine.facets[here])
+        radiance = np.zeros((*fine.mask.shape, 3), np.float32)
+        radiance[fine.mask] = values
         blocks = (height, across, width, across)
         return DirectPicture(
             radiance.reshape(*blocks, 3).mean((1, 3), dtype=np.float32),

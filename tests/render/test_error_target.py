@@ -98,8 +98,8 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
 def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chair, monkeypatch):
     lens, earlier = chair._lens, chair._mixtures
     shown = []
-    geometry = chair.geometry
-    monkeypatch.setattr(chair, "geometry", lambda: shown.append(chair._lens.size) or geometry())
+    surface = chair._surface
+    monkeypatch.setattr(chair, "_surface", lambda: shown.append(chair._lens.size) or surface())
     shiny = Mixture.constant("ggx", 0.02, [0.5] * 3)
     try:
         chair.set_materials([shiny] * len(earlier))

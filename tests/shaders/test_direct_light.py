@@ -58,7 +58,9 @@ def summed(mixture, light, n, parts):
         ("sheen", 0.6, 2),
         *((kind, 0.5, 2) for kind in ("ggx", "beckmann", "ashikhmin_shirley")),
         *((kind, 0.15, 4) for kind in ("ggx", "beckmann", "ashikhmin_shirley")),
+        *((kind, 0.08, 6) for kind in ("ggx", "beckmann", "ashikhmin_shirley")),
         *((kind, 0.04, 8) for kind in ("ggx", "beckmann", "ashikhmin_shirley")),
+        *((kind, 0.025, 12) for kind in ("ggx", "beckmann", "ashikhmin_shirley")),
     ],
 )
 def test_every_closure_is_integrated_at_every_width(light, kind, alpha, parts, tilt):
@@ -66,7 +68,7 @@ def test_every_closure_is_integrated_at_every_width(light, kind, alpha, parts, t
     n = normals(10)
     expected = summed(mixture, light, n, parts)
     # many sample directions, because single normals are compared here
-    radiance = DirectLight(mixture, light, ROTATION).at(n, samples=2048)
+    radiance = DirectLight(mixture, light, ROTATION, misdirected=False).at(n, samples=2048)
     off = np.abs(radiance - expected) / expected.mean()
     assert off.mean() < 0.01 and off.max() < 0.06
 
@@ -98,16 +100,16 @@ def test_parameters_follow_the_viewing_angle(light):
 def test_maps_are_kept_between_calls(light, monkeypatch):
     direct = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION)
     first = direct.at(normals(50))
-    monkeypatch.setattr(direct, "_fill", lambda nodes: pytest.fail("computed again"))
+    monkeypatch.setattr(direct, "_fill", lambda k, nodes: pytest.fail("computed again"))
     np.testing.assert_array_equal(direct.at(normals(50)), first)
 
 
 def test_blocks_of_texels_carry_the_energy_of_all(light):
     direct = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION)
-    total = direct.lights(ROWS)[2].sum(1)
+    total = direct.lights(ROWS)[6:].sum(1)
     for _, rows in direct_light.BLOCKS:
-        np.testing.assert_allclose(direct.lights(rows)[2].sum(1), total, rtol=1e-4)
-        lengths = np.linalg.norm(direct.lights(rows)[0], axis=0)
+        np.testing.assert_allclose(direct.lights(rows)[6:].sum(1), total, rtol=1e-4)
+        lengths = np.linalg.norm(direct.lights(rows)[:3], axis=0)
         np.testing.assert_allclose(lengths, 1, rtol=1e-5)
 
 
@@ -135,3 +137,100 @@ def test_kernels_compile_without_a_cache_where_no_folder_can_be_written(monkeypa
 
     monkeypatch.setattr(direct_light_kernels, "njit", refusing)
     assert direct_light_kernels._compiled(len) is len and requested == [True, False]
+
+
+def test_a_weight_that_jumps_at_the_front_is_not_blurred_between_nodes(light):
+    """Measured materials have stops 0.004 apart there, finer than a map's nodes."""
+    mixture = Mixture(
+        ("diffuse",),
+        np.array([0.0, 1 / 255, 1.0]),
+        np.zeros((3, 1)),
+        np.zeros((3, 1)),
+        np.array([[[0.0] * 3], [[1.0] * 3], [[1.0] * 3]]),
+    )
+    n = normals(40, 20)
+    direct = DirectLight(mixture, light, ROTATION).at(n)
+    matte = DirectLight(Mixture.lambert([1.0, 1.0, 1.0]), light, ROTATION).at(n)
+    weight = np.minimum(255 * (1 - n[:, 2:]), 1)
+    np.testing.assert_allclose(direct, matte * weight, rtol=0.01, atol=0.01)
+
+
+def drawn_wrongly(mixture, light, n, count, rng):
+    """What Cycles adds at one normal by half vectors that it turns round, drawn one by one."""
+    (alpha,), (kind,) = np.exp(mixture.log_alpha[0]), mixture.kinds
+    assert kind == "ashikhmin_shirley"
+    exponent, v = 2 / alpha**2 - 2, np.array([0, 0, 1.0])
+    cos = rng.random(count) ** (1 / (exponent + 1))
+    phi = 2 * np.pi * rng.random(count)
+    x = np.cross(n, [0.3, 0.8, -0.5])
+    x /= np.linalg.norm(x)
+    y = np.cross(n, x)
+    sin = np.sqrt(1 - cos**2)
+    h = cos[:, None] * n + sin[:, None] * (np.cos(phi)[:, None] * x + np.sin(phi)[:, None] * y)
+    cd = h @ v
+    turned = cd < 0
+    # as Cycles has it: h changes its sign, h·v does not
+    w = -v + 2 * cd[:, None] * np.where(turned[:, None], -h, h)
+    cos_i, cos_o = w @ n, n @ v
+    again = (w + v) / np.linalg.norm(w + v, axis=1, keepdims=True)
+    p = (exponent + 1) / (8 * np.pi) * np.maximum(again @ n, 0) ** exponent / np.abs(again @ v)
+    f = p * cos_i / np.maximum(cos_i, cos_o)
+    towards = w / np.linalg.norm(w, axis=1, keepdims=True)
+    L = light[envmap.texel(towards @ ROTATION, *light.shape[:2])]
+    _, solid_angle = envmap.directions(*light.shape[:2])
+    energy = light.mean(-1) * solid_angle
+    q = (energy / energy.sum() / solid_angle)[envmap.texel(towards @ ROTATION, *light.shape[:2])]
+    used = turned & (cos_i > 0)
+    share = np.where(used, f / p * p**2 / (p**2 + q**2), 0)
+    return (share[:, None] * L).mean(0) * mixture.weights[0, 0]
+
+
+@pytest.mark.parametrize("degrees", [70, 78, 85])
+def test_light_that_cycles_finds_by_mistake_is_what_its_rule_gives(light, degrees):
+    light = np.minimum(light, 5)  # so that few half vectors suffice here
+    mixture = Mixture.constant("ashikhmin_shirley", 0.8, [0.5, 0.3, 0.7])
+    n = np.array([[np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))]])
+    found = DirectLight(mixture, light, ROTATION).misdirected(n.astype(np.float32))[0]
+    expected = drawn_wrongly(mixture, light, n[0], 400_000, np.random.default_rng(1))
+    assert found.min() > 0
+    np.testing.assert_allclose(found, expected, rtol=0.05)
+
+
+def test_no_half_vector_is_turned_round_where_the_surface_faces_the_viewer(light):
+    mixture = Mixture.constant("ashikhmin_shirley", 0.3, [0.5] * 3)
+    n = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 0.954]], np.float32)
+    assert not DirectLight(mixture, light, ROTATION).misdirected(n).any()
+
+
+def test_narrow_lobes_reflect_nothing_from_below_a_facet_and_matte_closures_do(light):
+    n = np.array([[0.9, 0.0, np.sqrt(1 - 0.81)]], np.float32)
+    facet = np.array([[0.3, 0.2, 0.0]], np.float32)
+    facet[:, 2] = np.sqrt(1 - (facet**2).sum(1))
+    for alpha in (0.25, 0.15, 0.01):
+        mixture = Mixture.constant("beckmann", alpha, [0.5] * 3)
+        direct = DirectLight(mixture, light, ROTATION)
+        w, solid_angle = envmap.directions(*light.shape[:2])
+        above = (w @ (facet[0] @ ROTATION) > 0)[..., None]
+        cut = DirectLight(mixture, light * above, ROTATION)
+        whole, left, expected = (
+            each.at(n, 4096, facets).astype(float)
+            for each, facets in ((direct, None), (direct, facet), (cut, None))
+        )
+        assert (left < 0.98 * whole).all()
+        np.testing.assert_allclose(left, expected, rtol=0.05, atol=0.01 * whole.max())
+    matte = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION)
+    np.testing.assert_array_equal(matte.at(n, 12, facet), matte.at(n))
+
+
+def test_where_the_normal_faces_away_only_matte_closures_reflect(light):
+    n = np.array([[0.995, 0.0, -0.0999]], np.float32)
+    facet = np.array([[0.98, 0.0, 0.199]], np.float32)
+    lobe = Mixture.constant("ggx", 0.5, [0.5] * 3)
+    assert not DirectLight(lobe, light, ROTATION).at(n, 12, facet).any()
+    leaning = Mixture.constant("ggx", 0.5, [0.5] * 3, tilt=0.3)  # its own normal faces the viewer
+    assert DirectLight(leaning, light, ROTATION).at(n, 12, facet).all()
+    w, solid_angle = envmap.directions(*light.shape[:2])
+    cosines = np.maximum(w @ (n[0] @ ROTATION), 0)
+    expected = 0.5 / np.pi * np.einsum("yx,yx,yxc->c", cosines, solid_angle, light)
+    matte = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION).at(n, 12, facet)
+    np.testing.assert_allclose(matte[0], expected, rtol=0.01)

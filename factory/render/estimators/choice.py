@@ -19,7 +19,7 @@ from factory.render.estimators.halves import DirectPicture, Estimate, Halves, Sh
 from manifests.schema import Estimator
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 2  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 3  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 

@@ -1,0 +1,145 @@
+"""Error and time of direct light by the closed form, against many samples of Cycles.
+
+python -m factory.render.validation.direct_light_error --shots 24 --out DIR
+python -m factory.render.validation.direct_light_error --shots 24 --meshes FOLDER --out DIR
+
+shots    drawn from a seed as in error_target, all of the tier `direct`
+error    display L2 over the mask against a reference in two halves, whose noise cancels in the mean;
+         "facing" is the part of pixels with n·v above 0.3
+seconds  of one thread: of a first view under a new light, and of a second one, for which most of the
+         maps are there already
+samples  of each half of a picture that take as long
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from factory.render.validation.error_target import Stage, drawn
+from manifests.errors import InputError
+from manifests.files import write_json, write_text
+from manifests.option_types import positive, whole
+from manifests.provenance import provenance
+from shaders import tone
+
+TIMED = 16  # samples of a picture by which time is counted in samples
+GRAZING = 0.3  # n·v
+
+
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return a row for each shot."""
+    stage = Stage(options.size, 1)
+    meshes = sorted(options.meshes.rglob("*.obj")) if options.meshes else []
+    if options.meshes and not meshes:
+        raise InputError("--meshes", "a folder with .obj files", "none", "name another folder")
+    rows: list[dict[str, Any]] = []
+    for number in range(options.shots):
+        scene = replace(drawn(number, options.seed, stage.materials), tier="direct")
+        if meshes:
+            scene = replace(scene, shape=str(meshes[number * 7 % len(meshes)]))
+        stage.show(replace(scene, azimuth=scene.azimuth + 1))
+        start = time.process_time()
+        first = stage.studio.direct_light()
+        first_seconds = time.process_time() - start
+        mask = stage.show(scene)
+        start = time.process_time()
+        exact = stage.studio.direct_light()
+        seconds = time.process_time() - start
+        assert first is not None and exact is not None
+        start = time.process_time()
+        stage.studio.portion(0, TIMED, scene.seed, "direct")
+        per_sample = (time.process_time() - start) / (2 * TIMED)
+        reference = stage.reference(scene, mask, options.reference)
+        exposure = tone.auto_exposure(reference.picture, mask)
+        a, b, c = (
+            tone.display(each[mask], exposure) for each in (exact.radiance, *reference.pictures)
+        )
+        errors = ((a - b) * (a - c)).mean(-1)
+        facing = stage.studio.geometry().normals[mask][:, 2] > GRAZING
+        rows.append(
+            asdict(scene)
+            | {
+                "shape": Path(scene.shape).name if meshes else scene.shape,
+                "pixels": int(mask.sum()),
+                "error": float(errors.mean()),
+                "facing": float(errors[facing].sum() / len(errors)),
+                "reference_noise": reference.estimate().error,
+                "first_seconds": first_seconds,
+                "seconds": seconds,
+                "samples": seconds / (2 * per_sample),
+            }
+        )
+        last = rows[-1]
+        print(
+            f"{number}: {last['shape']} {scene.material} {scene.light}: error {last['error']:.2f},"
+            f" {seconds:.2f} s",
+            flush=True,
+        )
+    return rows
+
+
+def report(result: dict[str, Any]) -> str:
+    """Return the page of a measurement."""
+    rows = result["rows"]
+    lines = [
+        "# Direct light by the closed form",
+        "",
+        f"    {result['command']}",
+        "",
+        f"Commit {result['commit']}, {result['date']}, {result['machine']}; pictures of"
+        f" {result['size']}×{result['size']}.",
+        "",
+        "| | mean | median | worst |",
+        "|---|---|---|---|",
+    ]
+    for key, title in (
+        ("error", "error"),
+        ("facing", f"of that, where n·v > {GRAZING}"),
+        ("reference_noise", "noise of the reference"),
+        ("first_seconds", "seconds, first view"),
+        ("seconds", "seconds, second view"),
+        ("samples", "samples of each half that take as long"),
+    ):
+        values = np.array([row[key] for row in rows])
+        lines.append(
+            f"| {title} | {values.mean():.2f} | {np.median(values):.2f} | {values.max():.2f} |"
+        )
+    lines += ["", "| shape, material, light | error | facing |", "|---|---|---|"]
+    for row in sorted(rows, key=lambda row: -row["error"])[:8]:
+        lines.append(
+            f"| {row['shape']}, {row['material']}, {row['light']} | {row['error']:.2f}"
+            f" | {row['facing']:.2f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, and write report.json and report.md."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--shots", type=positive, default=24, metavar="N")
+    parser.add_argument("--seed", type=whole, default=3, metavar="N", help="from which shots come")
+    parser.add_argument("--size", type=positive, default=128, metavar="PIXELS")
+    parser.add_argument(
+        "--reference", type=positive, default=256, metavar="N", help="samples of each half"
+    )
+    parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options = parser.parse_args()
+    rows = measure(options)
+    result = {**provenance(), "size": options.size, "rows": rows}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_json(options.out / "report.json", result)
+    write_text(options.out / "report.md", report(result))
+    print(f"See {options.out / 'report.md'}")
+
+
+if __name__ == "__main__":
+    main()
