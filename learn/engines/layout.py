@@ -67,6 +67,11 @@ SAMPLE_STRIDE = LANES * SAMPLE_ROWS
 # Their scratch: f μ dω by channel, the border's row and column, and the share beyond it.
 FOOTPRINT_ROW, FOOTPRINT_COLUMN, FOOTPRINT_BELOW, FOOTPRINT_RIGHT = range(3, 7)
 FOOTPRINT_ROWS = 7
+# In the backward pass also the light seen by channel, behind them the sums by n, by v and by m.
+FOOTPRINT_LIGHT = FOOTPRINT_ROWS
+FOOTPRINT_BY_N = FOOTPRINT_LIGHT + 3
+FOOTPRINT_BY_V = FOOTPRINT_BY_N + 3
+FOOTPRINT_BY_M = FOOTPRINT_BY_V + 3
 
 # Pixels that are summed together, by kernel.
 DISTANT_TILE = 32  # they share a block of lights in the first-level cache
@@ -79,6 +84,7 @@ SAMPLE_TILE = 16
 LIGHT_CHUNKS = 16
 CULLED_CHUNKS = 4  # of tiles
 MAP_CHUNKS = 4  # of pixels
+SAMPLE_CHUNKS = 8  # of pixels; each has a map of its own for the derivative by light
 
 # Scratch, in floats: for the sums of one tile and, in the backward passes, of one chunk.
 DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
@@ -88,6 +94,7 @@ CULLED_SCRATCH = ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # sums, then nor
 DISTANT_SECOND_ROWS = 6
 GENERAL_SECOND_ROWS = 9
 DISTANT_SECOND_SCRATCH = LANES * DISTANT_SECOND_ROWS * DISTANT_TILE
+SAMPLE_SCRATCH = LANES * (FOOTPRINT_BY_M + VALUES)
 GENERAL_SECOND_SCRATCH = LANES * (GENERAL_SECOND_ROWS * GENERAL_TILE + VALUES + STEPS)
 
 # A kernel leaves a lobe out where log2 of its height, relative to its peak, is below this.

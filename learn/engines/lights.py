@@ -102,16 +102,18 @@ def _slab(order: np.ndarray, w: np.ndarray, solid_angle: np.ndarray) -> Slab:
     return Slab(order, solid_angle, distant, general, basis(theta_d))
 
 
-def cutoff(energy: np.ndarray) -> np.ndarray:
+def cutoff(energy: np.ndarray, negligible: float = NEGLIGIBLE) -> np.ndarray:
     """log2 of c^γ (blocks,) below which a lobe is left out of a block.
 
+    negligible  log2 of the part of a lobe's own integral that is left out under an even light:
+                ∫ c^γ beyond c₀ is c₀^γ of the whole
     It is lower where a block outshines the mean, so that the omitted part of the sum stays small
     even under a sun.
     """
     brightest = energy.max((1, 2)).astype(np.float64)
     mean = brightest.mean()
     ratio = np.maximum(brightest / mean, 1.0) if mean > 0 else np.ones_like(brightest)
-    return (NEGLIGIBLE - np.log2(ratio)).astype(np.float32)
+    return (negligible - np.log2(ratio)).astype(np.float32)
 
 
 def lobe_first(m: np.ndarray) -> np.ndarray:

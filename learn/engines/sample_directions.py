@@ -1,4 +1,4 @@
-"""Kernel of the half-vector quadrature: sample directions about each pixel's normal.
+"""Kernels of the half-vector quadrature: sample directions about each pixel's normal.
 
 P pixels, blocks of 16 samples (LANES), ordered by radius; all arrays float32, flat, C order.
 n, v      (P, 3) unit normals, and unit vectors to the viewer, camera frame
@@ -8,7 +8,7 @@ m         (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 least     (3 lobes,): smallest γ of a lobe that reflects, to skip blocks that it does not reach
 rotation  (9,): camera_from_light, row by row
 light     (height, width, 3): radiance
-scratch   per call: (7, 16) floats
+scratch   per call of forward: (7, 16) floats
 
     I_k = Σ_i F_k L_k(w_i) max(0, n·w_i) 4 (v·h_i) dω_h,   w = 2 (v·h) h − v,   cos θ_d = v·h,   c =
     n·h = cos θ
@@ -17,32 +17,46 @@ c and its logarithm belong to the sample, not to the pixel: they have full preci
 the lobe. A sample's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel
 wide each way: L_k is the mean over it, so that the sum does not jump where a sample crosses a
 texel's border, and few samples resolve the border's place (learn.methods.quadrature.footprint).
+
+The backward pass holds w_i and dω_i, as learn.methods.quadrature says, and computes the rest again:
+
+    ∂μ/∂n = w    ∂c/∂n = h − c n    ∂c/∂v = (n − c h)/‖w + v‖, with ‖w + v‖ = 2 v·h    θ_d as in
+    learn.engines.general
 """
 
 import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
+from learn.engines.distant import LN2, add_to, clear, write_sums
 from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.general import LEAST_SQUARE, lobe_backward, square
 from learn.engines.layout import (
     CHANNEL_VALUES,
     FOOTPRINT_BELOW,
+    FOOTPRINT_BY_M,
+    FOOTPRINT_BY_N,
+    FOOTPRINT_BY_V,
     FOOTPRINT_COLUMN,
+    FOOTPRINT_LIGHT,
     FOOTPRINT_RIGHT,
     FOOTPRINT_ROW,
     KAPPA_VALUES,
     LANES,
     LOBE_VALUES,
     NEGLIGIBLE,
+    SAMPLE_CHUNKS,
     SAMPLE_LOG_COSINE,
+    SAMPLE_SCRATCH,
     SAMPLE_SOLID_ANGLE,
     SAMPLE_STRIDE,
     SAMPLE_TILE,
     SAMPLE_X,
     SAMPLE_Y,
     SAMPLE_Z,
+    VALUES,
 )
-from learn.engines.splines import Basis, basis, curve
+from learn.engines.splines import ANGLE_TO_X, Basis, basis, curve, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
@@ -65,6 +79,7 @@ PI = 3.141592653589793
 ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole number
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
+BACKWARD = types.void(*[types.int64] * 8, *[FLOAT_POINTER] * 14)
 
 
 @inlined
@@ -223,3 +238,235 @@ def forward(
                             one * light[left + 2] + other * light[right + 2]
                         )
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2
+
+
+@inlined
+def gather(scratch: np.ndarray, o: int, light: np.ndarray, height: int, width: int) -> None:
+    """Write the mean light of each lane's footprint; scratch[o] begins the rows of a chunk."""
+    for lane in range(LANES):
+        i = o + lane
+        row, column = scratch[i + LANES * FOOTPRINT_ROW], scratch[i + LANES * FOOTPRINT_COLUMN]
+        under = scratch[i + LANES * FOOTPRINT_BELOW]
+        beside = scratch[i + LANES * FOOTPRINT_RIGHT]
+        l0, l1, l2 = 0.0, 0.0, 0.0
+        for below in range(2):
+            share = under if below else 1.0 - under
+            if share > 0.0:
+                left = 3 * corner(row + below - 1.0, column - 1.0, height, width)
+                right = 3 * corner(row + below - 1.0, column, height, width)
+                one, other = share * (1.0 - beside), share * beside
+                l0 += one * light[left] + other * light[right]
+                l1 += one * light[left + 1] + other * light[right + 1]
+                l2 += one * light[left + 2] + other * light[right + 2]
+        scratch[i + LANES * FOOTPRINT_LIGHT] = l0
+        scratch[i + LANES * (FOOTPRINT_LIGHT + 1)] = l1
+        scratch[i + LANES * (FOOTPRINT_LIGHT + 2)] = l2
+
+
+@inlined
+def scatter(
+    scratch: np.ndarray, o: int, sums: np.ndarray, to: int, height: int, width: int
+) -> None:
+    """Add each lane's derivatives by its light (first three rows) to the texels of its footprint.
+
+    sums[to] begins the map.
+    """
+    for lane in range(LANES):
+        i = o + lane
+        d0, d1, d2 = scratch[i], scratch[i + LANES], scratch[i + 2 * LANES]
+        row, column = scratch[i + LANES * FOOTPRINT_ROW], scratch[i + LANES * FOOTPRINT_COLUMN]
+        under = scratch[i + LANES * FOOTPRINT_BELOW]
+        beside = scratch[i + LANES * FOOTPRINT_RIGHT]
+        for below in range(2):
+            share = under if below else 1.0 - under
+            if share > 0.0:
+                left = to + 3 * corner(row + below - 1.0, column - 1.0, height, width)
+                right = to + 3 * corner(row + below - 1.0, column, height, width)
+                one, other = share * (1.0 - beside), share * beside
+                sums[left] += one * d0
+                sums[left + 1] += one * d1
+                sums[left + 2] += one * d2
+                sums[right] += other * d0
+                sums[right + 1] += other * d1
+                sums[right + 2] += other * d2
+
+
+def backward(
+    first: int,
+    last: int,
+    pixels: int,
+    blocks: int,
+    height: int,
+    width: int,
+    with_view: int,
+    with_light: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    around: np.ndarray,
+    m: np.ndarray,
+    steps: np.ndarray,
+    least: np.ndarray,
+    rotation: np.ndarray,
+    light: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    by_v: np.ndarray,
+    light_sums: np.ndarray,
+    m_sums: np.ndarray,
+) -> None:
+    """Derivatives of Σ g·I by the pixels of chunks first … last − 1, of SAMPLE_CHUNKS.
+
+    with_view   0: by_v is not written; with_light 0: light_sums is not written
+    steps       as in learn.engines.general
+    scratch     (SAMPLE_CHUNKS, SAMPLE_SCRATCH)
+    g           (P, 3) derivative by radiance
+    by_n, by_v  (P, 3) out: derivatives by n and by v, tangential
+    light_sums  (SAMPLE_CHUNKS, height, width, 3), zeros: out, each chunk's derivative by light
+    m_sums      (tiles, 108) out, as in learn.engines.general
+    A tile of pixels belongs to one chunk, and chunks do not depend on the number of threads.
+    """
+    tiles = (pixels + SAMPLE_TILE - 1) // SAMPLE_TILE
+    for chunk in range(first, last):
+        work = SAMPLE_SCRATCH * chunk
+        n_sums, v_sums = work + LANES * FOOTPRINT_BY_N, work + LANES * FOOTPRINT_BY_V
+        by_m = work + LANES * FOOTPRINT_BY_M
+        texels = 3 * height * width * chunk
+        for tile in range(chunk * tiles // SAMPLE_CHUNKS, (chunk + 1) * tiles // SAMPLE_CHUNKS):
+            clear(scratch, by_m, VALUES)
+            for p in range(3 * SAMPLE_TILE * tile, 3 * min(SAMPLE_TILE * (tile + 1), pixels), 3):
+                nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                vx, vy, vz = v[p], v[p + 1], v[p + 2]
+                sign = -1.0 if nz < 0.0 else 1.0
+                a = -1.0 / (sign + nz)
+                ux, uy, uz = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
+                tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
+                clear(scratch, n_sums, 6)
+                for block in range(blocks):
+                    o = SAMPLE_STRIDE * block
+                    log_c = load(around, o + LANES * SAMPLE_LOG_COSINE)
+                    nearest = lane_max(log_c)
+                    if not (nearest * min(least[0], least[1], least[2]) > NEGLIGIBLE):
+                        break  # samples farther out see less
+                    q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
+                    c = load(around, o + LANES * SAMPLE_Z)
+                    solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
+                    # h − c n, across n
+                    x, y, z = fma(q, ux, r * tx), fma(q, uy, r * ty), fma(q, uz, r * tz)
+                    hx, hy, hz = fma(c, nx, x), fma(c, ny, y), fma(c, nz, z)
+                    cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
+                    wx, wy, wz = (
+                        fma(2.0 * cos_d, hx, -vx),
+                        fma(2.0 * cos_d, hy, -vy),
+                        fma(2.0 * cos_d, hz, -vz),
+                    )
+                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+                    spread = maximum(cos_d, 0.0) * solid_angle * 4.0
+                    mu = maximum(n_w, 0.0) * spread
+                    if not anywhere(mu > 0.0):
+                        continue
+                    w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
+                    theta, phi = polar_angles(
+                        fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
+                        w_up,
+                        fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
+                    )
+                    side = sqrt(spread)
+                    row, by_row = border(theta * (height / PI), side * (height / PI))
+                    sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
+                    column, by_column = border(
+                        phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine
+                    )
+                    store(scratch, work + LANES * FOOTPRINT_ROW, row)
+                    store(scratch, work + LANES * FOOTPRINT_COLUMN, column)
+                    store(scratch, work + LANES * FOOTPRINT_BELOW, by_row)
+                    store(scratch, work + LANES * FOOTPRINT_RIGHT, by_column)
+                    one_texel = alone(row, by_row) and alone(column, by_column)
+                    texel = 0
+                    if one_texel:
+                        texel = 3 * corner(
+                            lane_max(row + by_row) - 1.0,
+                            lane_max(column + by_column) - 1.0,
+                            height,
+                            width,
+                        )
+                        for k in range(3):
+                            store(
+                                scratch,
+                                work + LANES * (FOOTPRINT_LIGHT + k),
+                                splat(light[texel + k]),
+                            )
+                    else:
+                        gather(scratch, work, light, height, width)
+                    t_square = square(wx - vx, wy - vy, wz - vz)
+                    s_square = maximum(4.0 * cos_d * cos_d, LEAST_SQUARE)
+                    theta_d = angle(t_square, s_square)
+                    b, tent = basis(theta_d), tents(theta_d)
+                    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+                    for k in range(3):
+                        seen = load(scratch, work + LANES * (FOOTPRINT_LIGHT + k)) * g[p + k]
+                        weight = mu * seen
+                        f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
+                        for s in range(3):
+                            if nearest * least[s] > NEGLIGIBLE:
+                                lobe_f, lobe_c, lobe_x = lobe_backward(
+                                    m,
+                                    steps,
+                                    LOBE_VALUES * s + CHANNEL_VALUES * k,
+                                    log_c,
+                                    b,
+                                    tent,
+                                    weight,
+                                    scratch,
+                                    by_m,
+                                    with_view,
+                                )
+                                f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
+                        store(scratch, work + LANES * k, f * mu * g[p + k])
+                        by_w = fma(f * spread, seen, by_w)
+                        by_c = fma(d_c, weight, by_c)
+                        by_x = fma(d_x, weight, by_x)
+                    if with_light:
+                        if one_texel:
+                            for k in range(3):
+                                light_sums[texels + texel + k] += lane_sum(
+                                    load(scratch, work + LANES * k)
+                                )
+                        else:
+                            scatter(scratch, work, light_sums, texels, height, width)
+                    by_w = select(n_w > 0.0, by_w, 0.0)
+                    by_c = by_c * LN2 / maximum(c, TINY)
+                    add_to(scratch, n_sums, fma(by_w, wx, by_c * x))
+                    add_to(scratch, n_sums + LANES, fma(by_w, wy, by_c * y))
+                    add_to(scratch, n_sums + 2 * LANES, fma(by_w, wz, by_c * z))
+                    if with_view:
+                        # n − c h = sin² θ n − c (h − c n): nothing cancels at a lobe's peak
+                        inverse = 1.0 / sqrt(s_square)
+                        by_c = by_c * inverse
+                        across, along = by_c * fma(q, q, r * r), by_c * c
+                        by_theta = (
+                            by_x
+                            * (0.25 * ANGLE_TO_X)
+                            * inverse
+                            / sqrt(maximum(t_square, LEAST_SQUARE))
+                        )
+                        by_t, by_s = by_theta * s_square, by_theta * t_square
+                        add_to(
+                            scratch,
+                            v_sums,
+                            across * nx - along * x - by_t * (wx - vx) - by_s * (wx + vx),
+                        )
+                        add_to(
+                            scratch,
+                            v_sums + LANES,
+                            across * ny - along * y - by_t * (wy - vy) - by_s * (wy + vy),
+                        )
+                        add_to(
+                            scratch,
+                            v_sums + 2 * LANES,
+                            across * nz - along * z - by_t * (wz - vz) - by_s * (wz + vz),
+                        )
+                write_sums(scratch, n_sums, 3, by_n, p)
+                if with_view:
+                    write_sums(scratch, v_sums, 3, by_v, p)
+            write_sums(scratch, by_m, VALUES, m_sums, VALUES * tile)

@@ -19,6 +19,7 @@ import torch
 
 from learn.engines import cpu, machine_code
 from learn.engines.derivatives import Context, Step, last
+from learn.engines.layout import NEGLIGIBLE
 from learn.engines.lights import cutoff, general_tables, unblocked
 from learn.methods import lobe_shapes, refusal
 from learn.methods.block_lists import ALL_LOBES, Listing, Tables
@@ -47,10 +48,12 @@ def radiance(
     left_out: float = 0.0,
     lobes: tuple[int, ...] = ALL_LOBES,
     method: str = "directional",
+    negligible: float = NEGLIGIBLE,
 ) -> torch.Tensor:
     """Radiance (P, 3) of some lobes of one material m (3, 3, 2, 6) under lights of energy E.
 
     It is differentiable in n, view, m and E; by the kernels once.
+    negligible  for a view per pixel, as in learn.engines.lights.cutoff
     method  the name under which the kernels refuse second derivatives
     """
     if has_kernels(n) and view is None:
@@ -58,9 +61,8 @@ def radiance(
     if lobes != ALL_LOBES:
         m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
     if has_kernels(n) and view is not None:
-        return ViewedSum.apply(
-            n, view.expand_as(n), torch.minimum(m, m.new_tensor(LARGEST_CONTROL)), E, lights, method
-        )
+        clamped = torch.minimum(m, m.new_tensor(LARGEST_CONTROL))
+        return ViewedSum.apply(n, view.expand_as(n), clamped, E, lights, method, negligible)
     return ExactSum.apply(n, view, m, E, torch.as_tensor(lights.w, dtype=n.dtype, device=n.device))
 
 
@@ -148,7 +150,7 @@ class ListedSum(Step):
 class ViewedSum(Step):
     """Radiance for a view per pixel by learn.engines.general, under all lights.
 
-    n, view (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, a method's name → (P, 3)
+    n, view (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, a method's name, negligible → (P, 3)
     """
 
     @staticmethod
@@ -160,11 +162,12 @@ class ViewedSum(Step):
         E: torch.Tensor,
         lights: Lights,
         method: str,
+        negligible: float,
     ) -> torch.Tensor:
         ctx.refusal = refusal(method)
         ctx.save_for_backward(n, view, m, E)
         energy = energy_blocks(E.numpy().T, lights)
-        ctx.lights, ctx.energy, ctx.cut = lights, energy, cutoff(energy)
+        ctx.lights, ctx.energy, ctx.cut = lights, energy, cutoff(energy, negligible)
         normals, views = (np.ascontiguousarray(a.numpy()) for a in (n, view))
         radiance = cpu.general_forward(
             normals,
@@ -195,6 +198,5 @@ class ViewedSum(Step):
             torch.from_numpy(by_view) if ctx.needs_input_grad[1] else None,
             torch.from_numpy(np.ascontiguousarray(by_m)).float(),
             torch.from_numpy(by_E).float(),
-            None,
-            None,
+            *[None] * 3,
         )

@@ -15,12 +15,14 @@ N^−¾.
 
 Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured
 lobe of that width is often broad at another θ_d, where samples are too far apart to see a lamp of
-one texel. Narrower ones may take texels split into 4 × 4, which have a fast backward pass. Maps of
-few texels are too coarse for any lobe, because the horizon cuts through texels: there all lobes
-take split texels or samples.
+one texel. The sum over them leaves out a tenth of the tolerance at most, except where it is short.
+Narrower ones take texels split into 4 × 4 at small tolerances, or where derivatives are requested
+and there are no kernels. Maps of few texels are too coarse for any lobe, because the horizon cuts
+through texels: there all lobes take split texels or samples.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
-differentiated with w_i and dω_i held, which estimates the true derivative ∫ ∂(f μ) L dω; moving the
+differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk` in plain
+torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
 samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
@@ -34,10 +36,29 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.engines import lights, machine_code, threads
-from learn.engines.derivatives import require_reverse_mode
-from learn.engines.layout import FOOTPRINT_ROWS, LANES, SAMPLE_TILE
-from learn.methods import HELD_SAMPLES, Batch, Card, by_group, first_only, load, wants_gradient
+from learn.engines import cpu, lights, machine_code, threads
+from learn.engines.derivatives import Context, Step, last, require_reverse_mode
+from learn.engines.layout import (
+    FOOTPRINT_ROWS,
+    LANES,
+    NEGLIGIBLE,
+    SAMPLE_CHUNKS,
+    SAMPLE_SCRATCH,
+    SAMPLE_TILE,
+    VALUES,
+)
+from learn.methods import (
+    HELD_SAMPLES,
+    Batch,
+    Card,
+    by_group,
+    directional,
+    first_only,
+    light_tables,
+    load,
+    refusal,
+    wants_gradient,
+)
 from learn.methods.exact import PAIRS
 from shaders.dsbrdf import MAX_EXPONENT, differentiable_half_angles
 from shaders.spline import basis
@@ -54,7 +75,10 @@ CARD = Card(
         "pixels × (texels if a lobe is broad + 256 to 1,024 samples if one is narrow), at tolerance"
         " 1e-2"
     ),
-    memory="below 64 MiB at any size: chunks of pixels, computed again in the backward pass",
+    memory=(
+        "below 64 MiB at any size: chunks of pixels, computed again in the backward pass; with the"
+        " gradient of light by kernels also twelve times the light's size, and that of split texels"
+    ),
 )
 # exponent up to which the sum over 64 rows of texels is right to about 3e-3; twice the rows serve
 # four times as much
@@ -68,6 +92,11 @@ WIDER = {4: 2, None: 1}
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
+# pairs of a pixel and a part of a texel up to which split texels are summed whole, and can be
+# differentiated twice
+SHORT = 2**19
+LEFT_OUT = 0.1  # of the tolerance: what a sum over split texels may leave out
+CULLED = "whose sums over split texels have first derivatives only"
 LEAST, MOST = 256, 16384  # samples
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 # κ and γ: beyond, the rounding of the kernel's spline is negative exponents. The sharpest material
@@ -89,9 +118,11 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
     out = 0 * batch.n
     low, samples = -1.0, sample_count_for(tolerance)
-    # The engine's samples have no backward pass: where derivatives are requested, split texels are
-    # faster as far as they reach.
-    by_texels = tolerance < LOOSE or wants_gradient(batch.n, batch.view, batch.m, batch.light)
+    # Without kernels, split texels are faster where derivatives are requested. Where all of it is
+    # short, they stay the sum that can be differentiated twice.
+    derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
+    kernels = has_kernels(batch.n, batch.m) and batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
+    texels = batch.light.shape[1] * batch.light.shape[2]
     for split in (*SPLITS, None):  # None: samples
         high = math.inf if split is None else broadest(split * rows, tolerance, low)
         lobes = (exponent > low) & (exponent <= high)
@@ -99,13 +130,26 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         if not lobes.any():
             continue
         band = replace(batch, m=keep(batch.m, lobes))
+        small = split is not None and len(batch.n) * split**2 * texels <= SHORT
+        by_texels = tolerance < LOOSE or (derivatives and (small or not kernels))
         if split is not None and (split <= ALWAYS_SPLIT or by_texels):
             light = (
                 batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
                 if split > 1
                 else batch.light
             )
-            out = out + load("exact").radiance(replace(band, light=light), tolerance)
+            band = replace(band, light=light)
+            if split == 1 or small or not kernels:
+                out = out + load("exact").radiance(band, tolerance)
+            else:
+                out = out + by_group(
+                    first_only(band, CARD.name, CULLED),
+                    functools.partial(
+                        over_split_texels,
+                        camera_from_light=batch.camera_from_light,
+                        left_out=LEFT_OUT * tolerance,
+                    ),
+                )
         else:
             band, count = (
                 first_only(band, CARD.name, HELD_SAMPLES),
@@ -118,6 +162,33 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
                 ),
             )
     return out
+
+
+def over_split_texels(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    left_out: float,
+) -> torch.Tensor:
+    """Radiance (p, 3) of one group by the sum over texels, without texels where a lobe is faint.
+
+    left_out  part of the mean radiance that a pixel may lack. Lobes that need split texels are
+              narrow: most texels are skipped.
+    """
+    texels, energy = light_tables.of_map(light, camera_from_light)
+    lacking = 0.0 if view is not None else left_out * directional.scale(n, view, m, energy, texels)
+    return directional.radiance(
+        n,
+        view,
+        m,
+        energy,
+        texels,
+        lacking,
+        method=CARD.name,
+        negligible=math.log2(max(left_out, 2.0**NEGLIGIBLE)),
+    )
 
 
 def broadest(rows: float, tolerance: float, otherwise: float) -> float:
@@ -212,13 +283,14 @@ def over_samples(
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
     around, solid_angle = spiral(m.detach()[:, used], samples)
-    plain = (
-        not wants_gradient(n, view, m, light)
-        and n.dtype == torch.float32
-        and n.device.type == "cpu"
-    )
-    if plain and machine_code.is_available() and m.detach().max() <= LARGEST_IN_KERNEL:
-        return by_kernel(n, view, m, light, camera_from_light, around, solid_angle)
+    if has_kernels(n, m):
+        rotation = camera_from_light.to(torch.float32)
+        if wants_gradient(n, view, m, light):
+            require_reverse_mode(n, view, m, light)
+            return SampledSum.apply(n, view, m, light, rotation, around, solid_angle, used)
+        return torch.from_numpy(
+            Kernels(n, view, m, light, rotation, around, solid_angle, used).radiance()
+        )
     m = m[:, used]
     constants = (
         *(torch.as_tensor(x, dtype=n.dtype, device=n.device) for x in (around, solid_angle)),
@@ -241,51 +313,141 @@ def over_samples(
     )
 
 
-def by_kernel(
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    around: np.ndarray,
-    solid_angle: np.ndarray,
-) -> torch.Tensor:
-    """As `over_samples`, without derivatives, by learn.engines.sample_directions."""
-    require_reverse_mode(n, view, m, light)
-    arrays = [
-        np.ascontiguousarray(x.detach().numpy(), np.float32)
-        for x in (n, n * 0 + n.new_tensor([0, 0, 1]) if view is None else view)
-    ]
-    rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
-    values, _, _ = lights.general_tables(m.detach().double().numpy())
-    gamma = m.detach()[..., 1, :].amin(-1)
-    least = (
-        torch.where(m.detach()[..., 0, :].amax(-1) > 0, gamma, torch.inf)
-        .amin(0)
-        .clamp(max=1e9)
-        .float()
-        .numpy()
-    )
-    texels = np.ascontiguousarray(light.detach().numpy(), np.float32)
-    rotation = camera_from_light.numpy().astype(np.float32).reshape(9)
-    arrays += [lights.blocked(rows), values, np.ascontiguousarray(least), rotation, texels]
-    out = np.empty((len(n), 3), np.float32)
-    sizes = len(n), len(around) // LANES, *light.shape[:2]
+def has_kernels(n: torch.Tensor, m: torch.Tensor) -> bool:
+    """Whether learn.engines.sample_directions takes these tensors; plain torch takes the others."""
+    if n.dtype != torch.float32 or n.device.type != "cpu" or not machine_code.is_available():
+        return False
+    most = MAX_EXPONENT if torch.is_grad_enabled() and m.requires_grad else LARGEST_IN_KERNEL
+    return bool(m.detach()[..., 0, :].max() <= most and m.detach().max() <= LARGEST_IN_KERNEL)
 
-    def run(first, last):
-        machine_code.call(
-            "sample_directions.forward",
-            first,
-            last,
-            *sizes,
-            *arrays,
-            np.empty(LANES * FOOTPRINT_ROWS, np.float32),
-            out,
+
+class Kernels:
+    """One group's sums by learn.engines.sample_directions; arguments as `over_samples`.
+
+    used  (3,) lobes that reflect
+    """
+
+    def __init__(
+        self,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        light: torch.Tensor,
+        rotation: torch.Tensor,
+        around: np.ndarray,
+        solid_angle: np.ndarray,
+        used: torch.Tensor,
+    ):
+        self.n, self.light, turn = (
+            np.ascontiguousarray(x.detach().numpy(), np.float32) for x in (n, light, rotation)
         )
+        self.view = np.ascontiguousarray(
+            np.broadcast_to([0.0, 0.0, 1.0], self.n.shape)
+            if view is None
+            else view.detach().numpy(),
+            np.float32,
+        )
+        rows = np.stack([*around.T, np.log2(np.maximum(around[:, 2], 1e-30)), solid_angle])
+        values, self.steps, smallest = lights.general_tables(m.detach().double().numpy())
+        self.used = used.numpy()
+        least = np.where(self.used, smallest, np.float32(1e9)).astype(np.float32)
+        self.scene = lights.blocked(rows), values, least, turn.reshape(9), self.light
+        self.sizes = len(around) // LANES, *self.light.shape[:2]
+        self.workers = torch.get_num_threads()
 
-    workers = torch.get_num_threads()
-    threads.run(run, threads.split(-(-len(n) // SAMPLE_TILE), 8 * workers), workers)
-    return torch.from_numpy(out)
+    def radiance(self) -> np.ndarray:
+        """Radiance (p, 3)."""
+        out = np.empty_like(self.n)
+
+        def run(first: int, last: int) -> None:
+            scratch = np.empty(LANES * FOOTPRINT_ROWS, np.float32)
+            arrays = self.n, self.view, *self.scene, scratch, out
+            machine_code.call(
+                "sample_directions.forward", first, last, len(self.n), *self.sizes, *arrays
+            )
+
+        tiles = -(-len(self.n) // SAMPLE_TILE)
+        threads.run(run, threads.split(tiles, 8 * self.workers), self.workers)
+        return out
+
+    def gradients(
+        self, g: np.ndarray, with_view: bool, with_light: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of Σ g · radiance by n, view, m and light, those by n and view tangential.
+
+        with_view, with_light  whether these are computed; they are 0 otherwise
+        Pixels are worked through in slices of PASS, whose sums are added in float64.
+        """
+        by_n, by_view = np.empty_like(self.n), np.zeros_like(self.n)
+        by_light, m_sums = np.zeros(self.light.shape), np.zeros(VALUES)
+        around, values, least, turn, texels = self.scene
+        scratch = np.empty(SAMPLE_CHUNKS * SAMPLE_SCRATCH, np.float32)
+        for start in range(0, len(self.n), cpu.PASS):
+            pixels = slice(start, start + cpu.PASS)
+            n, g_here = self.n[pixels], np.ascontiguousarray(g[pixels])
+            shape = (SAMPLE_CHUNKS, *self.light.shape) if with_light else (1,)
+            light_part = np.zeros(shape, np.float32)
+            m_part = np.empty((-(-len(n) // SAMPLE_TILE), VALUES), np.float32)
+            sizes = len(n), *self.sizes, int(with_view), int(with_light)
+            inputs = n, self.view[pixels], around, values, self.steps, least, turn, texels
+            outputs = by_n[pixels], by_view[pixels], light_part, m_part
+
+            def run(
+                first: int,
+                last: int,
+                sizes: tuple[int, ...] = sizes,
+                arrays: tuple[np.ndarray, ...] = (*inputs, scratch, g_here, *outputs),
+            ) -> None:
+                machine_code.call("sample_directions.backward", first, last, *sizes, *arrays)
+
+            threads.run(run, threads.split(SAMPLE_CHUNKS, SAMPLE_CHUNKS), self.workers)
+            if with_light:
+                by_light += light_part.sum(0, dtype=np.float64)
+            m_sums += m_part.sum(0, dtype=np.float64)
+        by_m = lights.general_material_gradient(m_sums)
+        by_m[:, ~self.used] = 0  # kernels skip blocks by lobe, and may add parts of those
+        return by_n, by_view, by_m, by_light
+
+
+class SampledSum(Step):
+    """`over_samples` by kernels, with derivatives by n, view, m and light.
+
+    n, view (p, 3) or None, m, light, rotation (3, 3), samples, solid angles, used lobes → (p, 3)
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Context,
+        n: torch.Tensor,
+        view: torch.Tensor | None,
+        m: torch.Tensor,
+        light: torch.Tensor,
+        rotation: torch.Tensor,
+        around: np.ndarray,
+        solid_angle: np.ndarray,
+        used: torch.Tensor,
+    ) -> torch.Tensor:
+        ctx.refusal = refusal(CARD.name, HELD_SAMPLES)
+        ctx.save_for_backward(n, view, m, light)
+        ctx.constants = rotation, around, solid_angle, used
+        return torch.from_numpy(Kernels(n, view, m, light, *ctx.constants).radiance())
+
+    @staticmethod
+    @last
+    def backward(ctx: Context, g: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        n, view, m, light = ctx.saved_tensors
+        _, with_view, _, with_light, *_ = ctx.needs_input_grad
+        kernels = Kernels(n, view, m, light, *ctx.constants)
+        by_n, by_view, by_m, by_light = kernels.gradients(
+            g.detach().numpy().astype(np.float32), with_view, with_light
+        )
+        return (
+            torch.from_numpy(by_n),
+            torch.from_numpy(by_view) if with_view else None,
+            torch.from_numpy(np.ascontiguousarray(by_m)).to(m.dtype),
+            torch.from_numpy(by_light).to(light.dtype) if with_light else None,
+            *[None] * 4,
+        )
 
 
 def place(

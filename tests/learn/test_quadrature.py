@@ -150,6 +150,96 @@ def test_the_engine_takes_the_same_taps_as_torch(draw, perspective):
     assert relative(fast, slow) < 2e-5
 
 
+# the poles of the frame about n and of the map, and normals that lean to the horizon
+HARD_NORMALS = [
+    [0, 0, 1],
+    [1e-4, 0, 1],
+    [0, 0.7, 0.7],
+    [0, -0.7, 0.7],
+    [0.995, 0, 0.1],
+    [0, 1, 0.02],
+]
+
+
+def derivatives(given, names):
+    """The picture and its derivatives by the named inputs; those by the material as (lobe, channel,
+    (κ, γ), 6).
+    """
+    leaves = given | {name: given[name].clone().requires_grad_() for name in names}
+    picture = render(**leaves, method="quadrature")
+    weight = torch.linspace(-1, 1.5, picture.numel(), dtype=picture.dtype).reshape(picture.shape)
+    found = torch.autograd.grad((weight * picture).sum(), [leaves[name] for name in names])
+    return {"picture": picture.detach(), **dict(zip(names, found, strict=True))}
+
+
+@pytest.mark.skipif(not machine_code.is_available(), reason="numba is not installed")
+@pytest.mark.parametrize("perspective", [False, True])
+@pytest.mark.parametrize("gamma", [5e3, 3e4, 1e5])
+def test_kernels_have_the_derivatives_of_torch_in_float64(gamma, perspective):
+    given = scene(gamma, rows=32)
+    n = torch.tensor([*NORMALS, *HARD_NORMALS])
+    given["n"] = torch.nn.functional.normalize(n, dim=-1).reshape(1, 1, -1, 3)
+    names = ["n", "material", "light"]
+    if perspective:
+        tilt = torch.randn(given["n"].shape, generator=torch.Generator().manual_seed(1))
+        view = given["n"] + 0.3 * tilt + torch.tensor([0.0, 0.0, 0.3])
+        given["view"] = torch.nn.functional.normalize(view, dim=-1)
+        given["n"][0, 0, 0] = torch.tensor([0.0, 0.6, -0.8])  # behind the image plane
+        given["view"][0, 0, 0] = torch.tensor([0.0, 0.8, -0.6])
+        names.append("view")
+    assert quadrature.has_kernels(given["n"], given["material"])
+    fast = derivatives(given, names)
+    slow = derivatives({name: x.double() for name, x in given.items()}, names)
+    for found in (fast, slow):  # the narrow lobe's κ and γ by themselves
+        by_m = found.pop("material").reshape(3, 3, 2, 6)[:, 1]
+        found |= {"κ": by_m[:, 0], "γ": by_m[:, 1]}
+    for name, expected in slow.items():
+        error = (fast[name] - expected).abs().max() / expected.abs().max()
+        # float32 samples; one that lies on a texel's border may see it at a slightly other place
+        assert expected.abs().max() > 0 and error < 2e-5, name
+
+
+@pytest.mark.skipif(not machine_code.is_available(), reason="numba is not installed")
+def test_derivatives_by_kernels_have_the_same_bits_for_any_number_of_threads():
+    given = scene(2e4, rows=16)
+    n = torch.randn(1, 40, 10, 3, generator=torch.Generator().manual_seed(0)) * 0.3
+    given["n"] = torch.nn.functional.normalize(n + torch.tensor([0.0, 0.0, 1.0]), dim=-1)
+    before, results = torch.get_num_threads(), []
+    try:
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            results.append(derivatives(given, ["n", "material", "light"]))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(results[0][name], results[1][name]) for name in results[0])
+
+
+def test_an_empty_mask_has_derivatives_of_zero():
+    given = scene(2e4, rows=8) | {"mask": torch.zeros(1, 1, 5, dtype=torch.bool)}
+    for value in derivatives(given, ["n", "material", "light"]).values():
+        assert (value == 0).all()
+
+
+@pytest.mark.skipif(not machine_code.is_available(), reason="numba is not installed")
+@pytest.mark.parametrize("perspective", [False, True])
+def test_split_texels_without_faint_ones_keep_the_tolerance(perspective):
+    """Derivatives too: enough pixels that texels are left out."""
+    given = scene(200.0, rows=32, matte=0.01)  # 32 rows need twice as many for it
+    n = torch.randn(1, 20, 10, 3, generator=torch.Generator().manual_seed(0)) * 0.3
+    given["n"] = torch.nn.functional.normalize(n + torch.tensor([0.0, 0.0, 1.0]), dim=-1)
+    if perspective:
+        given["view"] = torch.tensor([0.1, 0.0, 1.0]).div(1.01**0.5).expand_as(given["n"])
+    names = ["n", "material", "light"]
+    fast = derivatives(given, names)
+    leaves = given | {name: given[name].clone().requires_grad_() for name in names}
+    full = render(**(leaves | {"light": split(leaves["light"], 2)}), method="exact")
+    weight = torch.linspace(-1, 1.5, full.numel()).reshape(full.shape)
+    exact = torch.autograd.grad((weight * full).sum(), [leaves[name] for name in names])
+    assert relative(fast["picture"], full.detach()) < 5e-3
+    for name, expected in zip(names, exact, strict=True):
+        assert relative(fast[name], expected) < 1e-2, name
+
+
 def test_taps_cover_the_hemisphere_and_follow_the_lobes():
     m = scene(1e4, matte=0.01)["material"].reshape(3, 3, 2, 6)
     theta, solid_angle = quadrature.sample_radii(m, 512)
