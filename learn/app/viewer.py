@@ -141,7 +141,7 @@ class Viewer:
             if key not in self._scenes:
                 L = torch.from_numpy(np.array(light.of(self.own_light), np.float32))
                 scene = interactive.scene_of(
-                    self.small, L.movedim(-1, 0)[None].contiguous().to(self.small.n), own=True
+                    self.small, L.movedim(-1, 0)[None].contiguous().to(self.small.n)
                 )
                 exposure = self.exposure / self.decomposition.exposure
                 self._scenes[key] = scene._replace(exposure=exposure)

@@ -15,20 +15,26 @@ The page differs from `learn edit` in these points:
   shading, which belongs to its own light, is left out.
 - The viewer is distant, as for all edits.
 
+Each map is as coarse as keeps radiance at the page's own pixels (reflectance_store.LIMIT). Where
+all maps would make the page larger than LARGEST_FILE, those are reduced that lose least for their
+bytes.
+
 Data are chunks, each compressed by zlib, one after the other, as base64. Arrays are stored as
 differences between neighbours, modulo 2^8 or 2^16, in the order of the header's "arrays".
 """
 
 import base64
+import heapq
 import json
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from PIL import Image
+from scipy.ndimage import map_coordinates
 from tqdm import tqdm
 
 from learn.data import lights as light_maps
@@ -50,9 +56,11 @@ FOLDER = Path(__file__).parent / "interactive_page"
 LONGEST = 1024  # pixels of the photograph's longer side
 LARGEST_FILE = 15_000_000  # bytes
 SMALL = 160  # pixels of the pictures of the decomposition
-# normals at which a map is compared with the layer; highlights of sharp materials are a few pixels
-CHECKED, CHECKED_OTHER = 512, 192
-FINEST_OTHER = 64  # intervals of maps under lights that are not the photograph's own
+# pixels at which a map is compared with the layer; highlights of sharp materials are a few pixels
+CHECKED = 1024
+CHECKED_NORMALS = 512  # the same, of the network's normals, where a picture is shown at once
+FRAME = 60_000  # bytes of the lights' part of the header
+FINE = tuple(side for side in reflectance_store.SIDES if side > reflectance_store.COARSE)
 MEASURED = {
     "blender_city": "City square",
     "blender_sunset": "Sunset",
@@ -106,7 +114,8 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         "steps": reflectance_store.STEPS,
         "bend": reflectance_store.BEND,
     }
-    header |= picture_data(compositor, chunks)
+    picture, n = picture_data(compositor, chunks)
+    header |= picture
     materials = materials_of(result)
     header["materials"] = [
         {key: value for key, value in material.items() if key != "label"} for material in materials
@@ -114,15 +123,27 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     header["chosen"] = chosen_materials(result, materials)
     labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
+    nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
+    maps: list[list[list[TriedMap]]] = []
     with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
-        header["lights"] = [
-            {"name": name}
-            | light_data(labels, scene_of(compositor, L, own=number == 0), chunks, progress)
-            for number, (name, L) in enumerate(lights.items())
-        ]
+        for L in lights.values():
+            scene = scene_of(compositor, L)._replace(
+                checked=checked_of(n), finest=reflectance_store.SIDES[-1], nodes=nodes
+            )
+            maps.append([])
+            for label in labels:
+                maps[-1].append(tried_maps(label, scene))
+                progress.update()
     header["parts"] = [
         {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
         for caption, picture in parts_of(result)
+    ]
+    # four characters of base64 hold three bytes
+    left = LARGEST_FILE - len(assembled(header, chunks).encode()) - FRAME
+    reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
+    header["lights"] = [
+        {"name": name} | light_data(each, L, chunks)
+        for (name, L), each in zip(lights.items(), maps, strict=True)
     ]
     result_page = assembled(header, chunks)
     if len(result_page.encode()) > LARGEST_FILE:
@@ -136,22 +157,62 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     return result_page
 
 
-def light_data(
-    labels: Sequence[np.ndarray], scene: reflectance_store.Scene, chunks: Chunks, progress: tqdm
-) -> dict:
-    """Add the reflectance maps of labels under one light; return their header."""
-    sides, errors, codes = [], [], []
-    for label in labels:
-        values, error = reflectance_store.values_of(label, scene)
-        sides.append(len(values) - 5)
-        errors.append(round(error, 2))
-        codes.append(differences(reflectance_store.codes_of(values), 2).ravel())
-        progress.update()
-    picture = montage.light_picture(array(scene.light[0].movedim(0, -1)))
+class TriedMap(NamedTuple):
+    """A reflectance map of a material, of one of the sides that were tried.
+
+    side    intervals across the disk
+    error   grey levels
+    packed  its codes' differences, as split_bytes has them, compressed
+    """
+
+    side: int
+    error: float
+    packed: bytes
+
+
+def tried_maps(label: np.ndarray, scene: reflectance_store.Scene) -> list[TriedMap]:
+    """Return the maps of a label (108,), from coarse to fine, each with a smaller error."""
+    result: list[TriedMap] = []
+    for values, error in reflectance_store.maps_of(label, scene):
+        codes = differences(reflectance_store.codes_of(values), 2).ravel()
+        if not result or error < result[-1].error:
+            result.append(TriedMap(len(values) - 5, error, zlib.compress(split_bytes(codes), 9)))
+    return result
+
+
+def reduce_maps(maps: Sequence[list[TriedMap]], bytes_left: int) -> None:
+    """Remove the finest of some maps until all together have at most so many bytes.
+
+    First those go by which the mean squared error grows least per byte.
+
+    maps  each material's maps, from coarse to fine; the last will be stored
+    """
+
+    def growth(number: int) -> float:
+        coarse, fine = maps[number][-2:]
+        saved = max(len(fine.packed) - len(coarse.packed), 1)
+        return (coarse.error**2 - fine.error**2) / saved
+
+    total = sum(len(each[-1].packed) for each in maps)
+    queue = [(growth(number), number) for number, each in enumerate(maps) if len(each) > 1]
+    heapq.heapify(queue)
+    while total > bytes_left and queue:
+        _, number = heapq.heappop(queue)
+        total -= len(maps[number].pop().packed) - len(maps[number][-1].packed)
+        if len(maps[number]) > 1:
+            heapq.heappush(queue, (growth(number), number))
+
+
+def light_data(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chunks) -> dict:
+    """Add the finest maps of all materials under a light (1, 3, Hl, Wl); return their header."""
+    chosen = [each[-1] for each in maps]
+    parts = [np.frombuffer(zlib.decompress(map_.packed), np.uint8) for map_ in chosen]
+    low, high = zip(*(np.split(part, 2) for part in parts), strict=True)
+    picture = montage.light_picture(array(light[0].movedim(0, -1)))
     return {
-        "sides": sides,
-        "errors": errors,
-        "data": chunks.add(split_bytes(np.concatenate(codes))),
+        "sides": [map_.side for map_ in chosen],
+        "errors": [round(map_.error, 2) for map_ in chosen],
+        "data": chunks.add(np.concatenate([*low, *high]).tobytes()),
         "picture": html.encoded_picture(picture[:: len(picture) // 32, :: len(picture) // 32]),
     }
 
@@ -177,8 +238,11 @@ def split_bytes(values: np.ndarray) -> bytes:
     return (zigzag & 255).astype(np.uint8).tobytes() + (zigzag >> 8).astype(np.uint8).tobytes()
 
 
-def picture_data(compositor: Compositor, chunks: Chunks) -> dict:
-    """Add the photograph, coverage, regions, fine shading and normals; return their header."""
+def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
+    """Add the photograph, coverage, regions, fine shading and normals.
+
+    Return their header, and the unit normals (N, 3) that the page looks up.
+    """
     decomposed = compositor.decomposition
     opened, box = decomposed.photograph, decomposed.framed.box
     height, width = opened.mask.shape
@@ -217,10 +281,11 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> dict:
     n = array(decomposed.parts.n[0].movedim(0, -1))
     filled = nearest(n, decomposed.framed.mask)
     normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
-    return {
+    square = [float(x * scale) for x in box]
+    header = {
         "height": size[0],
         "width": size[1],
-        "box": [float(x * side) for x, side in zip(box, (scale, scale, scale), strict=True)],
+        "box": square,
         "planes": [plane.shape[-1] for plane in planes],
         "pictureData": chunks.add(
             b"".join(differences(plane, 1).astype(np.uint8).tobytes() for plane in planes)
@@ -228,6 +293,25 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> dict:
         "normalsSize": len(n),
         "normalsData": chunks.add(split_bytes(differences(normals, 2).ravel())),
     }
+    return header, normals_shown(normals.view(np.int16), square, planes[2][..., 0] > 0)
+
+
+def normals_shown(codes: np.ndarray, box: Sequence[float], covered: np.ndarray) -> np.ndarray:
+    """Return the unit normals (N, 3) that the page looks up at the pixels `covered` (H, W) bool.
+
+    They are interpolated bilinearly, as page.js does it.
+
+    codes  (n, n, 3) int16 normals at the network's size
+    box    top, left and side of the object's square, in the page's pixels
+    """
+    top, left, side = box
+    last = len(codes) - 1
+    rows, columns = np.nonzero(covered)
+    at = [(rows + 0.5 - top), (columns + 0.5 - left)]
+    at = np.stack(at) * (len(codes) / side) - 0.5
+    n = [map_coordinates(codes[..., k].astype(float), at.clip(0, last), order=1) for k in range(3)]
+    result = np.stack(n, -1)
+    return result / np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-9)
 
 
 def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -241,22 +325,23 @@ def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.stack(planes, -1)
 
 
-def scene_of(compositor: Compositor, light: torch.Tensor, own: bool) -> reflectance_store.Scene:
-    """Return the Scene of a light (1, 3, Hl, Wl); own: it is the photograph's."""
+def scene_of(compositor: Compositor, light: torch.Tensor) -> reflectance_store.Scene:
+    """Return the Scene of a light (1, 3, Hl, Wl); maps are compared at the object's normals."""
     decomposed = compositor.decomposition
     n = array(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
-    n = n / np.linalg.norm(n, axis=-1, keepdims=True)
-    facing = n[n[:, 2] > 1e-2]
-    rng = np.random.default_rng(0)
-    checked = facing[rng.integers(len(facing), size=CHECKED if own else CHECKED_OTHER)]
     return reflectance_store.Scene(
         light,
         decomposed.batch.elevation,
         drawing.exposure_of(decomposed.photograph) / decomposed.exposure,
         compositor.tolerance,
-        checked,
-        reflectance_store.SIDES[-1] if own else FINEST_OTHER,
+        checked_of(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
     )
+
+
+def checked_of(n: np.ndarray, count: int = CHECKED) -> np.ndarray:
+    """Return `count` of unit normals (N, 3), drawn among those that face the viewer."""
+    facing = n[n[:, 2] > 1e-2]
+    return facing[np.random.default_rng(0).integers(len(facing), size=count)]
 
 
 def lights_of(own: torch.Tensor) -> dict[str, torch.Tensor]:

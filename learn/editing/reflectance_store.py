@@ -4,8 +4,9 @@ For a distant viewer, one material and one light, radiance is a function of the 
 are those of learn.methods.reflectance_map: p = (n_x, n_y) / √(1 + n_z), on a grid of `side`
 intervals across the disk |p| ≤ 1 and MARGIN nodes beyond it. A material has as few nodes as keep
 its picture: sides are tried from coarse to fine until Catmull–Rom interpolation at normals of the
-picture differs from the layer's radiance there by LIMIT grey levels at most. `at_normals` uses such
-maps for a picture that is rendered at once.
+picture differs from the layer's radiance there by LIMIT grey levels at most. A fine map may be
+rendered only where a given picture reads it: elsewhere it repeats its nearest node, of which every
+side / COARSE-th is rendered. `at_normals` uses such maps for a picture that is rendered at once.
 
 values  (side + 5, side + 5, 3) float32, radiance times the exposure of the display: 1 is white
 codes   the same shape, uint16: STEPS · log(1 + BEND · values) / log(1 + BEND), so that a step is
@@ -14,6 +15,7 @@ codes   the same shape, uint16: STEPS · log(1 + BEND · values) / log(1 + BEND)
 """
 
 import functools
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +30,9 @@ from learn.methods.quadrature import BROAD
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
-SIDES = (16, 32, 64, 128, 256)
+SIDES = (16, 32, 64, 128, 256, 512)
+LARGEST = 256  # of SIDES, unless a Scene has another
+COARSE = 64  # intervals that a map has also where no pixel reads it
 MARGIN = reflectance_map.MARGIN
 LIMIT = 1.2  # grey levels, root mean square
 STEPS, BEND, BRIGHTEST = 768, 32.0, 1e4
@@ -50,6 +54,7 @@ class Scene(NamedTuple):
     tolerance  of the layer
     checked    (N, 3) unit normals, camera frame, where maps are compared with the layer
     finest     largest side of a map
+    nodes      {side: Nodes at which maps of that side are rendered}; all nodes where it lacks one
     """
 
     light: torch.Tensor
@@ -57,16 +62,26 @@ class Scene(NamedTuple):
     exposure: np.ndarray
     tolerance: float
     checked: np.ndarray
-    finest: int = SIDES[-1]
+    finest: int = LARGEST
+    nodes: "Mapping[int, Nodes] | None" = None
 
 
 def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
     """Return the reflectance map of a label (108,), and its error in grey levels."""
+    return maps_of(label, scene)[-1]
+
+
+def maps_of(label: np.ndarray, scene: Scene) -> list[tuple[np.ndarray, float]]:
+    """Return the maps of a label (108,) that were tried, each with its error in grey levels.
+
+    They are from coarse to fine; the last is the first that is good enough, or the finest.
+    """
     truth = radiance(scene.checked, label, scene, "")
     shown, error = tone.display(truth, 1.0), 0.0
     # where the cheaper method shows the same, nodes are rendered by it
     cheaper = _distance(radiance(scene.checked, label, scene, "auto"), shown)
     parts = [(label, "auto")] if cheaper < LIMIT / 2 else separate_lobes(label)
+    results = []
     for side in (side for side in SIDES if side <= scene.finest):
         # twice as many nodes reduce the error to a quarter at best
         if error > 4 * LIMIT and side < scene.finest:
@@ -74,9 +89,10 @@ def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
             continue
         values = np.sum([rendered(part, scene, side, method) for part, method in parts], 0)
         error = _distance(interpolated(values, scene.checked), shown)
+        results.append((values, error))
         if error <= LIMIT:
             break
-    return values, error
+    return results
 
 
 def at_normals(
@@ -203,11 +219,7 @@ def nodes_of(side: int) -> Nodes:
     n = normals(np.concatenate([p[inside], out * RIM, out * (RIM - step)[:, None]]))
     read = np.zeros(size * size, bool)
     read[inside] = read[beyond] = True
-    index = distance_transform_edt(
-        ~read.reshape(size, size), return_distances=False, return_indices=True
-    )
-    nearest = (index[0] * size + index[1]).ravel()
-    return Nodes(n, inside, beyond, share[:, None], nearest)
+    return Nodes(n, inside, beyond, share[:, None], _nearest_of(read, size))
 
 
 def normals(p: np.ndarray) -> np.ndarray:
@@ -221,9 +233,42 @@ def places(n: np.ndarray) -> np.ndarray:
     return n[..., :2] / np.sqrt(1 + np.maximum(n[..., 2:], 0))
 
 
+def nodes_read(n: np.ndarray, side: int) -> Nodes:
+    """Return the Nodes of a grid that unit normals (N, 3) read, and every side / COARSE-th one.
+
+    side  COARSE at least
+    """
+    nodes, size = nodes_of(side), side + 5
+    corner = np.floor((places(n) + 1) * side / 2).astype(int) + MARGIN
+    read = np.zeros((size, size), bool)
+    read[corner[:, 1].clip(0, size - 1), corner[:, 0].clip(0, size - 1)] = True
+    # interpolation reads nodes −1 to 2 from the corner; one more, because whoever looks up rounds
+    read = maximum_filter(read, 6)
+    step = side // COARSE
+    read[MARGIN + step // 2 :: step, MARGIN + step // 2 :: step] = True
+    inside, beyond = read.ravel()[nodes.inside], read.ravel()[nodes.beyond]
+    kept = np.zeros(size * size, bool)
+    kept[nodes.inside[inside]] = kept[nodes.beyond[beyond]] = True
+    return Nodes(
+        nodes.n[np.concatenate([inside, beyond, beyond])],
+        nodes.inside[inside],
+        nodes.beyond[beyond],
+        nodes.share[beyond],
+        _nearest_of(kept, size),
+    )
+
+
+def _nearest_of(kept: np.ndarray, size: int) -> np.ndarray:
+    """Return for each node (size²) the flat index of the nearest one of `kept` (size²) bool."""
+    index = distance_transform_edt(
+        ~kept.reshape(size, size), return_distances=False, return_indices=True
+    )
+    return (index[0] * size + index[1]).ravel()
+
+
 def rendered(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndarray:
     """Return values of a map of `side` intervals, by a method of the layer."""
-    nodes, size = nodes_of(side), side + 5
+    nodes, size = (scene.nodes or {}).get(side) or nodes_of(side), side + 5
     result = radiance(nodes.n, label, scene, method)
     first, second = len(nodes.inside), len(nodes.inside) + len(nodes.beyond)
     rim, within = result[first:second], result[second:]

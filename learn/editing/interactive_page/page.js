@@ -76,6 +76,9 @@ async function loadLight(l) {
 function values(l, m) {  // linear, as stored
   const {packed, offsets, coarse} = lights[l];
   if (!coarse.has(m)) {
+    // those of large maps have some megabytes each
+    const large = [...coarse.keys()].filter(k => H.lights[l].sides[k] > 128);
+    if (large.length > 15) coarse.delete(large[0]);
     const size = H.lights[l].sides[m] + 5;
     const codes = summed(words(packed, offsets[m], 3 * size * size), size, size, 3, true);
     coarse.set(m, Float32Array.from(codes, c => Math.expm1(Math.max(c, 0) * Math.log1p(H.bend) / H.steps) / H.bend));
