@@ -336,3 +336,16 @@ def test_the_page_is_used_by_mouse_and_keyboard(made):
         window.wait("editPage.state.light === 1")
         assert (pixels(window, "") != own).mean() > 0.2
         assert window.console() == []
+
+
+def test_maps_that_do_not_fit_are_reduced_where_least_is_lost_for_the_bytes():
+    def tried(*pairs):
+        return [interactive.TriedMap(16 << k, e, bytes(b)) for k, (e, b) in enumerate(pairs)]
+
+    maps = [tried((9.0, 10), (1.0, 100)), tried((2.0, 10), (1.0, 100)), tried((3.0, 50))]
+    interactive.reduce_maps(maps, 1000)
+    assert [len(each) for each in maps] == [2, 2, 1]
+    interactive.reduce_maps(maps, 200)
+    assert [each[-1].error for each in maps] == [1.0, 2.0, 3.0]
+    interactive.reduce_maps(maps, 0)  # each keeps its coarsest
+    assert [each[-1].error for each in maps] == [9.0, 2.0, 3.0]
