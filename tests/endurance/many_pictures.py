@@ -25,7 +25,7 @@ import numpy as np
 import psutil
 
 from manifests.files import write_bytes, write_json, write_text
-from manifests.provenance import provenance
+from manifests.provenance import provenance, shortened
 
 FIRST = 100  # pictures after which memory should not grow
 COLUMNS = ("seconds", "pictures", "memory_mb", "handles", "temporary")
@@ -121,7 +121,10 @@ def main():
     table = np.array(rows)
     grown = growth(table, 2)
     result = {
-        **provenance(),
+        **provenance(
+            "PYTHONPATH=. python tests/endurance/many_pictures.py "
+            + " ".join(map(shortened, sys.argv[1:]))
+        ),
         "exit_status": run.returncode,
         "pictures": int(table[-1, 1]),
         "seconds": float(table[-1, 0]),
