@@ -319,6 +319,26 @@ def add_blocks(
             _add_energy(f, far, many, out[i])
 
 
+@_inlined
+def _add_side(kind, n, facet, v, least, below, lights, count, f, out):
+    """Add to out (3,) what one closure reflects of the lights below a facet, or of those above it.
+
+    v      (5,) α, tilt and weights
+    least  cosine between normal and light from which it is lit
+    """
+    x, y, z = lights[0], lights[1], lights[2]
+    _evaluate(kind, n, v[0], v[1], np.float32(0), least, lights, count, f)
+    for j in range(count):
+        hidden = facet[0] * x[j] + facet[1] * y[j] + facet[2] * z[j] < 0
+        f[j] *= ONE if hidden == below else np.float32(0)
+    for c in range(3):
+        energy = lights[6 + c]
+        total = np.float32(0)
+        for j in range(count):
+            total += f[j] * energy[j]
+        out[c] += total * v[2 + c]
+
+
 @_compiled
 def add_below(
     kind: int,
@@ -338,9 +358,7 @@ def add_below(
     """
     count = lights.shape[1]
     f = np.empty(count, np.float32)
-    x, y, z = lights[0], lights[1], lights[2]
     v = np.empty(5, np.float32)
-    total = np.empty(3, np.float32)
     for i in range(len(n)):
         _parameters(table, n[i, 2], v)
         mx, my, mz = _mirrored(n[i], v[1])
@@ -348,13 +366,7 @@ def add_below(
         cone = np.float32(2) * np.float32(math.atan(within * v[0]))
         if cone < PI / 2 and mx * fx + my * fy + mz * fz > np.float32(math.sin(cone)):
             continue
-        _evaluate(kind, n[i], v[0], v[1], np.float32(0), LEAST, lights, count, f)
-        for j in range(count):
-            f[j] *= ONE if fx * x[j] + fy * y[j] + fz * z[j] < 0 else np.float32(0)
-        total[:] = 0
-        _add_energy(f, lights, count, total)
-        for c in range(3):
-            out[i, c] += total[c] * v[2 + c]
+        _add_side(kind, n[i], facets[i], v, LEAST, True, lights, count, f, out[i])
 
 
 @_compiled
@@ -373,19 +385,10 @@ def add_away(
     """
     count = lights.shape[1]
     f = np.empty(count, np.float32)
-    x, y, z = lights[0], lights[1], lights[2]
     v = np.empty(5, np.float32)
-    total = np.empty(3, np.float32)
     for i in range(len(n)):
         _parameters(table, abs(n[i, 2]), v)
-        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
-        _evaluate(kind, n[i], v[0], v[1], np.float32(0), np.float32(-2), lights, count, f)
-        for j in range(count):
-            f[j] *= np.float32(0) if fx * x[j] + fy * y[j] + fz * z[j] < 0 else ONE
-        total[:] = 0
-        _add_energy(f, lights, count, total)
-        for c in range(3):
-            out[i, c] += total[c] * v[2 + c]
+        _add_side(kind, n[i], facets[i], v, np.float32(-2), False, lights, count, f, out[i])
 
 
 @_inlined

@@ -73,7 +73,7 @@ class Uploads:
         self._hashes: dict[str, str] = {}  # of files as they are on the store
         self._ids: dict[str, set[str]] = {}
         self._waiting = 0  # shots that were made and not sent
-        self._replied: set[str] = set()  # ids that the run has been told of: nobody reads the file
+        self._replied: set[str] = set()  # ids that the run knows: their files are not read again
         self._sent: dict[str, Path] = {}  # {id: its picture}
         self._problem: InputError | None = None
         self._wake, self._changed = threading.Event(), threading.Condition()
@@ -237,7 +237,7 @@ class Uploads:
         return encoded(line) + b"\n"
 
     def _remove_pictures(self) -> None:
-        """Remove pictures from the scratch folder that were sent and that nobody reads again."""
+        """Remove pictures from the scratch folder that were sent and are not read again."""
         with self._changed:
             ready = self._sent.keys() & self._replied
             self._replied -= ready

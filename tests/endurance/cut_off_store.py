@@ -36,7 +36,7 @@ URL = f"s3://{s3_server.BUCKET}/disturbed"
 
 
 class Faults:
-    """Makes faults, one after the other, until there were enough or it is told to end.
+    """Makes faults, one after the other, until there were enough or it has to end.
 
     made  {kind: number}
     """

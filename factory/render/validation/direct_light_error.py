@@ -54,7 +54,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         assert first is not None and exact is not None
         start = time.process_time()
         stage.studio.portion(0, TIMED, scene.seed, "direct")
-        per_sample = (time.process_time() - start) / (2 * TIMED)
+        per_sample = (time.process_time() - start) / TIMED
         reference = stage.reference(scene, mask, options.reference)
         exposure = tone.auto_exposure(reference.picture, mask)
         a, b, c = (

@@ -88,12 +88,12 @@ def methods(studio: Studio) -> dict[tuple[str, str], Method]:
     def by_ratio(samples: int) -> Method:
         def render(at: Shown) -> np.ndarray:
             exact = studio.direct_light()
+            if exact is not None and at.tier == "direct":
+                return exact.radiance
             shown = studio.portion(0, samples, at.seed, at.tier, denoise=True)
             if exact is None:
                 assert shown.denoised is not None
                 return shown.denoised
-            if at.tier == "direct":
-                return exact.radiance
             unblocked = studio.portion(0, samples, at.seed, "direct", denoise=True)
             return ratio.combined(exact.radiance, shown, unblocked)
 
