@@ -170,6 +170,8 @@ class Accuracy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     estimated       of the finished picture, from two halves of independent seeds
     standard_error  of `estimated`
     seconds         that the picture took, without geometry and files
+    traced          tier whose light paths were traced, where it is not the record's: `direct`,
+                    because the object cannot shade itself as seen from this side
     """
 
     requested: DisplayError
@@ -178,6 +180,7 @@ class Accuracy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     estimated: Amount
     standard_error: Amount
     seconds: Amount
+    traced: Tier | None = None
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):

@@ -56,6 +56,7 @@ LEFT_OUT = (
     (b',"camera_ranges":null', b""),
     (b',"error":null', b""),
     (b',"accuracy":null', b""),
+    (b',"traced":null', b""),
 )
 
 

@@ -64,6 +64,8 @@ class Studio(Protocol):
 
     def direct_light_samples(self) -> int | None: ...
 
+    def may_shade_itself(self) -> bool: ...
+
 
 class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
     """Where a shape is read from, and the hash that it must have."""
@@ -220,6 +222,7 @@ class Pipeline:
             estimated=round(max(made.estimated.error, 0.0), 4),
             standard_error=round(made.estimated.standard_error, 4),
             seconds=round(time.perf_counter() - start, 4),
+            traced=None if made.traced == shot.tier else made.traced,
         )
         if made.estimated.bound > job.error:
             self.notes.append(

@@ -30,6 +30,17 @@ def camera_from_fixed_world(camera: Camera) -> np.ndarray:
     )
 
 
+def seen(vertices: np.ndarray, azimuth: float, camera: Camera) -> np.ndarray:
+    """Return an object's vertices (V, 3), as it stands before the camera, in the camera frame.
+
+    vertices  (V, 3), in the object's frame
+    azimuth   of the view, radians
+    """
+    s, c = np.sin(azimuth), np.cos(azimuth)
+    turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return vertices @ (camera_from_fixed_world(camera) @ turned).T.astype(vertices.dtype)
+
+
 def view_vectors(camera: Camera) -> np.ndarray:
     """Return the unit vectors (height, width, 3) from surface to camera, in the camera frame."""
     height, width = camera.size

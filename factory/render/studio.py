@@ -30,6 +30,7 @@ from factory.render import (
     light,
     materials,
     render_result,
+    self_shading,
     window,
 )
 from factory.render.estimators.halves import DirectPicture, Portion
@@ -133,6 +134,8 @@ class Studio:
         self._object: Any = None
         self._second_object: Any = None
         self._vertices = np.zeros((0, 3), np.float32)
+        self._has_convex_side = False
+        self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         # one material per segment, and the node groups that it shows for each purpose
         self._surfaces: list[Any] = []
         self._id_groups: list[Any] = []
@@ -180,6 +183,9 @@ class Studio:
         self._segments, self._tier, self._material_groups = int(mesh.segment.max()), None, []
         self._add_surfaces(self._segments)
         self._vertices = mesh.vertices.astype(np.float32)
+        corners = mesh.vertices[mesh.faces]
+        self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
+        self._may_shade_itself.clear()
         self._body = body.build(mesh)
         for surface in self._surfaces[: self._segments]:
             self._body.materials.append(surface)
@@ -367,6 +373,25 @@ class Studio:
         noisy = window.paste(rendered["Noisy Image"], visible, lens.size)
         smooth = np.maximum(rgba[..., :3], np.float32(0))
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
+
+    def may_shade_itself(self) -> bool:
+        """Return False if nothing that is visible can be shaded by the object or lit by its light.
+
+        Of cameras in perspective it is not known.
+        """
+        lens = self._require_camera()
+        if lens.fov_deg is not None or not self._has_convex_side:
+            return True
+        key = self._azimuth, lens
+        if key not in self._may_shade_itself:
+            at = self._surface()
+            x, y = (grid[at.mask] * lens.half_extent for grid in frames.pixel_grid(*lens.size))
+            self._may_shade_itself[key] = self_shading.may_shade_itself(
+                camera.seen(self._vertices, self._azimuth, lens),
+                at.facets,
+                np.stack([x, y, -at.depth], axis=-1),
+            )
+        return self._may_shade_itself[key]
 
     def direct_light_samples(self) -> int | None:
         """Return how many directions per pixel `direct_light` evaluates besides its maps.

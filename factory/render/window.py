@@ -8,7 +8,7 @@ exclusive, row 0 at the top. Its pixels equal those of the whole frame, includin
 import bpy
 import numpy as np
 
-from factory.render.camera import camera_from_fixed_world, distance
+from factory.render import camera
 from factory.render.settings import assign
 from manifests.schema import Camera
 
@@ -25,14 +25,10 @@ def around(vertices: np.ndarray, azimuth: float, lens: Camera) -> Window:
     azimuth   of the view, radians
     """
     height, width = lens.size
-    s, c = np.sin(azimuth), np.cos(azimuth)
-    camera_from_object = camera_from_fixed_world(lens) @ np.array(
-        [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]
-    )
-    seen = vertices @ camera_from_object.T.astype(vertices.dtype)
+    seen = camera.seen(vertices, azimuth, lens)
     x, y = seen[:, 0], seen[:, 1]
     if lens.fov_deg is not None:
-        away = distance(lens)
+        away = camera.distance(lens)
         # the camera is inside the object, which may then be visible anywhere
         if seen[:, 2].max() > (1 - NEAREST) * away:
             return 0, height, 0, width

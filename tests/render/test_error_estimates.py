@@ -42,6 +42,9 @@ class Known:
         smooth[:, ::2] += self.bias
         return Portion(noisy, alpha, smooth)
 
+    def may_shade_itself(self):
+        return True
+
     def direct_light_samples(self):
         return None
 
@@ -261,3 +264,26 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
     assert closed_form.cost(1000, 0) > closed_form.cost(10_000, 0)
     assert closed_form.cost(1000, 1000) > closed_form.cost(1000, 0)
+
+
+class Convex(Shaded):
+    """The same, of an object that cannot shade itself: every tier shows the unblocked light."""
+
+    def __init__(self):
+        super().__init__(deepest=1.0)
+        self.tiers = []
+
+    def portion(self, first, count, seed, tier, denoise=False):
+        self.tiers.append(tier)
+        return super().portion(first, count, seed, tier, denoise)
+
+    def may_shade_itself(self):
+        return False
+
+
+def test_direct_light_is_rendered_of_what_cannot_shade_itself():
+    known, other = Convex(), Shaded()
+    made = choice.picture(shown(known), 20.0)
+    assert set(known.tiers) == {"direct"} and made.traced == "direct"
+    assert error(made.radiance, known) < 20
+    assert choice.picture(shown(other), 20.0).traced == "full"

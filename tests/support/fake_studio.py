@@ -83,6 +83,9 @@ class Studio:
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
         return Portion(noisy, alpha, radiance if denoise else None)
 
+    def may_shade_itself(self):
+        return True
+
     def direct_light_samples(self):
         return None
 

@@ -1,6 +1,7 @@
 """The choice of an estimator for one shot.
 
-A pilot of a few samples of each half says how noisy the shot is. Then the estimator
+Of an object that cannot shade itself direct light is rendered, which costs less per sample and is
+the same. A pilot of a few samples of each half says how noisy the shot is. Then the estimator
 that needs the fewest further samples by its model is tried, until the error is at most the limit;
 the time of denoisers and closed forms counts as samples. Samples of a try that failed are kept for
 path tracing, so that only the other time is lost. Whatever is tried is accepted by its estimated
@@ -9,17 +10,18 @@ error alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from factory.render import self_shading
 from factory.render.estimators import closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import DirectPicture, Estimate, Halves, Shown
-from manifests.schema import Estimator
+from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 3  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 4  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -34,6 +36,7 @@ class Picture:
     samples    per pixel that were rendered, of both halves
     predicted  error by the estimator's model from the pilot
     estimated  error of the finished picture, with its standard error
+    traced     tier whose light paths were traced: `direct` where the object cannot shade itself
     """
 
     radiance: np.ndarray
@@ -42,6 +45,7 @@ class Picture:
     samples: int
     predicted: float
     estimated: Estimate
+    traced: Tier
 
 
 def identity() -> list[object]:
@@ -55,6 +59,7 @@ def identity() -> list[object]:
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL],
         sorted(denoised.COST.items()),
+        [self_shading.TOLERANCE, self_shading.WIDER, self_shading.FEW, self_shading.LEAST_SHARE],
     ]
 
 
@@ -65,6 +70,8 @@ def picture(shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL)
 
     estimators  that may be chosen; "path-tracing" is always one of them
     """
+    if shown.tier != "direct" and not shown.renderer.may_shade_itself():
+        shown = replace(shown, tier="direct")
     attempt = _Attempt(shown, error, estimators)
     while attempt.now.bound > error and attempt.halves.samples < MOST_SAMPLES:
         if made := attempt.closed():
@@ -81,6 +88,7 @@ def picture(shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL)
         samples=2 * halves.samples,
         predicted=path_tracing.predicted(attempt.pilot, PILOT, halves.samples),
         estimated=attempt.now,
+        traced=shown.tier,
     )
 
 
@@ -147,6 +155,7 @@ class _Attempt:
             samples=2 * self.halves.samples,
             predicted=closed_form.TYPICAL,
             estimated=estimate,
+            traced=self.shown.tier,
         )
 
     def _is_worth_asking(self) -> bool:
@@ -229,6 +238,7 @@ class _Attempt:
                     samples=2 * halves.samples,
                     predicted=each.predicted,
                     estimated=estimate,
+                    traced=self.shown.tier,
                 )
         return None
 

@@ -44,6 +44,7 @@ class Renderer(Protocol):
 
     direct_light          None where no closed form holds
     direct_light_samples  directions per pixel that it evaluates besides its maps; None as above
+    may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
 
     def portion(
@@ -53,6 +54,8 @@ class Renderer(Protocol):
     def direct_light(self) -> DirectPicture | None: ...
 
     def direct_light_samples(self) -> int | None: ...
+
+    def may_shade_itself(self) -> bool: ...
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,49 @@
+"""Whether an object may shade itself or reflect light onto itself, as seen from one side.
+
+An object cannot if all of it lies below the plane of every facet that is visible: no ray that
+leaves such a facet meets the object again. Direct light without shadows is then all light there is.
+
+vertices  (V, 3) of the mesh, in the frame of the facets
+facets    (P, 3) unit normals of the facets that are visible, which face outwards
+points    (P, 3) one point on each of them
+"""
+
+import numpy as np
+
+# by which a vertex may lie above a facet's plane, as a share of the unit sphere's radius; float32's
+# rounding of depths is a sixth of it
+TOLERANCE = 1e-4
+# the same of a few facets, because the quadrilaterals of a bevel are seldom planar
+WIDER, FEW = 2e-3, 0.02
+LEAST_SHARE = 0.1  # of a mesh's facets, of which some side of it shows nothing else
+TRIED = 256  # facets that are looked at first, because most shapes have one of another kind there
+
+
+def may_shade_itself(vertices: np.ndarray, facets: np.ndarray, points: np.ndarray) -> bool:
+    """Return False if nothing that is visible can be shaded by the object or lit by its light."""
+    order = np.random.default_rng(0).permutation(len(facets))
+    uneven = 0
+    for some in np.split(order, range(TRIED, len(order), TRIED)):
+        above = _above(vertices, facets[some], points[some])
+        uneven += int((above > TOLERANCE).sum())
+        if (above > WIDER).any() or uneven > FEW * len(facets):
+            return True
+    return False
+
+
+def has_convex_side(vertices: np.ndarray, corners: np.ndarray) -> bool:
+    """Return False if too few facets have the whole mesh below them for a side without shading.
+
+    corners  (F, 3, 3) positions of each triangle's corners, counter-clockwise from outside
+    """
+    some = corners[:: max(1, len(corners) // TRIED)].astype(np.float64)
+    across = np.cross(some[:, 1] - some[:, 0], some[:, 2] - some[:, 0])
+    length = np.linalg.norm(across, axis=1)
+    facets, points = across[length > 0] / length[length > 0, None], some[length > 0, 0]
+    return bool((_above(vertices, facets, points) <= TOLERANCE).mean() >= LEAST_SHARE)
+
+
+def _above(vertices: np.ndarray, facets: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return how far the mesh extends beyond the plane of each facet (P,)."""
+    farthest = (facets.astype(np.float32) @ vertices.T.astype(np.float32)).max(1)
+    return farthest - np.einsum("pi,pi->p", facets, points)
