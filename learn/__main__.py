@@ -37,7 +37,7 @@ MOVED = {  # earlier names of commands, and what to type now
 
 def prepare() -> None:
     """Keep freed memory for the next step; called before a command runs, not for --help."""
-    from learn.training.allocator import keep_freed
+    from manifests.allocator import keep_freed
 
     keep_freed()
 

@@ -24,6 +24,7 @@ import msgspec
 
 from factory.execution.pipeline import Assignment, BadShot, Pipeline, ShapeSource, Studio
 from factory.planning.plan import Shot
+from manifests.allocator import return_large_blocks
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from manifests.schema import Record
@@ -86,6 +87,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 def main() -> None:
     """Make shots until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    return_large_blocks()
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)

@@ -52,7 +52,7 @@ def description() -> str:
 
 def prepare() -> None:
     """Keep freed memory, as training does; called before an experiment runs, not for --help."""
-    from learn.training.allocator import keep_freed
+    from manifests.allocator import keep_freed
 
     keep_freed()
 

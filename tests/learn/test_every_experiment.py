@@ -18,7 +18,7 @@ from learn.metrics import bootstrap
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
-from learn.training import allocator
+from manifests import allocator
 from manifests.cli import main
 from tests.support import ladder_rungs
 from tests.support.full_disk_case import RUN as SETTINGS
