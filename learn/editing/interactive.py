@@ -15,21 +15,15 @@ The page differs from `learn edit` in these points:
   shading, which belongs to its own light, is left out.
 - The viewer is distant, as for all edits.
 
-Each map is as coarse as keeps radiance at the page's own pixels (reflectance_store.LIMIT). Where
-all maps would make the page larger than LARGEST_FILE, those are reduced that lose least for their
-bytes.
-
-Data are chunks, each compressed by zlib, one after the other, as base64. Arrays are stored as
-differences between neighbours, modulo 2^8 or 2^16, in the order of the header's "arrays".
+How fine the maps are says learn.editing.interactive_maps, and how data are stored
+learn.editing.chunks; all of them together stand in the page as base64.
 """
 
 import base64
-import heapq
 import json
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -40,7 +34,8 @@ from tqdm import tqdm
 from learn.data import lights as light_maps
 from learn.data import photographs
 from learn.data.devices import array
-from learn.editing import drawing, reflectance_store, targets
+from learn.editing import drawing, interactive_maps, reflectance_store, targets
+from learn.editing.chunks import Chunks, differences, split_bytes
 from learn.editing.compositor import CLEAR, LARGEST_DETAIL, Compositor, nearest
 from learn.figures import html, montage, spheres
 from manifests.errors import InputError
@@ -84,19 +79,6 @@ FAMILY_WORDS = {
 }
 
 
-class Chunks:
-    """Compressed data, one after the other."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def add(self, data: bytes) -> tuple[int, int]:
-        """Append data, and return where they begin and how many bytes they take."""
-        packed = zlib.compress(data, 9)
-        self.data += packed
-        return len(self.data) - len(packed), len(packed)
-
-
 def page(result: "EditResult", edit_options: "EditOptions") -> str:
     """Return the page of an EditResult, and show progress.
 
@@ -124,15 +106,15 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
     nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
-    maps: list[list[list[TriedMap]]] = []
+    maps: list[list[list[interactive_maps.TriedMap]]] = []
     with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
         for L in lights.values():
             scene = scene_of(compositor, L)._replace(
-                checked=checked_of(n), finest=reflectance_store.SIDES[-1], nodes=nodes
+                checked=checked_of(n), finest=reflectance_store.SIDES[-1], nodes=nodes, coded=True
             )
             maps.append([])
             for label in labels:
-                maps[-1].append(tried_maps(label, scene))
+                maps[-1].append(interactive_maps.tried_maps(label, scene))
                 progress.update()
     header["parts"] = [
         {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
@@ -140,9 +122,9 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     ]
     # four characters of base64 hold three bytes
     left = LARGEST_FILE - len(assembled(header, chunks).encode()) - FRAME
-    reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
+    interactive_maps.reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
     header["lights"] = [
-        {"name": name} | light_data(each, L, chunks)
+        {"name": name} | interactive_maps.light_data(each, L, chunks)
         for (name, L), each in zip(lights.items(), maps, strict=True)
     ]
     result_page = assembled(header, chunks)
@@ -155,87 +137,6 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
             "reduce the photograph",
         )
     return result_page
-
-
-class TriedMap(NamedTuple):
-    """A reflectance map of a material, of one of the sides that were tried.
-
-    side    intervals across the disk
-    error   grey levels
-    packed  its codes' differences, as split_bytes has them, compressed
-    """
-
-    side: int
-    error: float
-    packed: bytes
-
-
-def tried_maps(label: np.ndarray, scene: reflectance_store.Scene) -> list[TriedMap]:
-    """Return the maps of a label (108,), from coarse to fine, each with a smaller error."""
-    result: list[TriedMap] = []
-    for values, error in reflectance_store.maps_of(label, scene):
-        codes = differences(reflectance_store.codes_of(values), 2).ravel()
-        if not result or error < result[-1].error:
-            result.append(TriedMap(len(values) - 5, error, zlib.compress(split_bytes(codes), 9)))
-    return result
-
-
-def reduce_maps(maps: Sequence[list[TriedMap]], bytes_left: int) -> None:
-    """Remove the finest of some maps until all together have at most so many bytes.
-
-    First those go by which the mean squared error grows least per byte.
-
-    maps  each material's maps, from coarse to fine; the last will be stored
-    """
-
-    def growth(number: int) -> float:
-        coarse, fine = maps[number][-2:]
-        saved = max(len(fine.packed) - len(coarse.packed), 1)
-        return (coarse.error**2 - fine.error**2) / saved
-
-    total = sum(len(each[-1].packed) for each in maps)
-    queue = [(growth(number), number) for number, each in enumerate(maps) if len(each) > 1]
-    heapq.heapify(queue)
-    while total > bytes_left and queue:
-        _, number = heapq.heappop(queue)
-        total -= len(maps[number].pop().packed) - len(maps[number][-1].packed)
-        if len(maps[number]) > 1:
-            heapq.heappush(queue, (growth(number), number))
-
-
-def light_data(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chunks) -> dict:
-    """Add the finest maps of all materials under a light (1, 3, Hl, Wl); return their header."""
-    chosen = [each[-1] for each in maps]
-    parts = [np.frombuffer(zlib.decompress(map_.packed), np.uint8) for map_ in chosen]
-    low, high = zip(*(np.split(part, 2) for part in parts), strict=True)
-    picture = montage.light_picture(array(light[0].movedim(0, -1)))
-    return {
-        "sides": [map_.side for map_ in chosen],
-        "errors": [round(map_.error, 2) for map_ in chosen],
-        "data": chunks.add(np.concatenate([*low, *high]).tobytes()),
-        "picture": html.encoded_picture(picture[:: len(picture) // 32, :: len(picture) // 32]),
-    }
-
-
-def differences(values: np.ndarray, axes: int) -> np.ndarray:
-    """Return an array (H, W, C) of whole numbers as differences between neighbours.
-
-    axes  1: along columns; 2: along rows as well. Differences are modulo the type's range
-    """
-    result = np.diff(values, axis=1, prepend=values.dtype.type(0))
-    if axes == 2:
-        result = np.diff(result, axis=0, prepend=values.dtype.type(0))
-    return result
-
-
-def split_bytes(values: np.ndarray) -> bytes:
-    """Return uint16 differences as their low bytes, then their high ones.
-
-    Small differences of either sign have a high byte of 0: the sign is the lowest bit.
-    """
-    signed = values.astype(np.uint16).view(np.int16).astype(np.int32)
-    zigzag = ((signed << 1) ^ (signed >> 15)).astype(np.uint16)
-    return (zigzag & 255).astype(np.uint8).tobytes() + (zigzag >> 8).astype(np.uint8).tobytes()
 
 
 def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:

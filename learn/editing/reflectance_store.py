@@ -30,12 +30,14 @@ from learn.methods.quadrature import BROAD
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
-SIDES = (16, 32, 64, 128, 256, 512)
+SIDES = (16, 32, 64, 128, 256, 512, 1024)
 LARGEST = 256  # of SIDES, unless a Scene has another
 COARSE = 64  # intervals that a map has also where no pixel reads it
 MARGIN = reflectance_map.MARGIN
 LIMIT = 1.2  # grey levels, root mean square
-STEPS, BEND, BRIGHTEST = 768, 32.0, 1e4
+# the finest maps take seconds and a quarter of a megabyte each: below this they are left out
+LIMIT_OF_FINEST = 1.8
+STEPS, BEND, BRIGHTEST = 256, 32.0, 1e4
 NOTHING = -40.0  # natural logarithm of κ: a lobe that reflects nothing
 # Many normals are looked up: from so many on, in maps of two sides
 LOOKED_UP = ((40_000, (64, 128)), (10_000, (32, 64)))
@@ -55,6 +57,7 @@ class Scene(NamedTuple):
     checked    (N, 3) unit normals, camera frame, where maps are compared with the layer
     finest     largest side of a map
     nodes      {side: Nodes at which maps of that side are rendered}; all nodes where it lacks one
+    coded      whether maps are those of their codes, whose rounding then counts in their errors
     """
 
     light: torch.Tensor
@@ -64,6 +67,7 @@ class Scene(NamedTuple):
     checked: np.ndarray
     finest: int = LARGEST
     nodes: "Mapping[int, Nodes] | None" = None
+    coded: bool = False
 
 
 def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
@@ -88,9 +92,11 @@ def maps_of(label: np.ndarray, scene: Scene) -> list[tuple[np.ndarray, float]]:
             error /= 4
             continue
         values = np.sum([rendered(part, scene, side, method) for part, method in parts], 0)
+        if scene.coded:
+            values = decoded(codes_of(values))
         error = _distance(interpolated(values, scene.checked), shown)
         results.append((values, error))
-        if error <= LIMIT:
+        if error <= (LIMIT_OF_FINEST if 2 * side == SIDES[-1] else LIMIT):
             break
     return results
 
@@ -317,3 +323,8 @@ def codes_of(values: np.ndarray) -> np.ndarray:
     """Return codes of values."""
     scaled = np.log1p(BEND * np.clip(values, 0, BRIGHTEST)) * (STEPS / np.log1p(BEND))
     return np.rint(scaled).astype(np.uint16)
+
+
+def decoded(codes: np.ndarray) -> np.ndarray:
+    """Return the values of codes."""
+    return (np.expm1(codes * (np.log1p(BEND) / STEPS)) / BEND).astype(np.float32)

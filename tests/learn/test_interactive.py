@@ -16,8 +16,16 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from learn.commands.options import EDITING_WEIGHTS, weights_file
-from learn.editing import decomposition, edit, edit_files, interactive, photograph
+from learn.editing import (
+    decomposition,
+    edit,
+    edit_files,
+    interactive,
+    interactive_maps,
+    photograph,
+)
 from learn.editing import reflectance_store as store
+from learn.editing.chunks import Chunks
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
 from manifests.errors import InputError
@@ -257,6 +265,28 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
         assert window.console() == []
 
 
+@needs_browser
+@pytest.mark.long
+@pytest.mark.parametrize("address", ["", "#canvas"])
+def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
+    catalogue = load_catalogue()
+    monkeypatch.setattr(interactive, "load_catalogue", lambda: {"chrome": catalogue["chrome"]})
+    monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
+    monkeypatch.setattr(store, "LIMIT", 0.0)
+    monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
+    text = interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
+    page, path = Page(text), tmp_path / interactive.NAME
+    assert page.header["lights"][0]["sides"][page.names.index("chrome")] == store.SIDES[-1]
+    path.write_text(text, "utf-8")
+    mask = made.result.decomposition.photograph.regions > 0
+    with browser.Browser() as window:
+        window.open(path, address)
+        window.wait("document.documentElement.dataset.ready")
+        shown = pixels(window, choice(SimpleNamespace(text=text), "chrome", "chrome"))
+        assert distance(shown, edited(made, "chrome", "chrome"), mask) < LIMIT
+        assert window.console() == []
+
+
 @pytest.mark.skipif(
     not firefox.is_available(), reason="needs Debian's packages firefox-esr and xvfb"
 )
@@ -340,12 +370,35 @@ def test_the_page_is_used_by_mouse_and_keyboard(made):
 
 def test_maps_that_do_not_fit_are_reduced_where_least_is_lost_for_the_bytes():
     def tried(*pairs):
-        return [interactive.TriedMap(16 << k, e, bytes(b)) for k, (e, b) in enumerate(pairs)]
+        return [interactive_maps.TriedMap(16 << k, e, bytes(b)) for k, (e, b) in enumerate(pairs)]
 
     maps = [tried((9.0, 10), (1.0, 100)), tried((2.0, 10), (1.0, 100)), tried((3.0, 50))]
-    interactive.reduce_maps(maps, 1000)
+    interactive_maps.reduce_maps(maps, 1000)
     assert [len(each) for each in maps] == [2, 2, 1]
-    interactive.reduce_maps(maps, 200)
+    interactive_maps.reduce_maps(maps, 200)
     assert [each[-1].error for each in maps] == [1.0, 2.0, 3.0]
-    interactive.reduce_maps(maps, 0)  # each keeps its coarsest
+    interactive_maps.reduce_maps(maps, 0)  # each keeps its coarsest
     assert [each[-1].error for each in maps] == [9.0, 2.0, 3.0]
+
+
+def test_maps_that_are_good_enough_are_reduced_before_those_that_are_not():
+    def tried(*pairs):
+        return [interactive_maps.TriedMap(16 << k, e, bytes(b)) for k, (e, b) in enumerate(pairs)]
+
+    # more is lost by the second, but it stays below two grey levels
+    maps = [tried((2.3, 10), (1.9, 100)), tried((1.9, 10), (0.1, 100))]
+    interactive_maps.reduce_maps(maps, 110)
+    assert [each[-1].error for each in maps] == [1.9, 1.9]
+
+
+def test_errors_are_those_of_the_stored_codes(made):
+    page, light = Page(made.text), made.result.decomposition.parts.light
+    _, n = interactive.picture_data(made.compositor, Chunks())
+    scene = interactive.scene_of(made.compositor, light)
+    checked = interactive.checked_of(n)
+    for name in CHOSEN:
+        read = store.interpolated(page.values(0, name), checked)
+        truth = store.radiance(checked, label_of(name)[0], scene, "")
+        a, b = (tone.display(each, 1.0) for each in (read, truth))
+        error = page.header["lights"][0]["errors"][page.names.index(name)]
+        assert error == pytest.approx(np.sqrt(np.mean((a - b) ** 2)), abs=0.006), name

@@ -89,7 +89,7 @@ function values(l, m) {  // linear, as stored
 function upsampled(l, m) {
   const cache = lights[l].fine;
   if (cache.has(m)) return cache.get(m);
-  const side = H.lights[l].sides[m], size = side + 5, factor = side < 32 ? 8 : side < 256 ? 4 : 2, M = side * factor + 1;
+  const side = H.lights[l].sides[m], size = side + 5, factor = side < 32 ? 8 : side < 256 ? 4 : side < 1024 ? 2 : 1, M = side * factor + 1;
   const source = values(l, m), wide = new Float32Array(size * M * 3), out = new Float32Array(M * M * 3);
   const weights = [];
   for (let f = 0; f < factor; f++) {
