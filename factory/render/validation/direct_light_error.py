@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.validation.error_target import Stage, drawn
-from manifests.errors import InputError
+from factory.render.validation.error_target import Stage, drawn, meshes_of, named
 from manifests.files import write_json, write_text
 from manifests.option_types import positive, whole
 from manifests.provenance import provenance
@@ -35,14 +34,11 @@ GRAZING = 0.3  # n·v
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each shot."""
     stage = Stage(options.size, 1)
-    meshes = sorted(options.meshes.rglob("*.obj")) if options.meshes else []
-    if options.meshes and not meshes:
-        raise InputError("--meshes", "a folder with .obj files", "none", "name another folder")
+    meshes = meshes_of(options.meshes)
     rows: list[dict[str, Any]] = []
     for number in range(options.shots):
-        scene = replace(drawn(number, options.seed, stage.materials), tier="direct")
-        if meshes:
-            scene = replace(scene, shape=str(meshes[number * 7 % len(meshes)]))
+        scene = drawn(number, options.seed, stage.materials, meshes)
+        scene = replace(scene, tier="direct")
         stage.show(replace(scene, azimuth=scene.azimuth + 1))
         start = time.process_time()
         first = stage.studio.direct_light()
@@ -63,9 +59,8 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         errors = ((a - b) * (a - c)).mean(-1)
         facing = stage.studio.geometry().normals[mask][:, 2] > GRAZING
         rows.append(
-            asdict(scene)
+            asdict(named(scene))
             | {
-                "shape": Path(scene.shape).name if meshes else scene.shape,
                 "pixels": int(mask.sum()),
                 "error": float(errors.mean()),
                 "facing": float(errors[facing].sum() / len(errors)),

@@ -2,6 +2,9 @@
 
 python -m factory.render.validation.error_target law --shots 60
 python -m factory.render.validation.error_target check --shots 300 --out DIR
+python -m factory.render.validation.error_target check --shots 100 --meshes FOLDER --out DIR
+
+A check that was stopped is continued by the same command.
 
 shots    drawn from a seed: shape, material, light, view, tier and, in turn, the error requested
 law      of the denoiser: its error as a power of the error without it, and its time in samples
@@ -16,23 +19,27 @@ cost     in processor seconds, since other programs may run. It is compared with
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from factory.lights import load as load_light
-from factory.render.estimators import choice, denoised
+from factory.render.estimators import choice
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves, Shown, mean_over
 from factory.render.studio import Studio
 from factory.shapes.catalogue import load as load_shape
+from manifests.errors import InputError
 from manifests.files import write_json, write_text
 from manifests.materials import load_catalogue
 from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 from manifests.schema import Camera, Tier
+from manifests.store import Lines
 from shaders import tone
 
 SHAPES = ("chair", "car", "sofa", "monitor", "vessel", "lamp", "blob", "sphere", "cube", "torus")
@@ -59,13 +66,16 @@ class Scene:
     seed: int
 
 
-def drawn(number: int, seed: int, materials: list[str]) -> Scene:
-    """Return shot `number` of a seed; other shots do not change it."""
+def drawn(number: int, seed: int, materials: list[str], meshes: Sequence[Path] = ()) -> Scene:
+    """Return shot `number` of a seed; other shots do not change it.
+
+    meshes  files whose shapes are shown instead of the program's own
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     family = SHAPES[rng.integers(len(SHAPES))]
-    plain = family in ("sphere", "cube", "torus")
+    shape = family if family in ("sphere", "cube", "torus") else f"{family}:{rng.integers(100)}"
     return Scene(
-        shape=family if plain else f"{family}:{rng.integers(100)}",
+        shape=str(meshes[number * 7 % len(meshes)]) if meshes else shape,
         material=materials[rng.integers(len(materials))],
         light=LIGHTS[rng.integers(len(LIGHTS))],
         rotation=int(rng.integers(128)),
@@ -74,6 +84,14 @@ def drawn(number: int, seed: int, materials: list[str]) -> Scene:
         requested=ERRORS[number % len(ERRORS)],
         seed=int(rng.integers(2**31)),
     )
+
+
+def meshes_of(folder: Path | None) -> list[Path]:
+    """Return the .obj files of a folder; none without a folder. Raises InputError: it has none."""
+    meshes = sorted(folder.rglob("*.obj")) if folder else []
+    if folder and not meshes:
+        raise InputError("--meshes", "a folder with .obj files", "none", "name another folder")
+    return meshes
 
 
 class Stage:
@@ -111,6 +129,11 @@ def compared(one: np.ndarray, other: np.ndarray, reference: Halves) -> Estimate:
         tone.display(each[mask], exposure) for each in (one, other, *reference.pictures)
     )
     return mean_over(((a - r1) * (b - r2)).mean(-1))
+
+
+def named(scene: Scene) -> Scene:
+    """Return a scene whose shape is the name of its file, where it is a file's."""
+    return replace(scene, shape=Path(scene.shape).name)
 
 
 def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
@@ -171,10 +194,23 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
-    """Return a row for each shot."""
-    rows: list[dict[str, Any]] = []
-    for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials)
+    """Return a row for each shot; with --out, rows of an earlier, stopped check are kept."""
+    meshes, rows, lines = meshes_of(options.meshes), [], None
+    if options.out:
+        path = options.out / "rows.jsonl"
+        lines = Lines(path)
+        rows = [json.loads(line) for line in lines.read().splitlines()]
+        for number, row in enumerate(rows[: options.shots]):
+            scene = named(drawn(number, options.seed, stage.materials, meshes))
+            if any(row[key] != value for key, value in asdict(scene).items()):
+                raise InputError(
+                    str(path),
+                    f"the shots of seed {options.seed}",
+                    f"another shot {number}",
+                    "name another folder, or the same seed and meshes as before",
+                )
+    for number in range(len(rows), options.shots):
+        scene = drawn(number, options.seed, stage.materials, meshes)
         mask = stage.show(scene)
         shown = [
             Shown(stage.studio, seed, scene.tier, mask) for seed in (scene.seed, scene.seed ^ 1)
@@ -191,10 +227,11 @@ def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
         achieved = compared(first.radiance, first.radiance, reference)
         rows.append(
             {
-                **scene.__dict__,
+                **asdict(named(scene)),
                 "pixels": int(mask.sum()),
                 "estimator": first.estimator,
                 "samples": first.samples,
+                "traced": first.traced,
                 "seconds": seconds,
                 "predicted": first.predicted,
                 "estimated": first.estimated.error,
@@ -210,12 +247,15 @@ def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
             }
         )
         last = rows[-1]
+        if lines:
+            lines.append(last)
         print(
             f"{number}: {last['estimator']} {last['samples']}, achieved {last['achieved']:.3g} of"
-            f" {scene.requested:g}, {seconds:.2f} s; {scene.shape} {scene.material} {scene.light}"
+            f" {scene.requested:g}, {seconds:.2f} s; {last['shape']} {scene.material} {scene.light}"
             f" {scene.tier}",
             flush=True,
         )
+    rows = rows[: options.shots]
     return {"groups": [_group(rows, requested) for requested in (*ERRORS, None)], "rows": rows}
 
 
@@ -232,7 +272,7 @@ def _group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any
     result = {
         "requested": requested,
         "shots": len(of),
-        "denoised": sum(row["estimator"] == denoised.NAME for row in of),
+        "estimators": {name: sum(row["estimator"] == name for row in of) for name in choice.ALL},
         "kept": int(kept.sum()),
         "missed_beyond_doubt": sum(
             row["achieved"] - CONFIDENCE * row["achieved_standard_error"] > row["requested"]
@@ -284,7 +324,8 @@ def report(result: dict[str, Any]) -> str:
         f"Commit {result['commit']}, {result['date']}, {result['machine']};"
         f" pictures of {result['size']}×{result['size']}.",
         "",
-        "| requested | shots | denoised | kept | beyond doubt not | achieved ÷ requested, mean"
+        "| requested | shots | path traced, denoised, ratio, closed form | kept"
+        " | beyond doubt not | achieved ÷ requested, mean"
         " | squared bias ÷ requested, mean | bias above a third"
         " | estimated ÷ achieved, 5 %, median, 95 % | predicted ÷ achieved |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -296,7 +337,8 @@ def report(result: dict[str, Any]) -> str:
     for g in result["figures"]["groups"]:
         lines.append(
             f"| {'all' if g['requested'] is None else format(g['requested'], 'g')} | {g['shots']}"
-            f" | {g['denoised']} | {g['kept']} ({g['kept'] / g['shots']:.1%})"
+            f" | {', '.join(str(n) for n in g['estimators'].values())}"
+            f" | {g['kept']} ({g['kept'] / g['shots']:.1%})"
             f" | {g['missed_beyond_doubt']} | {g['achieved_over_requested']:.2f}"
             f" | {g['bias_over_requested']:.3f} | {g['bias_above_a_third']}"
             f" | {three(g['estimated_over_achieved'])} | {three(g['predicted_over_achieved'])} |"
@@ -344,6 +386,7 @@ def main() -> None:
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
     parser.add_argument("--size", type=positive, default=64, metavar="PIXELS")
     parser.add_argument("--threads", type=positive, default=2, metavar="N")
+    parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="of report.json and report.md")
     options = parser.parse_args()
     stage = Stage(options.size, options.threads)

@@ -26,6 +26,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import camera
 from factory.render.studio import Studio
+from factory.render.validation.error_target import meshes_of
 from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError
@@ -46,9 +47,7 @@ SAMPLES = 64
 def shot_names(options: argparse.Namespace) -> list[str]:
     """Return the shapes of all shots."""
     families = sorted({*FAMILIES, *GENERAL})
-    meshes = sorted(options.meshes.rglob("*.obj")) if options.meshes else []
-    if options.meshes and not meshes:
-        raise InputError("--meshes", "a folder with .obj files", "none", "name another folder")
+    meshes = meshes_of(options.meshes)
     names = []
     for number in range(options.shots):
         if meshes and number % 2:
