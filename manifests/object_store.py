@@ -6,6 +6,7 @@ the same bytes. The package obstore serves s3, gs and abfs; other protocols have
 Credentials are those of the environment; a URL must not hold any.
 """
 
+import contextlib
 import os
 import re
 import time
@@ -150,6 +151,12 @@ class ObjectFolder:
             raise Unreachable(
                 self.url, "a bucket that exists", _said(error), "make it, or check its name"
             ) from None
+
+    def remove(self, relative: str) -> None:
+        """Remove an object; one that is not there counts as removed. Raises Unreachable."""
+        place = f"{self._base}/{relative}"
+        with contextlib.suppress(FileNotFoundError):
+            self._tried(f"{self.url}/{relative}", lambda: self._files.rm_file(place))
 
     def read_all(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Yield (name, bytes) of objects, several at a time. Raises as `read`."""

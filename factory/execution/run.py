@@ -124,7 +124,7 @@ def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: 
             " with --shard"
         )
         raise InputError("render --ray", "a folder, not a URL, as --out", "a URL", remedy)
-    with uploading(url) as uploads:
+    with uploading(url, run_options.shard, lambda line: watch("note", line)) as uploads:
 
         def watched(event: str, value: Any) -> None:
             watch(event, value)

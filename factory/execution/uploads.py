@@ -25,6 +25,7 @@ from typing import Any
 
 import msgspec
 
+from factory.execution.claims import Claim
 from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
@@ -39,13 +40,20 @@ LINES_PER_PART = 1000
 
 
 @contextmanager
-def uploading(url: str, patience: float | None = None) -> Iterator[Uploads]:
+def uploading(
+    url: str, shard: tuple[int, int] | None, note: Callable[[str], None]
+) -> Iterator[Uploads]:
     """Yield the Uploads of a run. At the end of the block everything is sent.
 
-    Raises  InputError, Unreachable
+    shard, note  as factory.execution.claims.Claim takes them
+    Raises       InputError, Unreachable
     """
-    with tempfile.TemporaryDirectory(prefix="brdfactory-") as scratch:
-        uploads = Uploads(ObjectFolder(url, patience), Path(scratch))
+    remote = ObjectFolder(url)
+    claim = Claim(remote, shard, note)
+    with contextlib.ExitStack() as stack:
+        stack.callback(claim.release)
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="brdfactory-"))
+        uploads = Uploads(remote, Path(scratch))
         try:
             yield uploads
         except InputError as problem:
