@@ -71,10 +71,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write what the options name; return 0."""
-    from tqdm import tqdm
-
     from manifests.errors import InputError
     from manifests.export import to_parquet, to_tars
+    from manifests.progress import tqdm
     from manifests.store import Store
 
     store = Store(options.folder)

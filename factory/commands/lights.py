@@ -128,9 +128,8 @@ def run_make(options: argparse.Namespace) -> None:
     import concurrent.futures
     import multiprocessing
 
-    from tqdm import tqdm
-
     from factory.lights import interiors, library
+    from manifests.progress import tqdm
 
     names = {
         f"interior-{seed}": seed for seed in range(options.first, options.first + options.count)
@@ -206,12 +205,12 @@ def _line(light: Light) -> str:
 def run_preview(options: argparse.Namespace) -> None:
     """Write one picture with a row for each light."""
     import numpy as np
-    from tqdm import tqdm
 
     from factory.lights import load, names
     from factory.lights.preview import picture
     from manifests.errors import InputError
     from manifests.files import write_image
+    from manifests.progress import tqdm
 
     if not 8 <= options.size <= 1024:
         raise InputError("--size", "8 to 1024 pixels", str(options.size), "128 suits most")

@@ -138,11 +138,10 @@ def _reserve(
 
 
 def _write_library(path: Path, chosen: "Sequence[Material]", light: str, size: int) -> None:
-    from tqdm import tqdm
-
     from factory.lights import load
     from factory.materials.preview import cut_out_sphere, lit_sphere
     from factory.render import asset_library
+    from manifests.progress import tqdm
 
     sphere, exposure = lit_sphere(load(light).L64, size)
     previews = {
@@ -165,10 +164,10 @@ def _error_table(path: Path) -> Path:
 
 def _write_approximations(path: Path, chosen: "Sequence[Material]") -> None:
     import numpy as np
-    from tqdm import tqdm
 
     from factory.materials import materialx, standard_surface
     from manifests.files import transaction, write_text
+    from manifests.progress import tqdm
 
     results = {
         material.name: standard_surface.fit(material.mixture)

@@ -207,13 +207,12 @@ def run_list(options: argparse.Namespace) -> None:
 
 def run_preview(options: argparse.Namespace) -> None:
     """Write the contact sheet."""
-    from tqdm import tqdm
-
     from factory.lights import load
     from factory.materials.preview import contact_sheet
     from manifests.errors import InputError
     from manifests.files import write_image
     from manifests.materials import find, load_catalogue
+    from manifests.progress import tqdm
 
     if not 16 <= options.size <= 512 or not 1 <= options.columns <= 64:
         raise InputError(

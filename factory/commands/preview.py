@@ -60,12 +60,11 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write sheet.png and index.html; return 0."""
-    from tqdm import tqdm
-
     from factory.preview.contact_sheet import caption, draw, page, row
     from manifests import files
     from manifests.errors import InputError
     from manifests.materials import load_catalogue
+    from manifests.progress import tqdm
     from manifests.store import Store
 
     store = Store(options.folder)

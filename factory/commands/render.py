@@ -254,7 +254,7 @@ class Progress:
         self.failed, self.total, self.already_there, self.unread = 0, 0, 0, 0
 
     def __enter__(self) -> Self:
-        from tqdm import tqdm
+        from manifests.progress import tqdm
 
         interval = 0.1 if sys.stderr.isatty() else 10.0  # few lines in a log file
         self.bar = tqdm(

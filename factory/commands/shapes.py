@@ -277,11 +277,10 @@ def _print_families(requested: str | None) -> None:
 
 
 def _print_meshes(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
     from factory.shapes.libraries import find
     from factory.shapes.mesh_import import open_mesh
     from manifests.errors import InputError
+    from manifests.progress import tqdm
 
     entries = [
         entry for entry in find(options.folder) if options.category in (None, entry.category)
@@ -315,12 +314,12 @@ def _print_meshes(options: argparse.Namespace) -> int:
 def run_preview(options: argparse.Namespace) -> int:
     """Write the picture; return 1 if a shape could not be read, else 0."""
     import numpy as np
-    from tqdm import tqdm
 
     from factory.shapes.catalogue import load, specs
     from factory.shapes.contact_sheet import contact_sheet
     from manifests.errors import InputError
     from manifests.files import write_image
+    from manifests.progress import tqdm
 
     if not 16 <= options.size <= 2048:
         raise InputError(
@@ -376,11 +375,10 @@ def _places(shape: str) -> list[str]:
 
 def run_add(options: argparse.Namespace) -> int:
     """Copy each mesh into the folder; return 0."""
-    from tqdm import tqdm
-
     from factory.shapes.library import add
     from factory.shapes.mesh_import import open_mesh
     from manifests.errors import InputError
+    from manifests.progress import tqdm
 
     if options.name and len(options.files) > 1:
         raise InputError(

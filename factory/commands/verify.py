@@ -145,7 +145,7 @@ def _counted(verification: Verification) -> str:
 
 def _faults(verification: Verification, quick: bool) -> list[Fault]:
     """Return all faults of one folder."""
-    from tqdm import tqdm
+    from manifests.progress import tqdm
 
     faults = list(verification.in_records())
     if not quick:

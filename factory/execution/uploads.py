@@ -25,7 +25,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.claims import Claim
+from factory.execution.leases import Lease
 from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
@@ -45,13 +45,13 @@ def uploading(
 ) -> Iterator[Uploads]:
     """Yield the Uploads of a run. At the end of the block everything is sent.
 
-    shard, note  as factory.execution.claims.Claim takes them
+    shard, note  as factory.execution.leases.Lease takes them
     Raises       InputError, Unreachable
     """
     remote = ObjectFolder(url)
-    claim = Claim(remote, shard, note)
+    lease = Lease(remote, shard, note)
     with contextlib.ExitStack() as stack:
-        stack.callback(claim.release)
+        stack.callback(lease.release)
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="brdfactory-"))
         uploads = Uploads(remote, Path(scratch))
         try:

@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from tqdm import tqdm
 
 from factory.materials import recipe
 from factory.materials.sources import Source
@@ -24,6 +23,7 @@ from manifests.errors import InputError
 from manifests.files import write_bytes
 from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
+from manifests.progress import tqdm
 from manifests.reading import decode
 from shaders import errors
 from shaders.samples import held_out

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.agreement import causes, page, plots
 from learn.agreement.measure import Layer, Row, measure, rendered
@@ -18,6 +17,7 @@ from learn.data.records import Records, Sample
 from manifests import files
 from manifests.errors import InputError
 from manifests.materials import Material
+from manifests.progress import tqdm
 from manifests.provenance import provenance
 
 PANELS = 9  # pictures shown, the worst of the direct tier first

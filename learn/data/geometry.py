@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from learn.data.records import Records
 from manifests.arrays import (
@@ -44,6 +43,7 @@ from manifests.arrays import (
 from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
+from manifests.progress import tqdm
 from manifests.schema import Camera, Record, View
 from shaders.frames import ELEVATION, turned_to_viewer, view_vectors
 

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from learn.data.geometry import Geometry
 from learn.data.records import Records
 from manifests.errors import InputError
 from manifests.files import write_text
 from manifests.inputs import require_file
+from manifests.progress import tqdm
 from manifests.schema import Record
 from manifests.store import inside
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.data import pairs
 from learn.editing import decomposition, edit_files, interactive, photograph, targets
@@ -19,6 +18,7 @@ from learn.editing.photograph import Photograph
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
 from manifests.errors import InputError
+from manifests.progress import tqdm
 
 
 @dataclass(frozen=True)

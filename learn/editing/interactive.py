@@ -29,7 +29,6 @@ import numpy as np
 import torch
 from PIL import Image
 from scipy.ndimage import map_coordinates
-from tqdm import tqdm
 
 from learn.data import lights as light_maps
 from learn.data import photographs
@@ -41,6 +40,7 @@ from learn.figures import html, montage, spheres
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
+from manifests.progress import tqdm
 from shaders import tone
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.data.devices import array
 from learn.editing import decomposition, desired_light, drawing, photograph, targets
@@ -25,6 +24,7 @@ from learn.networks import weights as checkpoint
 from manifests import files
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from manifests.progress import tqdm
 from shaders import envmap, tone
 
 REMEDY = (

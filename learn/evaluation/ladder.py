@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from msgspec import Struct, to_builtins
-from tqdm import tqdm
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
@@ -33,6 +32,7 @@ from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock
+from manifests.progress import tqdm
 from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
 

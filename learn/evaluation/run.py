@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
-from tqdm import tqdm
 
 from learn.data import pairs
 from learn.data.pairs import EditPair
@@ -30,6 +29,7 @@ from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
 from manifests import files, lock
 from manifests.errors import InputError
+from manifests.progress import tqdm
 from manifests.schema import Record
 from manifests.store import Lines, file_hash
 

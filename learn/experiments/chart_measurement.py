@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.experiments import chart_cases
 from learn.methods import Batch, load
 from learn.methods.directional import sample
+from manifests.progress import tqdm
 
 SAMPLE, FINE_PARTS = 192, 4
 

@@ -46,7 +46,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     import tempfile
 
-    from tqdm import tqdm
+    from manifests.progress import tqdm
 
     seconds_of: dict[str, dict[str, list]] = {
         case: {kernels: [] for kernels in KERNELS} for case in arguments.case

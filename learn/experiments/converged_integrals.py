@@ -16,11 +16,11 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from learn.experiments import chart_cases
 from learn.layer import render
 from learn.methods import quadrature
+from manifests.progress import tqdm
 
 FINE, LESS_FINE = 1e-4, 4e-4  # tolerances: 16,384 and 8,192 sample directions
 # exponent up to which a fine tolerance splits texels instead of placing sample directions

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.experiments import eager_sum
 from learn.layer import render
 from learn.methods import exact
 from manifests import materials as catalogue
+from manifests.progress import tqdm
 from shaders.frames import ELEVATION, camera_from_light, view_vectors
 
 SIZE, COVER = 256, 0.4

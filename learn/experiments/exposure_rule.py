@@ -75,7 +75,7 @@ def missed(Y: np.ndarray, X: np.ndarray, typical: float, dependence: float) -> d
 
 def measured(records: Records) -> tuple[np.ndarray, np.ndarray, list]:
     """Return (Y (P,), X (P,), groups by shape, material and light) of a data set."""
-    from tqdm import tqdm
+    from manifests.progress import tqdm
 
     pairs = []
     for record in tqdm(records.records, "exposures", unit="picture", leave=False):

@@ -77,7 +77,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
 
 def _progress(materials: list, tolerance: float) -> Any:
-    from tqdm import tqdm
+    from manifests.progress import tqdm
 
     return tqdm(materials, desc=f"latency {tolerance:g}", unit="material", mininterval=2)
 

@@ -41,11 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {part: {variant: figures, "ratios": {pair: [ratio, low, high]}}, "about"}."""
     import torch
-    from tqdm import tqdm
 
     from learn.data import sources
     from learn.data.settings import Data
     from learn.experiments import variants
+    from manifests.progress import tqdm
 
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(arguments.held_out))

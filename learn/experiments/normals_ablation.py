@@ -72,11 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows": {variant: figures}, "about"}."""
     import torch
-    from tqdm import tqdm
 
     from learn.data import sources
     from learn.data.settings import Data
     from learn.experiments import variants
+    from manifests.progress import tqdm
 
     names = _requested(arguments.variants or list(VARIANTS))
     torch.set_num_threads(1)

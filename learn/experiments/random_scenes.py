@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.experiments import chart_cases
 from learn.methods import load
+from manifests.progress import tqdm
 from shaders import envmap
 
 TOLERANCES = (5e-2, 1e-2, 1e-3, 1e-4)

@@ -168,8 +168,7 @@ def resume(
     """
     import contextlib
 
-    from tqdm import tqdm
-
+    from manifests.progress import tqdm
     from manifests.store import Lines
 
     keys = list(cases[0][0]) if cases else []

@@ -32,7 +32,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import subprocess
     import sys
 
-    from tqdm import tqdm
+    from manifests.progress import tqdm
 
     cases = {}
     todo = [(d, r, p) for d, r in ROUNDS.items() for p in (False, True)]

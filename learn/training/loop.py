@@ -16,7 +16,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from learn.data import devices
 from learn.data.batch import ExampleBatch
@@ -32,6 +31,7 @@ from learn.training import checkpoints, losses, montage, processes, schedule, va
 from learn.training.journal import Journal
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
+from manifests.progress import tqdm
 
 WRITTEN = ("run.json", "log.jsonl", "weights.safetensors", "checkpoint.safetensors", "made.json")
 EVERY_SECONDS = 120  # between checkpoints, if no number of steps is given

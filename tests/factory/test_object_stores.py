@@ -16,7 +16,7 @@ import pytest
 
 from factory.__main__ import COMMANDS
 from factory.commands.status import counted
-from factory.execution import claims, uploads
+from factory.execution import leases, uploads
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import facts
 from factory.planning.assets import opened
@@ -42,9 +42,9 @@ def url(request, monkeypatch, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
     monkeypatch.setenv("BRDFACTORY_STORE_CACHE", str(tmp_path / "copies"))
     monkeypatch.setenv(object_store.VARIABLE, "0")
-    monkeypatch.setattr(claims, "LEASE", 0.3)
-    monkeypatch.setattr(claims, "RENEWED", 0.05)
-    monkeypatch.setattr(claims, "PAUSE", 0.02)
+    monkeypatch.setattr(leases, "EXPIRED", 0.3)
+    monkeypatch.setattr(leases, "RENEWED", 0.05)
+    monkeypatch.setattr(leases, "PAUSE", 0.02)
     result = f"memory://{request.node.originalname}"
     yield result
     files = fsspec.filesystem("memory")
@@ -309,30 +309,31 @@ def test_nothing_is_lost_or_doubled_on_an_s3_server_whose_connection_is_disturbe
         theirs = open_store(url, fresh=True)
         assert content(theirs) == content(Store(tmp_path / "folder"))
         assert faults_of(theirs) == []
+        assert object_store.ObjectFolder(url).names(leases.FOLDER) == {}
 
 
 def test_two_runs_at_once_do_not_meet_in_a_store(url, render, small_job):
     remote, notes = object_store.ObjectFolder(url), []
-    first = claims.Claim(remote, None, notes.append)
+    first = leases.Lease(remote, None, notes.append)
     try:
         with pytest.raises(InputError, match=r"no other run writes to, found one in use"):
             render(small_job, url)
-        assert len(remote.names(claims.FOLDER)) == 1 and notes == []
+        assert len(remote.names(leases.FOLDER)) == 1 and notes == []
     finally:
         first.release()
     assert render(small_job, url).made == 12
-    assert remote.names(claims.FOLDER) == {}
+    assert remote.names(leases.FOLDER) == {}
 
 
 def test_the_claim_of_a_killed_run_expires(url, render, small_job):
     remote, notes = object_store.ObjectFolder(url), []
-    remote.write(f"{claims.FOLDER}/killed.json", b'{"part":1,"parts":1,"written":7}')
-    remote.write(f"{claims.FOLDER}/torn.json", b'{"pa')
+    remote.write(f"{leases.FOLDER}/killed.json", b'{"part":1,"parts":1,"written":7}')
+    remote.write(f"{leases.FOLDER}/torn.json", b'{"pa')
     start = time.monotonic()
-    claims.Claim(remote, None, notes.append).release()
-    assert time.monotonic() - start >= claims.LEASE
+    leases.Lease(remote, None, notes.append).release()
+    assert time.monotonic() - start >= leases.EXPIRED
     assert len(notes) == 1 and "waiting up to" in notes[0]
-    assert remote.names(claims.FOLDER) == {}
+    assert remote.names(leases.FOLDER) == {}
     assert render(small_job, url).made == 12
 
 
@@ -346,22 +347,22 @@ def test_the_claim_of_a_killed_run_expires(url, render, small_job):
         ((1, 2), None, True),
     ],
 )
-def test_claims_of_parts_meet_where_their_shots_do(url, one, other, meet):
+def test_leases_of_parts_meet_where_their_shots_do(url, one, other, meet):
     remote = object_store.ObjectFolder(url)
-    first = claims.Claim(remote, one, str)
+    first = leases.Lease(remote, one, str)
     try:
         if meet:
             with pytest.raises(InputError, match="one in use"):
-                claims.Claim(remote, other, str)
+                leases.Lease(remote, other, str)
         else:
-            claims.Claim(remote, other, str).release()
+            leases.Lease(remote, other, str).release()
     finally:
         first.release()
-    assert remote.names(claims.FOLDER) == {}
+    assert remote.names(leases.FOLDER) == {}
 
 
 def test_a_run_is_told_before_it_waits_for_a_claim(url, render, small_job):
-    object_store.ObjectFolder(url).write(f"{claims.FOLDER}/killed.json", b"{}")
+    object_store.ObjectFolder(url).write(f"{leases.FOLDER}/killed.json", b"{}")
     seen = []
     render(small_job, url, watch=lambda event, value: seen.append((event, value)))
     assert seen[0][0] == "note" and "another run was killed" in seen[0][1]

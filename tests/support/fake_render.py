@@ -7,7 +7,7 @@ SECONDS are those between two parts, where OUT is a URL.
 
 import sys
 
-from factory.execution import claims, uploads
+from factory.execution import leases, uploads
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
@@ -16,7 +16,7 @@ from tests.support.tetrahedron import FAKE
 if __name__ == "__main__":
     if len(sys.argv) > 4:
         uploads.SECONDS = float(sys.argv[4])
-        claims.RENEWED, claims.LEASE, claims.PAUSE = 0.05, 1.0, 0.05
+        leases.RENEWED, leases.EXPIRED, leases.PAUSE = 0.05, 1.0, 0.05
     job, folder = jobs.load(sys.argv[1])
     assets = resolve(job, folder, catalogues=[sys.argv[3]])
     carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))

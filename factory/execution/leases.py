@@ -1,8 +1,8 @@
-"""A run's claim to a data set on an object store, where there are no locks.
+"""A run's lease of a data set on an object store, where there are no locks.
 
 Each run writes an object of its own, running/RUN.json, and rewrites it as long as it lives. A run
 that finds another's object looks whether it changes: then the other run is alive, and this one is
-refused; if it has not changed for LEASE seconds, the other run was killed, and its object is
+refused; if it has not changed for EXPIRED seconds, the other run was killed, and its object is
 removed. No clocks of two machines are compared, and what an object says does not matter.
 
 A run writes its object before it looks for others. Of two runs that begin together at least one
@@ -24,7 +24,7 @@ from manifests.object_store import ObjectFolder
 
 FOLDER = "running"
 RENEWED = 10.0  # seconds after which a run rewrites its object
-LEASE = 60.0  # seconds without a change after which a run counts as killed
+EXPIRED = 60.0  # seconds without a change after which a run counts as killed
 PAUSE = 1.0  # seconds between two looks at another run's object
 
 
@@ -40,7 +40,7 @@ class _Running(msgspec.Struct):
         return self.parts != other.parts or self.part == other.part
 
 
-class Claim:
+class Lease:
     """Held from its creation until `release`.
 
     remote  the data set
@@ -56,7 +56,7 @@ class Claim:
         self._name = f"{FOLDER}/{uuid.uuid4().hex[:12]}.json"
         self._ended = threading.Event()
         self._write()
-        self._thread = threading.Thread(target=self._renew, name="claim", daemon=True)
+        self._thread = threading.Thread(target=self._renew, name="lease", daemon=True)
         self._thread.start()
         try:
             self._refuse_if_taken(note)
@@ -88,9 +88,9 @@ class Claim:
         if waiting:
             note(
                 f"{self._remote.url}: another run was killed or is still running; waiting up to"
-                f" {LEASE:g} s to see which"
+                f" {EXPIRED:g} s to see which"
             )
-        end = time.monotonic() + LEASE
+        end = time.monotonic() + EXPIRED
         while waiting and time.monotonic() < end:
             self._ended.wait(PAUSE)
             for name, data in list(waiting.items()):
