@@ -80,3 +80,19 @@ def test_the_cause_of_an_error_above_its_limit_is_named(change, reason):
         "squared_bias": 0.1,
     }
     assert error_target.cause(shot | change) == reason
+
+
+def test_direct_light_is_compared_with_the_time_of_path_tracing_at_its_error():
+    def scene(number, error, seconds):
+        traced = row("path tracing", "256 samples", 2.0, 10.0, number)
+        few = row("path tracing", "4 samples", 200.0, 1.0, number)
+        closed = row("ratio", "4 samples", error, seconds, number)
+        slower = row("ratio", "64 samples", error, 2 * seconds, number)
+        return [dict(each, shape="s", material="m") for each in (traced, few, closed, slower)]
+
+    lines = speed_accuracy.against_path_tracing([*scene(0, 0.5, 2.0), *scene(1, 0.001, 4.0)])
+    assert lines[-3:] == [
+        "| s, m | 0.50 | 2.00 | 20 |",
+        "| s, m | 0.00 | 4.00 | 100 |",
+        "| geometric mean, worst | | | 45, 20 |",
+    ]

@@ -51,6 +51,7 @@ LIMITS = (5.0, 20.0, 60.0, 200.0)
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
 FRAMES = 2
+LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
 OURS = ("path tracing", "denoised", "ratio", "limit on the error")
 BIASED = ("denoised", "ratio")
 PEER_SETTINGS = {
@@ -305,7 +306,39 @@ def report(result: dict[str, Any]) -> str:
             f"| {each['family']} | {each['setting']} | {each['error_mean']:.3g}"
             f" | {each['error_worst']:.3g} | {each['seconds']:.3f} | {speed} | {best} |"
         )
+    if result["tier"] == "direct":
+        lines += against_path_tracing(result["rows"])
     return "\n".join(lines) + "\n"
+
+
+def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
+    """Return lines on how much longer path tracing takes to reach the closed form's error.
+
+    In the tier `direct` the ratio is the closed form alone. Path tracing's error is taken to fall
+    in proportion to its time beyond its most samples, and errors below LEAST_ERROR count as that.
+    """
+    lines = [
+        "",
+        "Direct light by the closed form, and the time of path tracing for the same error:",
+        "",
+        "| scene | error | seconds | path tracing, times as long |",
+        "|---|---|---|---|",
+    ]
+    speeds = []
+    for scene in sorted({row["scene"] for row in rows}):
+        of = [row for row in rows if row["scene"] == scene]
+        closed = min((r for r in of if r["family"] == "ratio"), key=lambda row: row["seconds"])
+        traced = max(
+            (r for r in of if r["family"] == "path tracing"), key=lambda row: row["seconds"]
+        )
+        factor = max(traced["error"], LEAST_ERROR) / max(closed["error"], LEAST_ERROR)
+        speeds.append(factor * traced["seconds"] / closed["seconds"])
+        lines.append(
+            f"| {closed['shape']}, {closed['material']} | {closed['error']:.2f}"
+            f" | {closed['seconds']:.2f} | {speeds[-1]:.0f} |"
+        )
+    mean = float(np.exp(np.log(speeds).mean()))
+    return [*lines, f"| geometric mean, worst | | | {mean:.0f}, {min(speeds):.0f} |"]
 
 
 def chart(figures: list[dict[str, Any]], path: Path) -> None:
