@@ -92,7 +92,7 @@ def _ggx(alpha, ci, co, ch, cd):
 
 @_inlined
 def _smith(c, alpha):
-    x = c / (math.sqrt(ONE - c * c + np.float32(1e-12)) * alpha)
+    x = c / (math.sqrt(max(ONE - c * c, np.float32(1e-12))) * alpha)
     near = min(x, np.float32(1.6))
     value = (ONE - np.float32(1.259) * near + np.float32(0.396) * near * near) / (
         np.float32(3.535) * near + np.float32(2.181) * near * near + np.float32(1e-30)
@@ -437,6 +437,7 @@ def _samples(kind, first, n, facet, alpha, tilt, end, light, to_light, count, ou
             t = u * most / (ONE - u * most)
         else:
             t = np.float32(-math.log(ONE - u * most))
+        t = max(t, np.float32(0))  # rounding may take that of u = 0 below it
         r = np.float32(ONE / math.sqrt(ONE + t))
         density = r * r * r * r if kind == GGX else _exp(-t)
         c2 = ONE / (ONE + a2 * t)
