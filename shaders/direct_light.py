@@ -54,6 +54,18 @@ UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weig
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
 
 
+def constants() -> list[list[object]]:
+    """Return name and value of every constant that alters pixels, for a fingerprint."""
+    result: list[list[object]] = []
+    for module in (globals(), vars(direct_light_kernels)):
+        for name, value in sorted(module.items()):
+            if name.isupper() and isinstance(value, (int, float, np.floating)):
+                result.append([name, round(float(value), 9)])  # cosines differ in the last bit
+            elif name.isupper() and isinstance(value, (tuple, dict)):
+                result.append([name, sorted(value.items()) if isinstance(value, dict) else value])
+    return result
+
+
 class DirectLight:
     """The radiance of one mixture under one light; call `at` with normals.
 

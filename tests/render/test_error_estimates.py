@@ -287,3 +287,21 @@ def test_direct_light_is_rendered_of_what_cannot_shade_itself():
     assert set(known.tiers) == {"direct"} and made.traced == "direct"
     assert error(made.radiance, known) < 20
     assert choice.picture(shown(other), 20.0).traced == "full"
+
+
+def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
+    import json
+
+    from shaders import direct_light, direct_light_kernels
+
+    before = json.dumps(choice.identity())
+    for module, name, value in (
+        (direct_light, "SPACING", 0.4),
+        (direct_light, "WITHIN", {"ggx": 5.0}),
+        (direct_light, "PARTS", ((0.0, 3),)),
+        (direct_light_kernels, "SHORT_TAILED", np.float32(26)),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, value)
+            assert json.dumps(choice.identity()) != before, name
+    assert json.dumps(choice.identity()) == before

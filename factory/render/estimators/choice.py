@@ -50,6 +50,8 @@ class Picture:
 
 def identity() -> list[object]:
     """Return everything in these rules that alters pixels, for the fingerprint."""
+    from shaders import direct_light  # and numba, which takes half a second
+
     return [
         ["choice", VERSION, PILOT, MOST_SAMPLES],
         [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
@@ -59,6 +61,7 @@ def identity() -> list[object]:
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL],
         sorted(denoised.COST.items()),
+        direct_light.constants(),
         [self_shading.TOLERANCE, self_shading.WIDER, self_shading.FEW, self_shading.LEAST_SHARE],
     ]
 
