@@ -130,6 +130,17 @@ def least_cosine(log_c: Lanes, cos_b: Lanes, sin_b: Lanes) -> Lanes:
 
 
 @inlined
+def cut_at(threshold: float, weight: Lanes, gamma: Lanes, kappa: Lanes) -> Lanes:
+    """The log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold; κ: κ log2 e."""
+    share = threshold / maximum(weight, 1e-30)
+    inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
+    bits = 0.0 - log2(maximum(inverse, 1e-30), share * inverse)
+    height = minimum(bits / maximum(kappa, 1e-30), 1.0)
+    cut = log2(maximum(height, 1e-30), 1.0 - height) / gamma
+    return choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
+
+
+@inlined
 def along_axis(cones: np.ndarray, o: int, x: float, y: float, z: float) -> Lanes:
     """Cosines of a direction with sixteen axes, whose three rows begin at offset o."""
     return fma(load(cones, o), x, fma(load(cones, o + LANES), y, load(cones, o + 2 * LANES) * z))
@@ -239,17 +250,11 @@ def select(
                 continue
             reach = splat(NEVER)
             cos_h, sin_h = load(cones, o + LANES * CONE_H_COS), load(cones, o + LANES * CONE_H_SIN)
-            # the log2 c at which weight · (2^(κ c^γ) − 1) meets the threshold
             for s in range(many):
                 gamma = load(cones, o + LANES * (CONE_GAMMA + s))
                 kappa = load(cones, o + LANES * (CONE_KAPPA + s))
                 weight = load(scratch, b + LANES * (SELECT_WEIGHT + s))
-                share = threshold / maximum(weight, 1e-30)
-                inverse = 1.0 / (1.0 + share)  # log2 takes numbers up to 1
-                bits = 0.0 - log2(maximum(inverse, 1e-30), share * inverse)
-                height = minimum(bits / maximum(kappa, 1e-30), 1.0)
-                cut = log2(maximum(height, 1e-30), 1.0 - height) / gamma
-                cut = choose(threshold * splat(1.0) > 0.0, cut, ALWAYS)
+                cut = cut_at(threshold, weight, gamma, kappa)
                 above = load(scratch, b + LANES * (SELECT_BOUND + s)) > threshold
                 store(scratch, b + LANES * (SELECT_WEIGHT + s), choose(above, cut, NEVER))
                 reach = minimum(reach, choose(above, least_cosine(cut, cos_h, sin_h), NEVER))

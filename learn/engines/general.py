@@ -199,6 +199,38 @@ def lobe_backward(
     return value, x * exponent * gamma, by_x
 
 
+@inlined
+def add_by_view(
+    sums: np.ndarray,
+    a: int,
+    offset: Vector,
+    h: Vector,
+    t: Vector,
+    s: Vector,
+    t_square: Lanes,
+    s_square: Lanes,
+    inverse: Lanes,
+    by_c: Lanes,
+    by_x: Lanes,
+) -> None:
+    """Add the derivative by the view to a pixel's sums.
+
+    offset       h − n
+    by_c, by_x   derivatives by c and by the spline's x
+    ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
+    ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that nothing cancels at
+    either end.
+    """
+    (x, y, z), (hx, hy, hz), (tx, ty, tz), (sx, sy, sz) = offset, h, t, s
+    by_c = by_c * inverse
+    along = by_c * fma(x, hx, fma(y, hy, z * hz))
+    by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
+    by_t, by_s = by_theta * s_square, by_theta * t_square
+    add_to(sums, a, fma(along, hx, 0.0 - by_c * x) - by_t * tx - by_s * sx)
+    add_to(sums, a + LANES, fma(along, hy, 0.0 - by_c * y) - by_t * ty - by_s * sy)
+    add_to(sums, a + 2 * LANES, fma(along, hz, 0.0 - by_c * z) - by_t * tz - by_s * sz)
+
+
 def backward(
     first: int,
     last: int,
@@ -307,34 +339,18 @@ def backward(
                     add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
                     add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
                     if with_view:
-                        # ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
-                        # ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that
-                        # nothing cancels at either end
-                        by_c = by_c * inverse
-                        hx, hy, hz = x + nx, y + ny, z + nz
-                        along = by_c * fma(x, hx, fma(y, hy, z * hz))
-                        by_theta = (
-                            by_x
-                            * (0.25 * ANGLE_TO_X)
-                            * inverse
-                            / sqrt(maximum(t_square, LEAST_SQUARE))
-                        )
-                        by_t, by_s = by_theta * s_square, by_theta * t_square
-                        a = v_sums + ENERGY_STRIDE * j
-                        add_to(
+                        add_by_view(
                             scratch,
-                            a,
-                            fma(along, hx, 0.0 - by_c * x) - by_t * (wx - vx) - by_s * sx,
-                        )
-                        add_to(
-                            scratch,
-                            a + LANES,
-                            fma(along, hy, 0.0 - by_c * y) - by_t * (wy - vy) - by_s * sy,
-                        )
-                        add_to(
-                            scratch,
-                            a + 2 * LANES,
-                            fma(along, hz, 0.0 - by_c * z) - by_t * (wz - vz) - by_s * sz,
+                            v_sums + ENERGY_STRIDE * j,
+                            (x, y, z),
+                            (x + nx, y + ny, z + nz),
+                            (wx - vx, wy - vy, wz - vz),
+                            (sx, sy, sz),
+                            t_square,
+                            s_square,
+                            inverse,
+                            by_c,
+                            by_x,
                         )
             write_sums(scratch, n_sums, 3 * count, n_part, 3 * (chunk * pixels + start))
             if with_view:

@@ -60,6 +60,17 @@ SELECT_STRIDE = LANES * SELECT_ROWS
 CUTS = 4
 CUT_REACH = 3
 
+# The same for a view per pixel (learn.engines.culled_views): of each lobe also the least γ and the
+# largest κ log2 e, then the place of θ_d in the table of these, and the cone about h. An entry's
+# cuts hold the axis of that cone besides.
+SELECT_GAMMA, SELECT_KAPPA, SELECT_THETA = 6, 9, 12
+SELECT_H_X, SELECT_H_COS, SELECT_H_SIN = 13, 16, 17
+SELECT_VIEW_ROWS = 18
+SELECT_VIEW_STRIDE = LANES * SELECT_VIEW_ROWS
+CUT_AXIS = 4
+VIEW_CUTS = 8
+THETA_BINS = 64  # of θ_d from 0 to π/2
+
 # Samples of the quadrature about the z axis: half vector, log2 cos θ, solid angle.
 SAMPLE_X, SAMPLE_Y, SAMPLE_Z, SAMPLE_LOG_COSINE, SAMPLE_SOLID_ANGLE = range(5)
 SAMPLE_ROWS = 5
@@ -90,6 +101,7 @@ SAMPLE_CHUNKS = 8  # of pixels; each has a map of its own for the derivative by 
 DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
 GENERAL_SCRATCH = 2 * ENERGY_STRIDE * GENERAL_TILE + LANES * VALUES  # by n, by v, by m
 CULLED_SCRATCH = ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # sums, then normals (3, tile)
+VIEW_SCRATCH = 2 * ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # by n, normals, by v
 # Second derivatives: rows of a pixel's sums (by n, by g; by n, by v, by g), and those by m.
 DISTANT_SECOND_ROWS = 6
 GENERAL_SECOND_ROWS = 9

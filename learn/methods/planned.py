@@ -28,12 +28,16 @@ class Strategy:
     size    nodes along a side of their reflectance map, 0 where they are summed at the pixels
     level   of the light's detail (learn/methods/coarse.py)
     culled  radiance that a pixel's list may leave out, in tolerances
+    across, mirrored  with a view per pixel (learn/methods/planned_views.py): views along a side of
+            the grid for which maps are made, and whether maps are read where they mirror the light
     """
 
     lobes: tuple[int, ...]
     size: int
     level: int
     culled: float
+    across: int = 1
+    mirrored: bool = False
 
 
 class Scene:
@@ -53,6 +57,19 @@ class Scene:
         self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
         self.tables: dict[tuple[tuple[int, ...], int], Tables] = {}
         self.list_bytes = 0
+
+    @property
+    def texels(self) -> int:
+        """Texels of the light."""
+        return self.light.height * self.light.width
+
+    def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
+        """The sum over all lights (S, 3) at pixels pick (S,)."""
+        return self.at(self.n[pick], lobes).radiance
+
+    def sums(self, strategies: "Sequence[Strategy]", known: "dict[Strategy, Sum]") -> "Sums":
+        """The `Sums` of strategies; known: sums that have been made before."""
+        return Sums(self, strategies, known)
 
     def at(
         self, normals: np.ndarray, lobes: tuple[int, ...], level: int = 0, left_out: float = 0.0

@@ -11,7 +11,7 @@ import torch
 from learn.engines import layout, pixel_selection
 from learn.experiments import chart_cases
 from learn.layer import render
-from learn.methods import auto, coarse, directional, exact, lobe_shapes, planned
+from learn.methods import coarse, cost_model, directional, exact, lobe_shapes, planned
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 from tests.support.card_scenes import MATERIALS, light, material, sphere
@@ -78,7 +78,7 @@ def test_a_broad_lobe_hardly_sees_that_its_light_is_coarse(sharpness, level, lim
         fine, seen = scene.at(n, (0,)).radiance, scene.at(n, (0,), level).radiance
         error = np.abs(seen - fine).mean() / fine.mean()
         assert error < limit
-        assert error < 2 * auto.light_error(
+        assert error < 2 * cost_model.light_error(
             64 >> level, sharpness
         )  # what auto plans by, with room for other lobes than those it was fitted to
 

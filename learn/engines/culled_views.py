@@ -1,0 +1,441 @@
+"""Kernels for a view per pixel that sum, for each tile of pixels, only the lights near its lobes.
+
+Letters, arrays and formulas as in learn.engines.general and learn.engines.culled; pixels are sorted
+so that a tile's normals, and as a rule its views, are close together. Besides:
+v        (P, 3) unit vectors to the viewer
+values   (many, 3 channels, 2, 6): control values of γ and of κ log2 e of the lobes that are summed
+steps    (many, 3, 2, 5): slopes of their splines, as in learn.engines.general
+ranges   (many, 2, THETA_BINS): the least γ and the largest κ log2 e that a lobe has near θ_d
+cones    as in learn.engines.culled, of which only those about w and the energy are read
+cuts     (T, room, VIEW_CUTS): as there, and behind them the axis of the cone about h
+
+The cone about h belongs to a tile and a block. For w and v in cones of half angles α and β about a
+and b, s = w + v differs from a + b by at most 2 sin(α/2) + 2 sin(β/2), so that h lies within the
+angle of that over ‖a + b‖ of (a + b)/‖a + b‖. `ranges` must cover the θ_d of such w and v, within
+(α + β)/2 of that of a and b.
+"""
+
+import numpy as np
+from numba import types
+
+from learn.engines.compilation import inlined
+from learn.engines.culled import (
+    INT_POINTER,
+    along_axis,
+    cone_about,
+    cut_at,
+    least_cosine,
+    nearest_cosine,
+    unpack,
+)
+from learn.engines.distant import (
+    LN2,
+    add_to,
+    clear,
+    peak_cosine,
+    w_of,
+    write_sums,
+)
+from learn.engines.exponentials import angle, exp2, exp2m1, log2
+from learn.engines.general import (
+    LEAST_SQUARE,
+    add_by_view,
+    lobe,
+    lobe_backward,
+    offset,
+    shortfall,
+    square,
+    w_plus_v,
+)
+from learn.engines.layout import (
+    CHANNEL_VALUES,
+    CONE_ENERGY,
+    CONE_STRIDE,
+    CONE_W_COS,
+    CONE_W_SIN,
+    CONE_W_X,
+    CULLED_TILE,
+    CUT_AXIS,
+    CUT_REACH,
+    ENERGY_STRIDE,
+    GENERAL_STRIDE,
+    LANES,
+    LOBE_VALUES,
+    SELECT_BOUND,
+    SELECT_GAMMA,
+    SELECT_H_COS,
+    SELECT_H_SIN,
+    SELECT_H_X,
+    SELECT_KAPPA,
+    SELECT_REACH,
+    SELECT_THETA,
+    SELECT_VIEW_STRIDE,
+    SELECT_WEIGHT,
+    THETA_BINS,
+    VALUES,
+    VIEW_CUTS,
+    VIEW_SCRATCH,
+)
+from learn.engines.splines import basis, tents
+from learn.engines.vector import (
+    FLOAT_POINTER,
+    anywhere,
+    bits,
+    fma,
+    lane_max,
+    lane_sum,
+    load,
+    lowest_bit,
+    maximum,
+    minimum,
+    splat,
+    sqrt,
+    store,
+)
+from learn.engines.vector import select as choose
+
+from learn.engines.culled import LARGEST, NEVER  # isort: skip
+
+BINS_PER_RADIAN = THETA_BINS / 1.5707963267948966
+WHOLE_SPHERE = 0.999999  # sine of a cone's half angle from which it counts as the whole sphere
+
+SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
+FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 8, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
+
+
+@inlined
+def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -> None:
+    """Write rows SELECT_GAMMA and SELECT_KAPPA of sixteen blocks, by their row SELECT_THETA."""
+    for lane in range(LANES):
+        place = types.int64(scratch[b + LANES * SELECT_THETA + lane])
+        place = min(max(place, 0), THETA_BINS - 1)
+        for s in range(many):
+            o = 2 * THETA_BINS * s + place
+            scratch[b + LANES * (SELECT_GAMMA + s) + lane] = ranges[o]
+            scratch[b + LANES * (SELECT_KAPPA + s) + lane] = ranges[o + THETA_BINS]
+
+
+@inlined
+def pixels_near(
+    scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int
+) -> int:
+    """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
+
+    o  offset of their normals
+    """
+    x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
+    a = VIEW_CUTS * entry + CUT_AXIS
+    along = fma(x, cuts[a], fma(y, cuts[a + 1], z * cuts[a + 2]))
+    near = along > cuts[VIEW_CUTS * entry + CUT_REACH]
+    return bits(near) & ((1 << min(LANES, count)) - 1)
+
+
+def select(
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    wide_blocks: int,
+    room: int,
+    many: int,
+    budget: np.ndarray,
+    n: np.ndarray,
+    v: np.ndarray,
+    cones: np.ndarray,
+    ranges: np.ndarray,
+    scratch: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
+    """The list of each tile first … last − 1; scratch: wide_blocks · SELECT_VIEW_STRIDE floats."""
+    for tile in range(first, last):
+        start = tile * size
+        count = min(size, pixels - start)
+        nx, ny, nz, cos_n, sin_n = cone_about(n, start, count)
+        vx, vy, vz, cos_v, sin_v = cone_about(v, start, count)
+        gap_v = sqrt(splat(2.0) * maximum(splat(1.0) - cos_v, 0.0))
+        for wide_block in range(wide_blocks):
+            o, b = CONE_STRIDE * wide_block, SELECT_VIEW_STRIDE * wide_block
+            axis = along_axis(cones, o + LANES * CONE_W_X, nx, ny, nz)
+            cos_w, sin_w = load(cones, o + LANES * CONE_W_COS), load(cones, o + LANES * CONE_W_SIN)
+            n_w = nearest_cosine(axis, cos_w, sin_w, cos_n, sin_n)
+            if not anywhere(n_w > 0.0):
+                clear(scratch, b + LANES * SELECT_BOUND, many)
+                continue
+            wx, wy, wz = w_of(cones, o + LANES * CONE_W_X)
+            sx, sy, sz = wx + vx, wy + vy, wz + vz
+            s_square = maximum(square(sx, sy, sz), LEAST_SQUARE)
+            inverse = 1.0 / sqrt(s_square)
+            hx, hy, hz = sx * inverse, sy * inverse, sz * inverse
+            gap = sqrt(2.0 * maximum(1.0 - cos_w, 0.0)) + gap_v
+            sin_h = fma(gap, inverse, 1e-6)
+            whole = sin_h > WHOLE_SPHERE
+            cos_h = choose(whole, -1.0, sqrt(maximum(1.0 - sin_h * sin_h, 0.0)))
+            sin_h = choose(whole, 0.0, sin_h)
+            theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
+            store(scratch, b + LANES * SELECT_THETA, theta_d * BINS_PER_RADIAN)
+            look_up_ranges(scratch, b, many, ranges)
+            store(scratch, b + LANES * SELECT_H_X, hx)
+            store(scratch, b + LANES * (SELECT_H_X + 1), hy)
+            store(scratch, b + LANES * (SELECT_H_X + 2), hz)
+            store(scratch, b + LANES * SELECT_H_COS, cos_h)
+            store(scratch, b + LANES * SELECT_H_SIN, sin_h)
+            axis = fma(hx, nx, fma(hy, ny, hz * nz))
+            c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
+            log_c = log2(c, 1.0 - c)
+            weight = maximum(n_w, 0.0) * load(cones, o + LANES * CONE_ENERGY)
+            for s in range(many):
+                gamma = load(scratch, b + LANES * (SELECT_GAMMA + s))
+                kappa = load(scratch, b + LANES * (SELECT_KAPPA + s))
+                exponent = kappa * exp2(gamma * log_c)
+                bound = weight * exp2m1(minimum(exponent, LARGEST))
+                store(scratch, b + LANES * (SELECT_BOUND + s), bound)
+                store(scratch, b + LANES * (SELECT_WEIGHT + s), weight)
+        threshold = 0.125 * budget[0]
+        for _ in range(12):
+            skipped = splat(0.0)
+            for wide_block in range(wide_blocks):
+                b = SELECT_VIEW_STRIDE * wide_block
+                for s in range(many):
+                    bound = load(scratch, b + LANES * (SELECT_BOUND + s))
+                    skipped = skipped + minimum(bound, threshold)
+            if lane_sum(skipped) <= budget[0]:
+                break
+            threshold *= 0.25
+        length = 0
+        for wide_block in range(wide_blocks):
+            b = SELECT_VIEW_STRIDE * wide_block
+            highest = load(scratch, b + LANES * SELECT_BOUND)
+            for s in range(1, many):
+                highest = maximum(highest, load(scratch, b + LANES * (SELECT_BOUND + s)))
+            if not anywhere(highest > threshold):
+                continue
+            reach = splat(NEVER)
+            cos_h, sin_h = (
+                load(scratch, b + LANES * SELECT_H_COS),
+                load(scratch, b + LANES * SELECT_H_SIN),
+            )
+            for s in range(many):
+                gamma = load(scratch, b + LANES * (SELECT_GAMMA + s))
+                kappa = load(scratch, b + LANES * (SELECT_KAPPA + s))
+                weight = load(scratch, b + LANES * (SELECT_WEIGHT + s))
+                cut = cut_at(threshold, weight, gamma, kappa)
+                above = load(scratch, b + LANES * (SELECT_BOUND + s)) > threshold
+                store(scratch, b + LANES * (SELECT_WEIGHT + s), choose(above, cut, NEVER))
+                reach = minimum(reach, choose(above, least_cosine(cut, cos_h, sin_h), NEVER))
+            store(scratch, b + LANES * SELECT_REACH, reach)
+            for lane in range(LANES):
+                block, q = LANES * wide_block + lane, b + LANES * SELECT_WEIGHT + lane
+                listed = False
+                for s in range(many):
+                    listed = listed or scratch[q + LANES * s] < NEVER
+                if block < room and listed:
+                    entry = room * tile + length
+                    entries[entry] = block
+                    to = VIEW_CUTS * entry
+                    for s in range(many):
+                        cuts[to + s] = scratch[q + LANES * s]
+                    cuts[to + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
+                    for i in range(3):
+                        cuts[to + CUT_AXIS + i] = scratch[b + LANES * (SELECT_H_X + i) + lane]
+                    length += 1
+        lengths[tile] = length
+
+
+def forward(
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    room: int,
+    many: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    values: np.ndarray,
+    scratch: np.ndarray,
+    radiance: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
+    """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds VIEW_SCRATCH floats."""
+    for tile in range(first, last):
+        start = tile * size
+        count = min(size, pixels - start)
+        clear(scratch, 0, 3 * count)
+        unpack(n, start, count, scratch, 0)
+        for i in range(room * tile, room * tile + lengths[tile]):
+            o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
+            wx, wy, wz = w_of(geometry, o)
+            for group in range(0, count, LANES):
+                normals = ENERGY_STRIDE * CULLED_TILE + group
+                near = pixels_near(scratch, normals, count - group, cuts, i)
+                while near:
+                    j = group + lowest_bit(near)
+                    near &= near - 1
+                    p = 3 * (start + j)
+                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+                    if not anywhere(n_w > 0.0):
+                        continue
+                    vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
+                    v_short = shortfall(v[p], v[p + 1], v[p + 2])
+                    sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
+                    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
+                    inverse = 1.0 / sqrt(s_square)
+                    x = offset(sx, rx, splat(nx), inverse)
+                    y = offset(sy, ry, splat(ny), inverse)
+                    z = offset(sz, rz, splat(nz), inverse)
+                    log_c = peak_cosine(x, y, z)[1]
+                    nearest, highest = lane_max(log_c), NEVER
+                    for s in range(many):
+                        highest = min(highest, cuts[VIEW_CUTS * i + s])
+                    if not (nearest > highest):
+                        continue
+                    b = basis(angle(square(wx - vx, wy - vy, wz - vz), s_square))
+                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                    for s in range(many):
+                        if nearest > cuts[VIEW_CUTS * i + s]:
+                            t = LOBE_VALUES * s
+                            f0 = f0 + lobe(values, t, log_c, b)
+                            f1 = f1 + lobe(values, t + CHANNEL_VALUES, log_c, b)
+                            f2 = f2 + lobe(values, t + 2 * CHANNEL_VALUES, log_c, b)
+                    n_w = maximum(n_w, 0.0)
+                    a = ENERGY_STRIDE * j
+                    add_to(scratch, a, f0 * n_w * load(energy, e))
+                    add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
+                    add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
+        write_sums(scratch, 0, 3 * count, radiance, 3 * start)
+
+
+def backward(
+    first: int,
+    last: int,
+    pixels: int,
+    size: int,
+    tiles: int,
+    blocks: int,
+    room: int,
+    many: int,
+    chunks: int,
+    with_view: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    geometry: np.ndarray,
+    energy: np.ndarray,
+    values: np.ndarray,
+    steps: np.ndarray,
+    scratch: np.ndarray,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    by_v: np.ndarray,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+    cuts: np.ndarray,
+    lengths: np.ndarray,
+    entries: np.ndarray,
+) -> None:
+    """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1.
+
+    scratch      (chunks, VIEW_SCRATCH)
+    with_view    0: by_v is not written
+    by_n, by_v   (P, 3) out, tangential up to a radial part
+    energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
+    m_sums       (chunks, 108, 16) out, like values: derivatives by γ ln² 2 and by κ, in lanes
+    """
+    for chunk in range(first, last):
+        base_e, by_m = ENERGY_STRIDE * blocks * chunk, LANES * VALUES * chunk
+        n_sums = VIEW_SCRATCH * chunk
+        normals_at = n_sums + ENERGY_STRIDE * CULLED_TILE
+        v_sums = normals_at + 3 * CULLED_TILE
+        clear(energy_sums, base_e, 3 * blocks)
+        clear(m_sums, by_m, VALUES)
+        for tile in range(chunk * tiles // chunks, (chunk + 1) * tiles // chunks):
+            start = tile * size
+            count = min(size, pixels - start)
+            clear(scratch, n_sums, 3 * count)
+            clear(scratch, v_sums, 3 * count)
+            unpack(n, start, count, scratch, n_sums)
+            for i in range(room * tile, room * tile + lengths[tile]):
+                o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
+                wx, wy, wz = w_of(geometry, o)
+                for group in range(0, count, LANES):
+                    near = pixels_near(scratch, normals_at + group, count - group, cuts, i)
+                    while near:
+                        j = group + lowest_bit(near)
+                        near &= near - 1
+                        p = 3 * (start + j)
+                        nx, ny, nz = n[p], n[p + 1], n[p + 2]
+                        n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+                        visible = n_w > 0.0
+                        if not anywhere(visible):
+                            continue
+                        vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
+                        v_short = shortfall(v[p], v[p + 1], v[p + 2])
+                        sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
+                        s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
+                        inverse = 1.0 / sqrt(s_square)
+                        x = offset(sx, rx, splat(nx), inverse)
+                        y = offset(sy, ry, splat(ny), inverse)
+                        z = offset(sz, rz, splat(nz), inverse)
+                        c, log_c = peak_cosine(x, y, z)
+                        nearest, highest = lane_max(log_c), NEVER
+                        for s in range(many):
+                            highest = min(highest, cuts[VIEW_CUTS * i + s])
+                        if not (nearest > highest):
+                            continue
+                        tx, ty, tz = wx - vx, wy - vy, wz - vz
+                        t_square = square(tx, ty, tz)
+                        theta_d = angle(t_square, s_square)
+                        b, tent = basis(theta_d), tents(theta_d)
+                        n_w = maximum(n_w, 0.0)
+                        by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+                        for k in range(3):
+                            energy_k = load(energy, e + LANES * k)
+                            weight = n_w * g[p + k] * energy_k
+                            f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
+                            for s in range(many):
+                                if nearest > cuts[VIEW_CUTS * i + s]:
+                                    lobe_f, lobe_c, lobe_x = lobe_backward(
+                                        values,
+                                        steps,
+                                        LOBE_VALUES * s + CHANNEL_VALUES * k,
+                                        log_c,
+                                        b,
+                                        tent,
+                                        weight,
+                                        m_sums,
+                                        by_m,
+                                        with_view,
+                                    )
+                                    f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
+                            add_to(energy_sums, base_e + e + LANES * k, f * n_w * g[p + k])
+                            by_w = fma(f * g[p + k], energy_k, by_w)
+                            by_c = fma(d_c, weight, by_c)
+                            by_x = fma(d_x, weight, by_x)
+                        by_w = choose(visible, by_w, 0.0)
+                        by_c = by_c * LN2 / c
+                        a = n_sums + ENERGY_STRIDE * j
+                        add_to(scratch, a, fma(by_w, wx, by_c * x))
+                        add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
+                        add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
+                        if with_view:
+                            add_by_view(
+                                scratch,
+                                v_sums + ENERGY_STRIDE * j,
+                                (x, y, z),
+                                (x + nx, y + ny, z + nz),
+                                (tx, ty, tz),
+                                (sx, sy, sz),
+                                t_square,
+                                s_square,
+                                inverse,
+                                by_c,
+                                by_x,
+                            )
+            write_sums(scratch, n_sums, 3 * count, by_n, 3 * start)
+            write_sums(scratch, v_sums, 3 * count * with_view, by_v, 3 * start)

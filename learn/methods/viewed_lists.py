@@ -1,0 +1,259 @@
+"""The culled sum for a view per pixel: lists of blocks of lights for each tile of pixels.
+
+Numpy around the kernels of learn.engines.culled_views, float32; what learn.methods.block_lists is
+for a distant viewer.
+"""
+
+import numpy as np
+import torch
+
+from learn.engines import machine_code, threads
+from learn.engines.layout import (
+    CONE_ENERGY,
+    CONE_W_COS,
+    CULLED_CHUNKS,
+    LANES,
+    SELECT_VIEW_STRIDE,
+    THETA_BINS,
+    VALUES,
+    VIEW_CUTS,
+    VIEW_SCRATCH,
+)
+from learn.engines.lights import general_material_gradient, general_tables, unblocked
+from learn.methods.block_lists import (
+    ALL_LOBES,
+    CACHE_BYTES,
+    DIM,
+    FEW,
+    PASS,
+    TESTED,
+    Lists,
+    added,
+    by_place,
+    put_back,
+    tile_size,
+)
+from learn.methods.light_tables import Lights
+from shaders.spline import basis
+
+LISTED = 2.5e-8  # seconds to sum a listed block for a pixel of its tile
+FINE = 4  # angles per bin at which a material's curves are looked up
+ANGLES = np.linspace(0.0, np.pi / 2, FINE * THETA_BINS + 1)
+BASIS = basis(ANGLES)  # (angles, 6)
+
+
+class ViewedTables:
+    """Some lobes of a material under some lights, as learn.engines.culled_views reads them.
+
+    m         (3, 3, 2, 6); energy: (blocks, 3, 16)
+    values    (many, 3, 2, 6) and steps (many, 3, 2, 5), float32: the lobes' splines
+    curves    (many, 2, angles) float64: the least γ and the largest κ log2 e over channels
+    """
+
+    def __init__(
+        self,
+        m: np.ndarray,
+        energy: np.ndarray,
+        lights: Lights,
+        light_gradient: bool,
+        lobes: tuple[int, ...] = ALL_LOBES,
+        material_gradient: bool = False,
+    ):
+        self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
+        self.geometry = lights.general_geometry()
+        tables = general_tables(m)
+        self.values = tables.values.reshape(3, 3, 2, 6)[self.numbers].copy()
+        self.steps = tables.steps.reshape(3, 3, 2, 5)[self.numbers].copy()
+        self.cones = lights.cones.copy()
+        brightest = np.zeros(len(self.cones) * LANES, np.float32)
+        # a light gathered from others may be negative
+        brightest[: lights.blocks] = np.abs(energy).sum(-1).max(-1)
+        if light_gradient:  # a dark block matters too: it counts as one of a tenth of the mean
+            least = 0.1 * brightest.sum() / lights.blocks or 1.0
+            brightest = np.maximum(brightest, np.float32(least))
+        self.cones[:, CONE_ENERGY] = brightest.reshape(-1, LANES)
+        curves = self.values.astype(np.float64) @ BASIS.T
+        self.curves = np.stack([curves[:, :, 0].min(1), curves[:, :, 1].max(1)], 1)
+        least_height = DIM * self.curves[:, 1].max()
+        self.dims_lobes = material_gradient and bool((self.curves[:, 1] < least_height).any())
+        self.least_height = least_height
+
+    def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
+        """The table `ranges` for tiles of `size` pixels with views (P, 3).
+
+        backward  whether lobes of almost no height count, whose derivative by κ does not depend on
+                  their height
+        """
+        blocks = self.cones[:, CONE_W_COS].reshape(-1)[: self.lights.blocks]
+        widest = np.arccos(np.clip(blocks.min(), -1.0, 1.0)) + widest_tile(views, size)
+        window = int(np.ceil(0.5 * widest / (np.pi / 2) * THETA_BINS)) + 1
+        curves = self.curves.copy()
+        if backward and self.dims_lobes:
+            curves[:, 1] = np.maximum(curves[:, 1], self.least_height)
+        result = np.empty((self.many, 2, THETA_BINS), np.float32)
+        for k, extreme in enumerate((np.min, np.max)):
+            padded = np.pad(curves[:, k], ((0, 0), (FINE * window,) * 2), mode="edge")
+            around = np.lib.stride_tricks.sliding_window_view(
+                padded, FINE * (2 * window + 1) + 1, axis=-1
+            )
+            result[:, k] = extreme(around[:, :: FINE][:, :THETA_BINS], axis=-1)
+        return result
+
+    def material_gradient(self, m_sums: np.ndarray) -> np.ndarray:
+        """Derivative (3, 3, 2, 6) float64 by m, from the sums (chunks, 108, 16) of the kernel."""
+        sums = m_sums.sum((0, 2), dtype=np.float64)[: 36 * self.many]
+        lobe_sums = np.zeros((3, 3, 2, 6))
+        lobe_sums[self.numbers] = sums.reshape(self.many, 3, 2, 6)
+        return general_material_gradient(lobe_sums)
+
+
+def widest_tile(views: np.ndarray, size: int) -> float:
+    """The largest half angle of the cones about the views (P, 3) of tiles of `size` pixels."""
+    whole = len(views) // size * size
+    tiles = [views[:whole].reshape(-1, size, 3)] if whole else []
+    tiles += [views[whole:][None]] if whole < len(views) else []
+    widest = 0.0
+    for tile in tiles:
+        axis = tile.sum(1)
+        axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
+        least = (tile * axis[:, None]).sum(-1).min()
+        widest = max(widest, float(np.arccos(np.clip(least, -1.0, 1.0))))
+    return widest
+
+
+class ViewedListing:
+    """Radiance at pixels by the lights of each tile's list, and its backward pass.
+
+    n, view       (P, 3)
+    left_out      radiance that may be missing from a pixel in a channel
+    stored_bytes  as in block_lists.Listing
+    radiance      (P, 3)
+    list_bytes    lists that this object stores
+    """
+
+    def __init__(
+        self,
+        n: np.ndarray,
+        view: np.ndarray,
+        tables: ViewedTables,
+        left_out: float,
+        stored_bytes: int = 0,
+    ):
+        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
+        self.list_bytes, self.lists = 0, dict[int, Lists]()
+        out = np.empty_like(self.n)
+        for start in range(0, len(n), PASS):
+            part = slice(start, start + PASS)
+            lists = select(self.n[part], self.view[part], tables, left_out)
+            run_forward(self.n[part], self.view[part], tables, lists, out[part])
+            if stored_bytes + self.list_bytes < CACHE_BYTES and not tables.dims_lobes:
+                self.lists[start] = lists
+                self.list_bytes += sum(array.nbytes for array in lists)
+        self.radiance = put_back(out, self.order)
+
+    def backward(
+        self, g: np.ndarray, with_view: bool = True
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
+        """Derivatives of Σ g·radiance.
+
+        By n (P, 3), by view (P, 3) or None, by m (3, 3, 2, 6) float64 and by E (3, T).
+        """
+        g = g.take(self.order, 0)
+        by_n, by_view, by_m = np.empty_like(g), np.empty_like(g), np.zeros((3, 3, 2, 6))
+        by_E = np.zeros((3, len(self.tables.lights.w)), np.float32)
+        for start in range(0, len(g), PASS):
+            part = slice(start, start + PASS)
+            n, view = self.n[part], self.view[part]
+            lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
+            energy_sums, m_sums = run_backward(
+                n, view, self.tables, lists, g[part], by_n[part], by_view[part], with_view
+            )
+            by_m += self.tables.material_gradient(m_sums)
+            by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
+        by_view = put_back(by_view, self.order) if with_view else None
+        return put_back(by_n, self.order), by_view, by_m, by_E
+
+
+def select(
+    n: np.ndarray,
+    view: np.ndarray,
+    tables: ViewedTables,
+    left_out: float,
+    backward: bool = False,
+) -> Lists:
+    """Each tile's list."""
+    size, capacity, cones = tile_size(len(n)), tables.lights.blocks, tables.cones
+    tiles = -(-len(n) // size)
+    budget = np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
+    ranges = tables.ranges(view, size, backward)
+    lists = Lists(
+        np.empty((tiles, capacity, VIEW_CUTS), np.float32),
+        np.empty(tiles, np.int32),
+        np.empty((tiles, capacity), np.int32),
+    )
+
+    def kernel(first: int, last: int) -> None:
+        scratch = np.empty(len(cones) * SELECT_VIEW_STRIDE, np.float32)
+        sizes = first, last, len(n), size, len(cones), capacity, tables.many
+        arrays = budget, n, view, cones, ranges, scratch
+        machine_code.call("culled_views.select", *sizes, *arrays, *lists)
+
+    workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * 2 * TESTED)
+    threads.run(kernel, threads.split(tiles, workers), workers)
+    return lists
+
+
+def workers_for(lists: Lists, pixels: int) -> int:
+    """Number of threads that a sum over the pixels' lists deserves."""
+    seconds = int(lists.lengths.sum()) * tile_size(pixels) * LISTED
+    return threads.worth(torch.get_num_threads(), seconds)
+
+
+def run_forward(
+    n: np.ndarray, view: np.ndarray, tables: ViewedTables, lists: Lists, out: np.ndarray
+) -> None:
+    """Write radiance (P, 3) into out."""
+
+    def kernel(first: int, last: int) -> None:
+        scratch = np.empty(VIEW_SCRATCH, np.float32)
+        sizes = first, last, len(n), tile_size(len(n)), lists.entries.shape[1], tables.many
+        arrays = n, view, tables.geometry, tables.energy, tables.values, scratch, out
+        machine_code.call("culled_views.forward", *sizes, *arrays, *lists)
+
+    workers = workers_for(lists, len(n))
+    threads.run(kernel, threads.split(len(lists.lengths), 2 * workers), workers)
+
+
+def run_backward(
+    n: np.ndarray,
+    view: np.ndarray,
+    tables: ViewedTables,
+    lists: Lists,
+    g: np.ndarray,
+    by_n: np.ndarray,
+    by_view: np.ndarray,
+    with_view: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
+
+    by_n, by_view  (P, 3) are written, the latter if with_view
+    """
+    blocks = tables.lights.blocks
+    # by the pixels, never by the threads: sums must come out the same
+    chunks = min(CULLED_CHUNKS, 1 + len(n) // FEW)
+    energy_sums = np.empty((chunks, blocks, 3, LANES), np.float32)
+    m_sums = np.empty((chunks, VALUES, LANES), np.float32)
+    scratch = np.empty(chunks * VIEW_SCRATCH, np.float32)
+    tiles, capacity = lists.entries.shape
+
+    def kernel(first: int, last: int) -> None:
+        sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, tables.many, chunks
+        inputs = n, view, tables.geometry, tables.energy, tables.values, tables.steps, scratch, g
+        outputs = by_n, by_view, energy_sums, m_sums
+        arrays = *inputs, *outputs, *lists
+        machine_code.call("culled_views.backward", first, last, *sizes, int(with_view), *arrays)
+
+    workers = workers_for(lists, len(n))
+    threads.run(kernel, threads.split(chunks, workers), workers)
+    return added(energy_sums), m_sums
