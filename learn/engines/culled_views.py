@@ -117,9 +117,7 @@ def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -
 
 
 @inlined
-def pixels_near(
-    scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int
-) -> int:
+def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
     """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
 
     o  offset of their normals
@@ -154,7 +152,7 @@ def select(
         start = tile * size
         count = min(size, pixels - start)
         nx, ny, nz, cos_n, sin_n = cone_about(n, start, count)
-        vx, vy, vz, cos_v, sin_v = cone_about(v, start, count)
+        vx, vy, vz, cos_v, _sin_v = cone_about(v, start, count)
         gap_v = sqrt(splat(2.0) * maximum(splat(1.0) - cos_v, 0.0))
         for wide_block in range(wide_blocks):
             o, b = CONE_STRIDE * wide_block, SELECT_VIEW_STRIDE * wide_block

@@ -116,11 +116,7 @@ def best_plan(
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
         views = views_across(scene.spread, bool(mirrored[s]), VIEW_SHARE * tolerance / share[s])
-        if (
-            views
-            and size <= reflectance_map.LARGEST
-            and (mirrored[s] or covers(scene.n, size))
-        ):
+        if views and size <= reflectance_map.LARGEST and (mirrored[s] or covers(scene.n, size)):
             nodes = views**2 * node_count(size)
             by_map = DEARER * sum_seconds(sharp[s], nodes, lights, tolerance)
             by_map += LOOK_UP * pixels * views**2

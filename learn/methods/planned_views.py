@@ -170,9 +170,7 @@ class Scene:
             self.tables[lobes, level] = ViewedTables(
                 self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
             )
-        listing = ViewedListing(
-            normals, view, self.tables[lobes, level], left_out, self.list_bytes
-        )
+        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, self.list_bytes)
         self.list_bytes += listing.list_bytes
         return listing
 
@@ -263,9 +261,7 @@ class Sum:
             self.values = self.listing.radiance
             return
         self.grid = scene.grid(strategy.across)
-        self.maps = [
-            ViewMap(scene, view, size, strategy.mirrored) for view in self.grid.views
-        ]
+        self.maps = [ViewMap(scene, view, size, strategy.mirrored) for view in self.grid.views]
         counts = [len(each.nodes) for each in self.maps]
         self.ends = np.cumsum(counts)[:-1]
         self.listing = scene.at(

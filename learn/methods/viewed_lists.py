@@ -96,7 +96,7 @@ class ViewedTables:
             around = np.lib.stride_tricks.sliding_window_view(
                 padded, FINE * (2 * window + 1) + 1, axis=-1
             )
-            result[:, k] = extreme(around[:, :: FINE][:, :THETA_BINS], axis=-1)
+            result[:, k] = extreme(around[:, ::FINE][:, :THETA_BINS], axis=-1)
         return result
 
     def material_gradient(self, m_sums: np.ndarray) -> np.ndarray:
