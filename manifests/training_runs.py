@@ -56,6 +56,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     patterns           share of relit training pictures with a printed or woven pattern over the
                        material, whose label stays the material's. Pictures that share a light have
                        patterns together, each its own
+    deformations       share of relit training pictures whose geometry is deformed: bent, stretched
+                       and embossed at random, with normals that follow (learn.data.deformations)
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -78,6 +80,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     principled: Share = 0.0
     principled_materials: Annotated[int, Meta(ge=1, le=8192)] = 512
     patterns: Share = 0.0
+    deformations: Share = 0.0
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

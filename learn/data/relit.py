@@ -8,13 +8,15 @@ material and a light, and therefore a reflectance map.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import torch
 
-from learn.data import augmentation, lights, patterns, shadows
+from learn.data import augmentation, deformations, lights, patterns, shadows
 from learn.data.batch import ExampleBatch, joined
 from learn.data.devices import array
 from learn.data.geometry import Geometry
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 SIDES = {"train": 0, "validation": 1, "test": 2}
 # of a SeedSequence's key, after side, batch and group: draws of their own, so that pictures without
 # them are the same in a run that has them
-LABELS, PATTERNS = 1, 2
+LABELS, PATTERNS, DEFORMATIONS = 1, 2, 3
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 
@@ -157,6 +159,9 @@ class RelitDataset:
             )
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
+        depths: dict[int, np.ndarray] = {}
+        if training and self.data.deformations:
+            n, segments, depths = self._deformed(views, n, segments, (k, g))
         images = self._pictures(n, segments, label, L)
         rng_of_patterns = self._generator(k, g, PATTERNS)
         if self.printed and rng_of_patterns.random() < self.printed:
@@ -169,7 +174,7 @@ class RelitDataset:
                 lambda of_lobe: self._pictures(n, segments, of_lobe, L),
             )
         if training and self.data.shadows:
-            images = self._shadowed(images, views, n, segments, label, L, (k, g))
+            images = self._shadowed(images, views, n, segments, depths, label, L, (k, g))
         names = [
             f"{self.data_split.geometry.views[v].shape} view"
             f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
@@ -222,6 +227,36 @@ class RelitDataset:
         )
         return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
+    def _deformed(
+        self,
+        views: np.ndarray,
+        n: torch.Tensor,
+        segments: torch.Tensor,
+        number: tuple[int, int],
+    ) -> tuple[torch.Tensor, torch.Tensor, dict[int, np.ndarray]]:
+        """Return normals and segments, a share of them deformed; number: (batch, group).
+
+        The last part has the depth (H, W) of those that were deformed, by their place in the group,
+        where the run needs depth.
+        """
+        rng, geometry = self._generator(*number, DEFORMATIONS), self.data_split.geometry
+        n, segments, depths = n.clone(), segments.clone(), {}
+        for i in np.nonzero(rng.random(len(n)) < self.data.deformations)[0]:
+            depth = self._reduced(geometry.depth(views[i])) if self.data.shadows else None
+            half_extent = geometry.cameras[views[i]].half_extent
+            deformed = deformations.deform(
+                rng, n[i].numpy(), segments[i].numpy(), depth, half_extent
+            )
+            n[i], segments[i] = torch.from_numpy(deformed.n), torch.from_numpy(deformed.segments)
+            if deformed.depth is not None:
+                depths[int(i)] = deformed.depth
+        return n, segments, depths
+
+    def _reduced(self, values: np.ndarray) -> np.ndarray:
+        """Return stored values (H, W, …) at the size of pictures."""
+        step = len(values) // self.size
+        return values[step // 2 :: step, step // 2 :: step]
+
     def _pictures(
         self, n: torch.Tensor, segments: torch.Tensor, label: np.ndarray, L: np.ndarray
     ) -> np.ndarray:
@@ -250,11 +285,14 @@ class RelitDataset:
         views: np.ndarray,
         n: torch.Tensor,
         segments: torch.Tensor,
+        depths: Mapping[int, np.ndarray],
         label: np.ndarray,
         L: np.ndarray,
         number: tuple[int, int],
     ) -> np.ndarray:
         """Return pictures (B, H, W, 3), a share of them with shadows; number: (batch, group).
+
+        depths  of the pictures whose geometry was deformed, as a distant viewer sees it
 
         Which ones is drawn from a stream of its own, so that nothing else of a batch changes.
         """
@@ -262,11 +300,15 @@ class RelitDataset:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
         geometry, result = self.data_split.geometry, images.copy()
         for i in np.nonzero(rng.random(len(images)) < self.data.shadows)[0]:
-            step = geometry.size[0] // self.size
-            position, view = (
-                each[step // 2 :: step, step // 2 :: step]
-                for each in shadows.positions(geometry.depth(views[i]), geometry.cameras[views[i]])
-            )
+            camera = geometry.cameras[views[i]]
+            if i in depths:
+                distant = msgspec.structs.replace(camera, fov_deg=None)
+                position, view = shadows.positions(depths[i], distant)
+            else:
+                position, view = (
+                    self._reduced(each)
+                    for each in shadows.positions(geometry.depth(views[i]), camera)
+                )
             factor = shadows.factor(
                 n[i].numpy(),
                 position,

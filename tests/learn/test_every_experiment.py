@@ -118,6 +118,14 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         # both tiers of this data set show the same picture, and there is no third one
         lambda r: r["rows"][0]["direct"] == 0 and r["rows"][0]["shadow"] is None,
     ),
+    "unseen-shapes": (
+        "--data {room}/pictures --weights {room}/weights.safetensors --pictures 2",
+        lambda r: (
+            len(r["rows"]) == 2
+            and all(row["family"] == row["shape"].split(":")[0] for row in r["rows"])
+            and all(0 < row["facing the viewer"] < 90 for row in r["rows"])
+        ),
+    ),
     "relighting": (
         "--data {room}/ladder --weights {room}/weights.safetensors --pictures 1",
         lambda r: (

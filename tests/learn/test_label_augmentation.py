@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.data import lights, patterns, settings
+from learn.data import lights, patterns, settings, shadows
 from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation, in_order, principled_label
 from learn.data.relit import BRIGHTEST, DataSplit, RelitDataset
@@ -117,7 +117,9 @@ def test_shares_beyond_one_are_refused():
         settings.require_trainable(run, "run")
 
 
-@pytest.mark.parametrize("keys", [{}, {"patterns": 1e-12}, {"label_mixtures": 1e-12}])
+@pytest.mark.parametrize(
+    "keys", [{}, {"patterns": 1e-12}, {"label_mixtures": 1e-12}, {"deformations": 1e-12}]
+)
 def test_pictures_without_them_are_those_of_a_run_that_has_no_such_keys(keys, data_split):
     plain, other = (
         RelitDataset(data_split, data, 4, SIZE, 5)[7]
@@ -138,6 +140,38 @@ def test_a_pattern_changes_the_picture_and_nothing_of_its_truth(data_split):
     assert (share > 0).float().mean() > 0.7
     assert batch.image.isfinite().all()
     assert batch.image.min() >= 0
+
+
+def test_deformed_geometry_is_what_the_picture_shows(data_split):
+    plain = RelitDataset(data_split, PLAIN, 8, SIZE, 5)[0]
+    source = RelitDataset(data_split, with_keys(deformations=1.0), 8, SIZE, 5)
+    batch, again = source[0], source[0]
+    assert torch.equal(batch.n, again.n)
+    assert all((a != b).any() for a, b in zip(batch.n, plain.n, strict=True))
+    assert torch.equal(batch.label, plain.label) and torch.equal(batch.light, plain.light)
+    assert torch.equal(batch.segments > 0, batch.mask[:, 0] > 0)
+    assert torch.equal(batch.segments > 0, batch.n.norm(dim=1) > 0.5)
+    shown, mask = relit(batch), batch.mask > 0
+    assert torch.equal(torch.where(mask, shown, 0), batch.image)
+
+
+def test_shadows_of_deformed_pictures_are_computed_from_the_deformed_depth(data_split, monkeypatch):
+    shown = []
+
+    def recorded(n, position, view, segments, *others):
+        shown.append((n, position, view, segments))
+        return factor(n, position, view, segments, *others)
+
+    factor = shadows.factor
+    monkeypatch.setattr(shadows, "factor", recorded)
+    geometry = Geometry(data_split.geometry.folder, progress=False, depth=True)
+    of_train = DataSplit(geometry, data_split.views, data_split.labels, data_split.maps, "train")
+    RelitDataset(of_train, with_keys(deformations=1.0, shadows=1.0), 4, SIZE, 5)[0]
+    assert len(shown) == 4
+    for n, position, view, segments in shown:
+        assert (np.linalg.norm(n[segments > 0], axis=-1) > 0.5).all()
+        assert not position[segments == 0, 2].any() and (position[segments > 0, 2] != 0).all()
+        assert (view == (0, 0, 1)).all()
 
 
 def test_patterns_come_in_the_share_that_a_run_asks_for_and_in_training_alone(data_split):

@@ -1,0 +1,203 @@
+"""Measure the normals of weights on many shapes, in pictures made as photographs.
+
+Every view of each data set's geometry is relit with materials and lights that the weights' run
+held out, with shadows, and taken by the camera model of training at an unknown exposure
+(learn.data.camera_model). Pictures are made without Cycles, so that hundreds of shapes take
+minutes; the ladder (`python -m learn evaluate-ladder`) shows fewer shapes in Cycles' pictures. All
+weights see the same pictures. The report has mean angles of each data set and of each family, with
+intervals over shapes, materials and lights, beside normals that all face the viewer. rows.jsonl
+keeps a line per picture: the same command continues.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learn.experiments import runner
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    from learn.data.relit import RelitDataset
+    from learn.networks.prediction import Coded
+
+FACING = "facing the viewer"
+DRAWS = 500
+MOST_FAMILIES = 40  # of a report: further ones have no row of their own
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data sets, the weights and the number of pictures."""
+    parser.add_argument(
+        "--data",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="DIR",
+        help="a data set with geometry of shapes that no training saw; repeat the option",
+    )
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        required=True,
+        action="append",
+        metavar="FILE",
+        help="a weights.safetensors; repeat the option to compare several",
+    )
+    parser.add_argument(
+        "--pictures",
+        type=positive,
+        default=400,
+        metavar="N",
+        help="of each data set (default 400)",
+    )
+    parser.add_argument(
+        "--allow-overlap",
+        action="store_true",
+        help="measure shapes that the weights saw too, and say so",
+    )
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows": [{"picture", "data", "shape", "family", "material", "light", angles}]}.
+
+    angles  {name of the weights, or FACING: mean angle over the mask, degrees}
+    """
+    import torch
+
+    from learn.evaluation import overlap
+    from learn.networks import weights as checkpoint
+    from manifests import files
+    from manifests.store import file_hash
+
+    torch.set_num_threads(1)
+    about = {
+        "weights": {_name(path): file_hash(path) for path in arguments.weights},
+        "data": {path.name: file_hash(path / "materials.json") for path in arguments.data},
+    }
+    files.pin_settings(arguments.out / "settings.json", about)
+    networks = {_name(path): checkpoint.load_network(path)[0] for path in arguments.weights}
+    rows, sentences = [], []
+    for folder in arguments.data:
+        source = photographs_of(folder, arguments.weights[0])
+        shown = overlap.of_split(source.data_split)
+        sentences += overlap.sentences(arguments.weights, shown, folder, arguments.allow_overlap)
+        numbers = range(arguments.pictures)
+        todo = [({"picture": f"{folder.name} {k}", "data": folder.name}, k) for k in numbers]
+        row = functools.partial(row_of, source, networks)
+        rows += runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
+    return {"rows": rows, "seen": sorted(set(sentences)), "weights": list(networks)}
+
+
+def _name(path: Path) -> str:
+    return path.stem if path.stem != "weights" else path.parent.name
+
+
+def photographs_of(folder: Path, weights: Path) -> RelitDataset:
+    """Return pictures of all of a data set's views, as training would photograph them.
+
+    Materials are the built-in ones for testing, lights the measured ones that the run of the
+    weights held out for testing; all measured ones where it names none.
+    """
+    import json
+
+    import numpy as np
+
+    from learn.data.geometry import Geometry
+    from learn.data.relit import DataSplit, RelitDataset
+    from learn.data.settings import Data, decode_run
+    from learn.data.sources import materials_of
+    from learn.networks import weights as checkpoint
+    from manifests import measured_lights
+
+    metadata = checkpoint.load_network(weights)[1]
+    run = decode_run(json.dumps(metadata["run"]).encode(), weights)
+    data = Data(
+        materials="built-in",
+        real_lights=1.0,
+        camera_model=1.0,
+        unknown_camera=True,
+        shadows=1.0,
+        sharing=1,
+    )
+    maps = measured_lights.load_all()
+    lights = sorted(set(run.data.test_lights) & set(maps)) or sorted(maps)
+    geometry = Geometry(folder, depth=True)
+    # pictures of the side "train" are photographed; the parts are those for testing
+    everything = DataSplit(
+        geometry,
+        np.arange(len(geometry)),
+        {
+            m.name: m.label.reshape(-1).astype(np.float32)
+            for m in materials_of(data, None)[0]["test"]
+        },
+        [maps[name] for name in lights],
+        "train",
+        map_names=tuple(lights),
+    )
+    return RelitDataset(everything, data, 1, run.size, seed=5)
+
+
+def row_of(source: RelitDataset, networks: dict[str, Coded], number: int) -> dict[str, Any]:
+    """Return the angles of all weights, and of normals facing the viewer, on one picture."""
+    import torch
+
+    from learn.training.validation import means
+
+    batch = source[number]
+    mask = batch.segments > 0
+    shape, _, _, material = batch.names[0].split(" ")
+    angles = {FACING: batch.n[:, 2].clamp(-1, 1).arccos().rad2deg()}
+    with torch.no_grad():
+        for name, network in networks.items():
+            n = network(batch.image, batch.mask, None, ("normals",)).n
+            angles[name] = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
+    return {"shape": shape, "family": family_of(shape), "material": material} | {
+        name: float(means(angle, mask)[0]) for name, angle in angles.items()
+    }
+
+
+def family_of(shape: str) -> str:
+    """Return "vessel" of "vessel:3", and of a mesh file the package that it is from."""
+    name = Path(shape.split("?")[0]).stem
+    return shape.split(":")[0] if ":" in shape else name.split("-")[0]
+
+
+def tables(report: runner.Report) -> str:
+    """Return mean angles of each data set, then of its families."""
+    rows, columns = report["rows"], [*report["weights"], FACING]
+    head = ["normals, mean angle (°)", "shapes", "pictures", *columns]
+    by_set: dict[str, list[dict[str, Any]]] = {}
+    by_family: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_set.setdefault(row["data"], []).append(row)
+        by_family.setdefault(f"{row['data']}: {row['family']}", []).append(row)
+    families = list(by_family.items())[:MOST_FAMILIES]
+    return "\n\n".join(
+        [
+            "# Normals of unseen shapes",
+            *report["seen"],
+            "Relit pictures, taken by the camera model of training. Intervals are over shapes and"
+            " materials.",
+            runner.table(head, [_line(*each, columns) for each in by_set.items()]),
+            runner.table(head, [_line(*each, columns) for each in families]),
+        ]
+    )
+
+
+def _line(title: str, rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> list[str]:
+    """Return a line of a table: means with intervals."""
+    import numpy as np
+
+    from learn.metrics import bootstrap
+
+    groups = bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows])
+    weights = bootstrap.draws(groups, DRAWS)
+    cells = [
+        runner.interval(bootstrap.interval(np.array([row[column] for row in rows]), weights), 1)
+        for column in columns
+    ]
+    return [title, str(len({row["shape"] for row in rows})), str(len(rows)), *cells]
