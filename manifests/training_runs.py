@@ -126,6 +126,8 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
                    1e-2 and 1e-4 of it over thirds of the run, with β₁ of 0.9, 0.5 and 0.5
     warm_up        steps over which the learning rate rises (compact)
     weight_decay   at most 1: a step takes learning_rate · weight_decay off each weight
+    fully_connected  learning rate of fully connected layers, as a share of the others'. They have
+                   no normalisation and many inputs: at a share of 1 most of their units die
     clip           largest norm of the gradient of all weights
     ema_decay      of the moving average of the weights (exponential moving average), which is what
                    a run writes as its weights; 0: the weights of the last step
@@ -140,6 +142,7 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
     style: Literal["compact", "paper"] = "compact"
     warm_up: CountOrZero = 100
     weight_decay: Annotated[float, Meta(ge=0, le=1)] = 1e-3
+    fully_connected: Annotated[float, Meta(gt=0, le=1)] = 1.0
     clip: Annotated[float, Meta(gt=0, le=1e12)] = 1.0
     ema_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.999
     seconds: Annotated[float, Meta(gt=0, le=1e9)] | None = None
@@ -162,6 +165,8 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                      times larger
     start            weights to begin with, as a path from where the command is run
     heads            weights of a compact network whose heads of material and light are begun with
+    revive           whether hidden units of fully connected layers that no picture of the first
+                     batches activates are drawn anew before the first step
     stages           what is trained first, for example each part alone before all together
     mixed_precision  whether networks compute in bfloat16; the layer and the losses always compute
                      in float32
@@ -182,6 +187,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     mixed_precision: bool = True
     start: str | None = None
     heads: str | None = None
+    revive: bool = False
     stages: tuple[Stage, ...] = ()
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     skipped_steps: CountOrZero = 5

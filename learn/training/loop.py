@@ -27,7 +27,15 @@ from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded, Prediction
 from learn.networks.pretrained import CompactPretrained, encoder_weights
-from learn.training import checkpoints, losses, montage, processes, schedule, validation
+from learn.training import (
+    checkpoints,
+    losses,
+    montage,
+    processes,
+    revival,
+    schedule,
+    validation,
+)
 from learn.training.journal import Journal
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
@@ -180,7 +188,21 @@ class Training:
             with tensor_file.opened(self.run.heads) as stored:
                 weights.fill_heads(self.network, stored)
                 self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.heads))
+        if self.run.revive:
+            self._revive()
         self.average = _copies(self.network)
+
+    def _revive(self) -> None:
+        """Draw hidden units anew that the first batches never activate; print how many."""
+        source = self._source()
+        batches = [source[k].to(self.device) for k in range(revival.BATCHES)]
+        rng = torch.Generator().manual_seed(self.run.seed)
+        drawn = revival.revive(
+            self.network, lambda network: [self.predict(network, b) for b in batches], rng
+        )
+        if self.rank == 0:
+            counts = [f"{count} of {total} in {name}" for name, (count, total) in drawn.items()]
+            print("units that no picture activated, drawn again: " + ", ".join(counts))
 
     def _new_network(self, ranges: Ranges) -> Coded:
         network = weights.NETWORKS[self.run.network](ranges)
@@ -279,8 +301,7 @@ class Training:
         if self.run.schedule.seconds is not None:
             done = max(done, self.used / self.run.schedule.seconds)
         learning_rate, beta = schedule.learning_rate(self.run, phase, self.step, done)
-        for group in self.optimiser.param_groups:
-            group["lr"], group["betas"] = learning_rate, (beta, group["betas"][1])
+        schedule.set_learning_rate(self.optimiser, learning_rate, beta)
 
     def _skip(self, batch: ExampleBatch, record: Mapping[str, float]) -> None:
         """Count a step that is not finite, and store its batch for study.

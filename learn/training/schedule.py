@@ -8,6 +8,7 @@ learning_rate, 1e-2 and 1e-4 of it over thirds.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -56,12 +57,36 @@ def learning_rate(run: Run, phase: Phase, step: int, done: float) -> tuple[float
 
 
 def optimiser(network: torch.nn.Module, schedule: Schedule) -> torch.optim.Optimizer:
-    """Return Adam or AdamW, whose learning rate is set before each step."""
+    """Return Adam or AdamW, whose learning rates `set_learning_rate` sets before each step."""
     if schedule.style == "paper":
-        return torch.optim.Adam(network.parameters(), schedule.learning_rate)
+        return torch.optim.Adam(_groups(network, schedule), schedule.learning_rate)
     return torch.optim.AdamW(
-        network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay
+        _groups(network, schedule), schedule.learning_rate, weight_decay=schedule.weight_decay
     )
+
+
+def _groups(network: torch.nn.Module, schedule: Schedule) -> list[dict[str, Any]]:
+    """Return the parameters, those of fully connected layers apart if they have their own rate."""
+    share = schedule.fully_connected
+    if share == 1.0:
+        return [{"params": list(network.parameters())}]
+    connected = {
+        parameter
+        for module in network.modules()
+        if isinstance(module, torch.nn.Linear)
+        for parameter in module.parameters()
+    }
+    return [
+        {"params": [each for each in network.parameters() if each not in connected]},
+        {"params": [each for each in network.parameters() if each in connected], "share": share},
+    ]
+
+
+def set_learning_rate(optimiser: torch.optim.Optimizer, learning_rate: float, beta: float) -> None:
+    """Set the learning rate and β₁ of all parameters, of each group by its share."""
+    for group in optimiser.param_groups:
+        group["lr"] = learning_rate * group.get("share", 1.0)
+        group["betas"] = (beta, group["betas"][1])
 
 
 def update_average(
