@@ -237,7 +237,7 @@ def _cluster(
 ) -> Iterator[str]:
     """Yield the lines of a cluster: its workers, hours, core-hours and cost."""
     from factory.execution.forecast import on_cluster
-    from factory.planning.reading import processors
+    from manifests.subprocesses import processors
 
     cores = options.cores or processors()
     cluster = on_cluster(forecast, options.machines, cores, pictures)

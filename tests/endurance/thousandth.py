@@ -31,10 +31,10 @@ from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from factory.planning.plan import Plan
-from factory.planning.reading import processors
 from manifests import files
 from manifests.provenance import provenance, shortened
 from manifests.store import Lines
+from manifests.subprocesses import processors
 
 RUN = 30
 ONE_WORKER = RunOptions(workers=1, threads=1)
