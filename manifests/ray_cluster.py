@@ -30,6 +30,8 @@ def connected(address: str) -> Iterator[None]:
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anyone
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    # of a cluster that is started here: Ray's own 15 would let any other program go first
+    os.environ.setdefault("RAY_worker_niceness", "0")
     try:
         import ray
         from ray.exceptions import RayError

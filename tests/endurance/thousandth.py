@@ -10,6 +10,8 @@ the machine may have changed. DIR/report.json has, for each preset,
 kinds     seconds of each kind of work, once: as the plan has it before and after, and measured
 sample    seconds of the whole sample: those kinds times how often each occurred in it, and measured
 hours     of one core for the whole job, by the plan and by what the sample measured
+processor the same two in seconds of a processor, of all kinds together, as the plan has them and
+          measured: on a machine that other programs use, these are what can be compared
 
 The sample has runs of RUN successive pictures, each of another shape and light, because successive
 pictures share what is expensive to change. The same command continues a stopped run; --minutes ends
@@ -17,6 +19,7 @@ it early, and what was made is reported.
 """
 
 import argparse
+import os
 import sys
 import time
 from collections import defaultdict
@@ -70,9 +73,9 @@ class Late(Exception):
 
 
 def costs(plan):
-    """{kind of work: seconds, once}, as `plan` measures it."""
+    """{kind of work: seconds, once} as `plan` measures it, and the job's seconds of a processor."""
     forecast, events = probed(plan, ONE_WORKER), expected_events(plan)
-    return {kind: spent / events[kind] for kind, spent in forecast.seconds.items()}
+    return {kind: s / events[kind] for kind, s in forecast.seconds.items()}, forecast.computed
 
 
 def rendered(sample, folder, rows, end):
@@ -81,9 +84,8 @@ def rendered(sample, folder, rows, end):
 
         def watch(event, value):
             if event == "made":
-                lines.append(
-                    {"id": value.made, "seconds": value.seconds, "spent": dict(value.spent or {})}
-                )
+                row = {"id": value.made, "seconds": value.seconds, "spent": value.spent}
+                lines.append(row | {"computed": value.computed, "load": os.getloadavg()[0]})
             if event == "failed":
                 print(value, flush=True)
             if time.monotonic() > end:
@@ -97,10 +99,12 @@ def rendered(sample, folder, rows, end):
 
 def summary(plan, rows, before, after):
     """The figures of a preset, from its rows and both plans."""
-    spent, times = defaultdict(float), defaultdict(int)
+    (before, computed_before), (after, computed_after) = before, after
+    spent, computed, times = defaultdict(float), defaultdict(float), defaultdict(int)
     for row in rows:
         for kind, seconds in row["spent"].items():
             spent[kind] += seconds
+            computed[kind] += row["computed"][kind]
             times[kind] += 1
     events = expected_events(plan)
     measured = {kind: spent[kind] / times[kind] for kind in spent}
@@ -118,6 +122,13 @@ def summary(plan, rows, before, after):
                 "times": times[kind],
             }
             for kind in measured
+        },
+        "load": [min(row["load"] for row in rows), max(row["load"] for row in rows)],
+        "processor": {
+            "hours_before": computed_before / 3600,
+            "hours_after": computed_after / 3600,
+            "hours_measured": sum(computed[k] / times[k] * events[k] for k in times) / 3600,
+            "kinds": {kind: computed[kind] / times[kind] for kind in times},
         },
         "sample": {"planned": of_sample, "measured": sum(row["seconds"] for row in rows)},
         "hours": {

@@ -11,6 +11,7 @@ def started(ray, nodes):
     import os
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_worker_niceness", "0")  # as manifests.ray_cluster does
     from ray.cluster_utils import Cluster
 
     made = Cluster(
