@@ -4,8 +4,9 @@
     [--workers 640] [--shots N] [--out FILE]
 
 factory.execution.ray_pool hands out all shots of a preset to as many workers, in simulated time. A
-shot takes as long as tests/endurance/thousandth.py measured for the kinds of work that it needs
-(its report.json): what it shares with the worker's last shot costs nothing. Printed are
+shot takes as many seconds of a processor as tests/endurance/thousandth.py measured for the kinds of
+work that it needs (its report.json): what it shares with the worker's last shot costs nothing.
+Printed are
 
 hours     until the last worker is done, and what an even division of the work would take
 again     how often a shape is loaded, and geometry rendered, beyond once for each shape and view
@@ -125,8 +126,7 @@ def main():
     parser.add_argument("--out", help="write the figures into this file too")
     options = parser.parse_args()
     with open(options.report) as file:
-        kinds = json.load(file)["presets"][options.preset]["kinds"]
-    cost = {kind: of["measured"] for kind, of in kinds.items()}
+        cost = json.load(file)["presets"][options.preset]["processor"]["kinds"]
     job, folder = jobs.load(jobs.presets()[options.preset])
     plan = planned(job, resolve(job, folder, processes=processors()))
     cluster = Cluster(options.workers, cost)
@@ -139,11 +139,11 @@ def main():
         1,
         print,
     )
-    begun, made = time.process_time(), 0
-    for _, reply in pool.run(plan):
+    begun, made, views = time.process_time(), 0, set()
+    for shot, reply in pool.run(plan):
         made += bool(reply.made)
+        views.add((shot.shape, shot.viewpoint))
     spent = time.process_time() - begun
-    views = {(shot.shape, shot.viewpoint) for shot in plan}
     figures = {
         "preset": options.preset,
         "workers": options.workers,
