@@ -9,6 +9,9 @@ so that other work on the machine meets both. Both kinds of rate are reported:
 
 rate      pictures per second from the first picture that was made to the last: start-up is left out
 whole     pictures per second from the call to its return; the cluster runs already
+per_processor_second  pictures for each second of a processor that all processes together use, Ray's
+          included, from the first picture to the last: the rate where nothing else is the limit,
+          which other work on the machine hardly changes
 
 DIR/report.json has each round and the ratios of the cluster to the processes, as the geometric mean
 over rounds and the worst round. It fails if the mean of `rate` is below --least. With --fake the
@@ -24,6 +27,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
+
 from factory.execution.run import RunOptions, planned
 from factory.execution.worker import STUDIO
 from factory.planning import jobs
@@ -34,6 +39,34 @@ from tests.support.ray_cluster import started
 from tests.support.tetrahedron import FAKE, ROOT
 
 NODES = 2
+
+
+class Used:
+    """Watches a run: the pictures for each second of a processor between the first and the last."""
+
+    def __init__(self, pictures):
+        self.pictures, self.made, self.first, self.rate = pictures, 0, 0.0, None
+
+    def __call__(self, event, value):
+        if event != "made":
+            return
+        self.made += 1
+        if self.made == 1:
+            self.first = processor_seconds()
+        elif self.made == self.pictures:
+            self.rate = (self.pictures - 1) / (processor_seconds() - self.first)
+
+
+def processor_seconds():
+    """Seconds of this process and all below it, among which are Ray's."""
+    total, this = 0.0, psutil.Process()
+    for each in (this, *this.children(recursive=True)):
+        try:
+            times = each.cpu_times()
+        except psutil.NoSuchProcess:
+            continue
+        total += times.user + times.system
+    return total
 
 
 def rounds_of(plan, out, count, run_options):
@@ -49,12 +82,14 @@ def rounds_of(plan, out, count, run_options):
         for name in sorted(kinds, reverse=k % 2 == 0):
             folder = out / name
             shutil.rmtree(folder, ignore_errors=True)
+            used = Used(min(len(plan), run_options.limit or len(plan)))
             if name == "processes":
-                result[name] = timed(plan, folder, kinds[name])
+                result[name] = timed(plan, folder, kinds[name], used)
             else:
                 with started(ray, NODES):
-                    result[name] = timed(plan, folder, kinds[name])
-            figures = result[name]
+                    result[name] = timed(plan, folder, kinds[name], used)
+            figures = result[name] | {"per_processor_second": used.rate}
+            result[name] = figures
             figures["load"] = os.getloadavg()[0]
             figures["whole"] = round(figures["made"] / figures["seconds"], 3)
             print(k, name, figures, flush=True)
@@ -95,8 +130,13 @@ def main():
         report["rounds"].append(each)
         report["rate"] = ratios(report["rounds"], "pictures_per_second")
         report["whole"] = ratios(report["rounds"], "whole")
+        report["processor"] = ratios(report["rounds"], "per_processor_second")
         (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-    print(json.dumps({key: report[key] for key in ("rate", "whole", "machine")}, indent=1))
+    print(
+        json.dumps(
+            {key: report[key] for key in ("rate", "whole", "processor", "machine")}, indent=1
+        )
+    )
     return 0 if report["rate"]["mean"] >= options.least else 1
 
 
