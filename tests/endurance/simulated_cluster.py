@@ -148,6 +148,7 @@ def main():
         "preset": options.preset,
         "workers": options.workers,
         "pictures": made,
+        "seconds": cost,
         "hours": cluster.now / 3600,
         "hours_even": cluster.busy / options.workers / 3600,
         "shapes": len(plan.assets.shapes),
