@@ -140,8 +140,8 @@ class Tasks:
         self._looked = time.monotonic()
         there = len(self._hands) + len(self._idle)
         in_hand = sum(hand.piece is not None for hand in self._hands)
-        wanted = min(ray_cluster.workers(self._threads), len(self._left) + in_hand)
-        for _ in range(wanted - there):
+        target = min(ray_cluster.workers(self._threads), len(self._left) + in_hand)
+        for _ in range(target - there):
             actor = self._started()
             self._hands.append(_Hand(actor, actor.ready.remote()))
 

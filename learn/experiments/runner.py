@@ -165,7 +165,7 @@ def resume(
     measure: Callable[[Case], dict[str, Any]],
     unit: str,
     current: Callable[[dict[str, Any]], dict[str, Any]] = lambda row: row,
-    together: Callable[[Case], Hashable] = id,
+    group: Callable[[Case], Hashable] = id,
 ) -> list[dict[str, Any]]:
     """Return a row for each case; rows that the file at `path` has are read, not measured again.
 
@@ -173,7 +173,7 @@ def resume(
     measure  returns the rest of the row; the whole row is then appended to the file as one line
     unit     what the progress bar counts
     current  brings a row that an earlier version wrote up to date
-    together returns a key: on a cluster, one worker measures the cases of a key
+    group    returns a key: on a cluster, one worker measures the cases of a key
     """
     import contextlib
 
@@ -187,7 +187,7 @@ def resume(
     on_ray.reached(path, cases, measure, len(missing))
     with (
         contextlib.closing(Lines(path)) as lines,
-        contextlib.closing(_rest_of_rows(path, missing, measure, together)) as measured,
+        contextlib.closing(_rest_of_rows(path, missing, measure, group)) as measured,
         tqdm(total=len(missing), unit=unit) as bar,
     ):
         for identity, rest in measured:
@@ -202,7 +202,7 @@ def _rest_of_rows(
     path: Path,
     missing: Sequence[tuple[dict[str, Any], Case]],
     measure: Callable[[Case], dict[str, Any]],
-    together: Callable[[Case], Hashable],
+    group: Callable[[Case], Hashable],
 ) -> Generator[tuple[dict[str, Any], dict[str, Any]], None, None]:
     """Yield (what identifies a row, the rest of it), measured here or on a cluster."""
     if not on_ray.is_asking():
@@ -211,5 +211,5 @@ def _rest_of_rows(
         return
     pieces: dict[Hashable, list[dict[str, Any]]] = {}
     for identity, case in missing:
-        pieces.setdefault(together(case), []).append(identity)
+        pieces.setdefault(group(case), []).append(identity)
     yield from on_ray.measured(path, list(pieces.values()))

@@ -75,7 +75,7 @@ def compare(
         [({"edit": edit.id}, edit) for edit in edits],
         measure,
         "edit",
-        together=lambda edit: edit.source.id,
+        group=lambda edit: edit.source.id,
     )
     about = {"edits": len(edits), "size": edits[0].source.camera.size, "network": size}
     return {"about": about, "parts": summary(rows)}
