@@ -22,3 +22,10 @@ def environment() -> dict[str, str]:
     inherited = os.environ.get("PYTHONPATH")
     path = os.pathsep.join([str(PACKAGES), *([inherited] if inherited else [])])
     return {**os.environ, "PYTHONPATH": path}
+
+
+def processors() -> int:
+    """Return the number of CPUs that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

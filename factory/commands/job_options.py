@@ -90,8 +90,8 @@ def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namesp
     from functools import partial
 
     from factory.planning.assets import resolve
-    from factory.planning.reading import processors
     from manifests.progress import tqdm
+    from manifests.subprocesses import processors
 
     interval = 0.1 if sys.stderr.isatty() else 10.0
     watch = partial(tqdm, leave=False, delay=1.0, mininterval=interval)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from factory.execution.forecast import Forecast
     from factory.planning.plan import Plan
     from manifests.schema import Job
+
+# times as long as it computes that a picture may take before the plan mentions it
+BUSY = 1.5
 
 EPILOG = """examples:
   python -m factory plan demo
@@ -237,7 +241,7 @@ def _cluster(
 ) -> Iterator[str]:
     """Yield the lines of a cluster: its workers, hours, core-hours and cost."""
     from factory.execution.forecast import on_cluster
-    from factory.planning.reading import processors
+    from manifests.subprocesses import processors
 
     cores = options.cores or processors()
     cluster = on_cluster(forecast, options.machines, cores, pictures)
@@ -247,6 +251,11 @@ def _cluster(
         f" {cluster.cores} cores: {workers} workers of one thread"
     )
     yield f"  time       about {_time(cluster.hours)} ({parts})"
+    if forecast.waited > BUSY and os.getloadavg()[0] > processors():
+        yield (
+            f"  busy       other programs made these pictures take {forecast.waited:.1f} times as"
+            " long as they compute: divide time and cost by that for machines of your own"
+        )
     if pictures < workers:
         yield f"  idle       {workers - pictures} of the workers: there are {pictures} to make"
     cost = f"  cost       about {_amount(cluster.core_hours)} core-hours"

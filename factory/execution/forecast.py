@@ -33,12 +33,22 @@ class Forecast:
     bytes    {kind of file: bytes on disk}
     workers  number of processes, among which the seconds are divided
     start    seconds until a worker has started
+    computed seconds of a processor on one worker, all kinds and threads together; None: unknown
     """
 
     seconds: dict[str, float]
     bytes: dict[str, float]
     workers: int
     start: float
+    computed: float | None = None
+
+    @property
+    def waited(self) -> float:
+        """How many times as long as it computed a worker of one thread took, at least 1.
+
+        Where other programs use the processor, this is far above 1, and so are the seconds.
+        """
+        return max(1.0, sum(self.seconds.values()) / self.computed) if self.computed else 1.0
 
     @property
     def hours(self) -> float:
@@ -102,6 +112,7 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
     import time
 
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
+    computed: defaultdict[str, list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
         store = Store(folder)
         register(store, plan, len(plan))
@@ -125,6 +136,8 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
                 sizes["images"].append(reply.bytes)
             for kind, spent in (reply.spent or {}).items():
                 cost[kind].append(spent)
+            for kind, spent in (reply.computed or {}).items():
+                computed[kind].append(spent)
         sizes["geometry"] = [
             path.stat().st_size for path in (store.folder / "geometry").rglob("*.exr")
         ]
@@ -139,6 +152,7 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
         {**space, "records": RECORD_BYTES * len(plan)},
         run_options.workers,
         max(start, 0.0),
+        sum(_typical(values) * events[kind] for kind, values in computed.items()),
     )
 
 

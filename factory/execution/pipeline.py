@@ -115,6 +115,7 @@ class Pipeline:
     mixtures  {material's name: Mixture}
     shapes    {name: ShapeSource} of the shapes that shots use; the caller adds to it
     spent     {kind of work: seconds} of the last shot
+    computed  the same in seconds of a processor, all threads together
     notes     lines for the user about the last shot
     """
 
@@ -139,6 +140,7 @@ class Pipeline:
         self._light_map: tuple[tuple[str, str], np.ndarray] | None = None
         self._geometries: OrderedDict[str, _StoredGeometry] = OrderedDict()
         self.spent: dict[str, float] = {}
+        self.computed: dict[str, float] = {}
         self.notes: list[str] = []
         studio.set_camera(assignment.job.camera)
 
@@ -149,7 +151,7 @@ class Pipeline:
 
         Raises  BadShot; OSError if a file cannot be written
         """
-        start, self.spent, self.notes = time.perf_counter(), {}, []
+        start, self.spent, self.computed, self.notes = time.perf_counter(), {}, {}, []
         line = self._make_record(shot, start) if shot.picture else self._make_view(shot, start)
         self._append(line)
         return line
@@ -234,10 +236,11 @@ class Pipeline:
 
     @contextmanager
     def _timed(self, what: str) -> Iterator[None]:
-        """Add the block's seconds to `spent`, from which forecasts are computed."""
-        start = time.perf_counter()
+        """Add the block's seconds to `spent` and `computed`, from which forecasts are made."""
+        start, computed = time.perf_counter(), time.process_time()
         yield
         self.spent[what] = self.spent.get(what, 0.0) + time.perf_counter() - start
+        self.computed[what] = self.computed.get(what, 0.0) + time.process_time() - computed
 
     def _show(self, shot: Shot) -> None:
         """Set the studio's shape, light, materials and view, each only if it changes."""

@@ -29,20 +29,16 @@ from factory.execution.pipeline import ShapeSource
 from factory.execution.ray_worker import RayWorker, ids_of, lines_path
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot
-from factory.planning.reading import processors
+from manifests import ray_cluster
 from manifests.errors import InputError
+from manifests.ray_cluster import MOST_LOSSES, MOST_LOST_IN_A_ROW, SCALE_SECONDS
 from manifests.store import Lines
 
 SLICE_SECONDS = 2.0  # that a worker is given work for at once
 MOST_SLICE = 64  # shots of it
 MOST_UNIT = 4096  # shots of a shape that one worker holds; the rest is a further unit
-MOST_LOSSES = 5
-# workers lost without a picture in between, after which the cluster is at fault
-MOST_LOST_IN_A_ROW = 20
-SCALE_SECONDS = 5.0  # between looks at how many CPUs the cluster has
 PATIENCE = 900.0  # seconds to wait for the lock of a lost worker
 STOP_PATIENCE = 20.0  # seconds that workers have to end in when the run is stopped
-OBJECT_STORE_BYTES = 100 << 20  # of a cluster that is started here; messages are small
 
 
 @dataclass
@@ -67,69 +63,6 @@ class _Lost:
     config: WorkerConfig
     pending: list[Shot]
     since: float
-
-
-@contextlib.contextmanager
-def connected(address: str) -> Iterator[None]:
-    """Connect to a Ray cluster for the length of a block.
-
-    address  "auto": the cluster of this machine, or else a new one with all of its CPUs, which
-             ends with the block; or HOST:PORT. Where Ray is connected already, that is used
-    Raises   InputError: ray is missing, or no cluster answers there
-    """
-    import os
-
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anyone
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray
-        from ray.exceptions import RayError
-    except ImportError as error:
-        remedy = "pip install 'ray==2.60.*'"
-        raise InputError("--ray", "the package ray", str(error).split(":")[0], remedy) from None
-    if ray.is_initialized():
-        yield
-        return
-    if address != "auto":
-        _require_answer(address)
-    shared: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-    try:
-        try:
-            ray.init(address=address, **shared)
-        except ConnectionError:
-            if address != "auto":
-                raise
-            ray.init(
-                address="local",
-                num_cpus=processors(),
-                include_dashboard=False,
-                object_store_memory=OBJECT_STORE_BYTES,
-                **shared,
-            )
-    except (ConnectionError, ValueError, RuntimeError, OSError, RayError) as error:
-        remedy = "start one with: ray start --head; or give --ray auto"
-        reason = (str(error).strip().splitlines() or ["no answer"])[0][:200]
-        raise InputError("--ray", f"a Ray cluster at '{address}'", reason, remedy) from None
-    try:
-        yield
-    finally:
-        ray.shutdown()
-
-
-def _require_answer(address: str) -> None:
-    """Raise InputError if nothing answers at HOST:PORT; Ray itself would try for a minute."""
-    import socket
-
-    remedy = "give HOST:PORT as `ray start --head` prints it, or --ray auto"
-    host, _, port = address.rpartition(":")
-    if not host or not (port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
-        raise InputError("--ray", "auto or HOST:PORT", f"'{address}'", remedy)
-    try:
-        socket.create_connection((host, int(port)), timeout=10.0).close()
-    except (OSError, UnicodeError) as error:
-        raise InputError(
-            "--ray", f"a Ray cluster at '{address}'", str(error)[:200], remedy
-        ) from None
 
 
 class RayPool:
@@ -193,8 +126,7 @@ class RayPool:
         if time.monotonic() - self._looked < SCALE_SECONDS and self._workers:
             return
         self._looked = time.monotonic()
-        cpus = int(ray.cluster_resources().get("CPU", 0))
-        for _ in range(max(1, cpus // self._threads) - len(self._workers)):
+        for _ in range(ray_cluster.workers(self._threads) - len(self._workers)):
             config = self._config(len(self._names))
             try:
                 first = msgspec.json.encode(config)

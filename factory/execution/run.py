@@ -25,13 +25,14 @@ from factory.planning.assets import Arrivals, Assets, Shape, follows_alone, read
 from factory.planning.facts import Facts, Memory
 from factory.planning.fingerprint import render_fingerprint
 from factory.planning.plan import Plan, Shot
-from factory.planning.reading import Reading, processors
+from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
 from manifests.object_store import is_url
 from manifests.schema import Failure, Job
 from manifests.store import Lines, Store, geometry_path
+from manifests.subprocesses import processors
 
 Watch = Callable[[str, Any], None]
 
@@ -263,7 +264,8 @@ def _replies(
         folder = store.folder / "partial"
         yield from Pool(run_options.workers, config, descriptors, folder, sources).run(shots)
         return
-    from factory.execution.ray_pool import RayPool, connected
+    from factory.execution.ray_pool import RayPool
+    from manifests.ray_cluster import connected
 
     with connected(run_options.ray):
         threads = run_options.threads_per_worker or 1

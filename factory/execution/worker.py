@@ -67,6 +67,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     seconds             that the shot took
     bytes               that the picture, or the geometry alone, takes on disk
     spent               {kind of work: seconds}
+    computed            the same in seconds of a processor, all threads together
     notes               lines for the user
     settings, versions  those of the studio, with the first shot
     """
@@ -79,6 +80,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     seconds: float = 0.0
     bytes: int = 0
     spent: dict[str, float] | None = None
+    computed: dict[str, float] | None = None
     notes: list[str] = []
     settings: dict | None = None
     versions: dict[str, str] | None = None
@@ -163,6 +165,7 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 seconds=record.seconds,
                 bytes=size,
                 spent=pipeline.spent,
+                computed=pipeline.computed,
                 notes=pipeline.notes,
                 **extra,
             )

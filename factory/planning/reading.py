@@ -202,13 +202,6 @@ def _facts_in(line: bytes, source: Source) -> Facts:
     raise RuntimeError(f"{source.place}: {answer.error}")
 
 
-def processors() -> int:
-    """Return the number of CPUs that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def main() -> None:
     """Answer for each source until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C

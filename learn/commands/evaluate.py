@@ -79,6 +79,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="N",
         help="number of processes (default: one per core)",
     )
+    options.add_ray(parser)
     parser.add_argument(
         "--gallery",
         type=whole,
@@ -97,10 +98,16 @@ def run(arguments: argparse.Namespace) -> None:
 
     from learn.data import devices
     from learn.evaluation import report, run
+    from manifests.errors import InputError
 
+    options.require_cpu(arguments)
+    if arguments.ray is not None and arguments.processes is not None:
+        remedy = "leave it out: --ray uses all CPUs of the cluster"
+        raise InputError("evaluate --ray", "no --processes", f"{arguments.processes}", remedy)
     names = run.Options.__dataclass_fields__
     given = {name: value for name, value in vars(arguments).items() if name in names}
-    given["device"] = str(devices.choose(arguments.device))
+    device = arguments.device if arguments.ray is None else "cpu"
+    given["device"] = str(devices.choose(device))
     given["processes"] = arguments.processes or os.cpu_count() or 1
     print(report.line(run.make(run.Options(**given))))
     print(f"See {arguments.out / 'index.html'}")

@@ -71,6 +71,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         action="store_true",
         help="measure the scenes that are there on every rung although others were not rendered",
     )
+    options.add_ray(parser)
     options.add_allow_overlap(parser)
     options.add_device(parser)
     parser.set_defaults(run=run)
@@ -90,6 +91,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"--{missing[0]}", "a folder", "none", "give --data DIR --out DIR, or --jobs DIR"
         )
+    options.require_cpu(arguments)
+    device = arguments.device if arguments.ray is None else "cpu"
     report = ladder.make(
         ladder.Options(
             data=arguments.data,
@@ -98,9 +101,10 @@ def run(arguments: argparse.Namespace) -> None:
             side=arguments.side,
             scenes=arguments.scenes,
             refined=arguments.refined,
-            device=str(devices.choose(arguments.device)),
+            device=str(devices.choose(device)),
             allow_overlap=arguments.allow_overlap,
             incomplete=arguments.incomplete,
+            ray=arguments.ray,
         )
     )
     for sentence in report["headline"]:

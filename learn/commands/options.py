@@ -123,6 +123,27 @@ def add_training_processes(parser: argparse.ArgumentParser) -> None:
     add_device(parser)
 
 
+def add_ray(parser: argparse.ArgumentParser) -> None:
+    """Add --ray ADDRESS, the cluster that measures."""
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help=(
+            "measure on all CPUs of a Ray cluster at HOST:PORT that shares the folders, with one"
+            " thread each; auto: this machine's cluster, or a new one here (needs the package ray)"
+        ),
+    )
+
+
+def require_cpu(arguments: argparse.Namespace) -> None:
+    """Raise InputError for --ray with a --device other than the CPU, which workers do not use."""
+    from manifests.errors import InputError
+
+    if arguments.ray is not None and arguments.device not in ("auto", "cpu"):
+        remedy = "leave one of them out: --ray uses CPUs"
+        raise InputError("--ray", "no --device", f"--device {arguments.device}", remedy)
+
+
 def add_allow_overlap(parser: argparse.ArgumentParser) -> None:
     """Add --allow-overlap, without which pictures of what weights saw are refused."""
     parser.add_argument(

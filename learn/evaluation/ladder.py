@@ -8,11 +8,12 @@ The same command continues a stopped run, and a larger --scenes or --refined add
 """
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from msgspec import Struct, to_builtins
@@ -31,7 +32,7 @@ from learn.metrics.pictures import aligned, display_l2
 from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
-from manifests import files, lock
+from manifests import files, lock, ray_tasks
 from manifests.progress import tqdm
 from manifests.provenance import provenance
 from manifests.store import Lines, file_hash
@@ -84,6 +85,10 @@ class Line(Struct, frozen=True, kw_only=True):
     commit: str = "none"
 
 
+# a scene, the name of a rung, and whether it is refined too
+Piece = tuple[Scene, str, bool]
+
+
 @dataclass(frozen=True)
 class Options:
     """What is evaluated.
@@ -94,6 +99,7 @@ class Options:
     refined             number of scenes per group that are refined on every rung
     allow_overlap       whether pictures are measured that show what the weights saw in training
     incomplete          whether scenes are measured although others were not rendered
+    ray                 address of a Ray cluster whose CPUs measure; None: this process does
     """
 
     data: Path
@@ -105,6 +111,7 @@ class Options:
     device: str = "cpu"
     allow_overlap: bool = False
     incomplete: bool = False
+    ray: str | None = None
 
 
 def write_jobs(
@@ -138,7 +145,7 @@ def make(options: Options) -> dict:
             [options.weights], tested(records, scenes), options.data, options.allow_overlap
         )
         files.pin_settings(out / "settings.json", settings(options))
-        measure(out, bench, scenes, to_refine)
+        measure(options, bench, scenes, to_refine)
         used = {scene.id for scene in scenes}
         lines = [line for line in rows_of(out).values() if line["scene"] in used]
         about = {
@@ -199,21 +206,57 @@ def rows_of(out: Path) -> dict[str, dict]:
     return {row["id"]: row for row in files.read_lines(Path(out) / "lines.jsonl", Line)}
 
 
-def measure(out: Path, bench: "Bench", scenes: Sequence[Scene], to_refine: set[str]) -> None:
+def measure(options: Options, bench: "Bench", scenes: Sequence[Scene], to_refine: set[str]) -> None:
     """Measure every scene on every rung that has no line yet, or one without refinement.
 
     to_refine  ids of the scenes that are refined
     """
-    done = rows_of(out)
+    done = rows_of(options.out)
 
     def finished(scene: Scene, rung: Rung) -> bool:
         line = done.get(f"{scene.id}-{rung.name}")
         return line is not None and (scene.id not in to_refine or line["refined"] is not None)
 
-    todo = [(scene, rung) for scene in scenes for rung in RUNGS if not finished(scene, rung)]
-    with closing(Lines(Path(out) / "lines.jsonl")) as lines:
-        for scene, rung in tqdm(todo, unit="edit", disable=None):
-            lines.append(bench.line(scene, rung, scene.id in to_refine))
+    todo = [
+        (scene, rung.name, scene.id in to_refine)
+        for scene in scenes
+        for rung in RUNGS
+        if not finished(scene, rung)
+    ]
+    with closing(Lines(Path(options.out) / "lines.jsonl")) as lines:
+        measured = _lines(options, bench, todo)
+        with closing(measured), tqdm(total=len(todo), unit="edit", disable=None) as bar:
+            for line in measured:
+                lines.append(line)
+                bar.update()
+
+
+def _lines(options: Options, bench: "Bench", todo: Sequence[Piece]) -> Generator[Line, None, None]:
+    """Yield the lines, in the order they are finished."""
+    if options.ray is None:
+        for piece in todo:
+            yield bench.line(*piece)
+    elif todo:
+        settings = {"data": options.data, "weights": options.weights, "device": options.device}
+        maker = f"{__name__}:on_worker"
+        with closing(ray_tasks.results(options.ray, maker, settings, todo)) as answers:
+            for _, answer in answers:
+                yield msgspec.json.decode(answer, type=Line)
+
+
+def on_worker(settings: bytes) -> ray_tasks.Work:
+    """Return what a worker of a Ray cluster does: a Piece as JSON → its Line as JSON.
+
+    settings  of Bench, as JSON
+    """
+    torch.set_num_threads(1)
+    given = msgspec.json.decode(settings)
+    bench = Bench(Records(given.pop("data")), **given)
+
+    def work(piece: bytes) -> bytes:
+        return msgspec.json.encode(bench.line(*msgspec.json.decode(piece, type=Piece)))
+
+    return work
 
 
 class Bench:
@@ -229,8 +272,9 @@ class Bench:
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
         self.commit = provenance()["commit"]
 
-    def line(self, scene: Scene, rung: Rung, refined: bool) -> Line:
+    def line(self, scene: Scene, name: str, refined: bool) -> Line:
         """Return the figures of a scene on a rung; refined: whether those of refinement too."""
+        (rung,) = (each for each in RUNGS if each.name == name)
         picture = shown(self.records, scene, rung, self.size)
         batch = picture.batch.to(self.device)
         source = array((batch.image * batch.mask)[0].movedim(0, -1))

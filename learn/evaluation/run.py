@@ -9,6 +9,7 @@ OUT/report.json, report.md, index.html
 A kill loses the pictures in progress. The same command continues, and a larger --edits adds edits.
 """
 
+import contextlib
 import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import torch
 
 from learn.data import pairs
@@ -27,11 +29,11 @@ from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
-from manifests import files, lock
+from manifests import files, lock, ray_tasks
 from manifests.errors import InputError
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import Lines, file_hash
+from manifests.store import Lines, encoded, file_hash
 
 # counts up when lines gain figures, so that no table mixes lines with and without them
 FIGURES = 2
@@ -56,6 +58,8 @@ class Options:
     device              of networks, refinement and the layer: "cpu", or "cuda:0"
     allow_overlap       whether pictures are measured that show what the weights saw in training
     lights              file of the light maps that the weights were trained with, or None
+    ray                 address of a Ray cluster whose CPUs all work, instead of `processes`;
+                        "auto": this machine's, or a new one here; None: processes of this machine
     """
 
     data: Path
@@ -72,6 +76,7 @@ class Options:
     device: str = "cpu"
     allow_overlap: bool = False
     lights: Path | None = None
+    ray: str | None = None
 
 
 def make(options: Options) -> dict:
@@ -245,6 +250,9 @@ def results(
     options: Options, todo: Sequence[Unit], bench: Bench
 ) -> Iterator[tuple[dict | None, list[dict]]]:
     """Yield (row of the picture or None, rows of its edits), in the order they are finished."""
+    if options.ray is not None:
+        yield from _results_of_cluster(options, todo)
+        return
     processes = max(1, min(options.processes, len(todo)))
     if processes == 1:
         for unit in todo:
@@ -267,6 +275,38 @@ def results(
             ) from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _results_of_cluster(
+    options: Options, todo: Sequence[Unit]
+) -> Iterator[tuple[dict | None, list[dict]]]:
+    """Yield what `results` does, from a Ray cluster whose nodes share the folders."""
+    if not todo:
+        return
+    pieces = [
+        (*unit[:3], None if unit[3] is None else Path(unit[3]))  # made absolute for the workers
+        for unit in todo
+    ]
+    maker = f"{__name__}:on_worker"
+    with contextlib.closing(
+        ray_tasks.results(options.ray or "auto", maker, arguments(options), pieces)
+    ) as answers:
+        for _, answer in answers:
+            yield msgspec.json.decode(answer, type=tuple[dict | None, list[dict]])
+
+
+def on_worker(settings: bytes) -> ray_tasks.Work:
+    """Return what a worker of a Ray cluster does: a Unit as JSON → its rows as JSON.
+
+    settings  of Bench, as JSON
+    """
+    torch.set_num_threads(1)
+    bench = Bench(**msgspec.json.decode(settings))
+
+    def work(piece: bytes) -> bytes:
+        return encoded(bench.work(*msgspec.json.decode(piece, type=Unit)))
+
+    return work
 
 
 _bench: Bench  # of a worker process

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from learn.data.batch import ExampleBatch
     from learn.data.relit import DataSplit
 
+ON_RAY = True
 TREATMENTS = ("at its value", "one-sided")
 FIGURES = {"edit": "edit, display L2", "angle_deg": "normals, mean angle (°)"}
 GLOSSIEST, TARGETS = 8, 2

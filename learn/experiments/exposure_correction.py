@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from learn.data.photographs import Framed
     from learn.data.relit import RelitDataset
 
+ON_RAY = True
 SIDES = ("validation", "test")
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 CAMERAS = {"drawn": "exposed by hand, over four stops", "automatic": "automatic exposure"}

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from learn.networks.prediction import Prediction
     from manifests.schema import Record
 
+ON_RAY = True
 RUNGS = ("direct", "8-bit")  # of learn.evaluation.ladder_design
 TASKS = {
     "relighting": "Relighting: the object under another light",

@@ -6,6 +6,8 @@ An experiment is a module of this package with
     measure(arguments) -> dict      the content of report.json; it may keep rows in arguments.out
     tables(report) -> str           a report, as report.json holds it, in Markdown
     figure(report) -> Figure        optional: a chart of the report
+    ON_RAY = True                   optional: its rows may be measured on a Ray cluster
+                                    (learn.experiments.on_ray)
 
 whose docstring is the description in `--help`. Heavy libraries are imported inside these functions,
 so that `--help` is quick. This module runs it: it locks the folder, writes report.json with the
@@ -17,10 +19,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
+from learn.commands import options
+from learn.experiments import on_ray
 from manifests import files, lock
 from manifests.provenance import provenance
 from manifests.reading import read
@@ -60,6 +64,8 @@ def register(name: str) -> Callable[[argparse._SubParsersAction], None]:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         experiment.add_arguments(parser)
+        if getattr(experiment, "ON_RAY", False):
+            options.add_ray(parser)
         parser.add_argument(
             "--out",
             type=Path,
@@ -106,7 +112,8 @@ def run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     files.reserve_outputs(arguments.out, (REPORT, PAGE, CHART), overwrite=True, inputs=inputs)
     made_by = provenance()
     with lock.writing(arguments.out, patience=0):
-        report = {"made_by": made_by} | experiment.measure(arguments)
+        with on_ray.asking(getattr(arguments, "ray", None), experiment, arguments):
+            report = {"made_by": made_by} | experiment.measure(arguments)
         # first, so that a fault in the tables does not cost the measurement
         files.write_json(arguments.out / REPORT, report)
         draw(experiment, arguments.out / REPORT)
@@ -158,6 +165,7 @@ def resume(
     measure: Callable[[Case], dict[str, Any]],
     unit: str,
     current: Callable[[dict[str, Any]], dict[str, Any]] = lambda row: row,
+    group: Callable[[Case], Hashable] = id,
 ) -> list[dict[str, Any]]:
     """Return a row for each case; rows that the file at `path` has are read, not measured again.
 
@@ -165,6 +173,7 @@ def resume(
     measure  returns the rest of the row; the whole row is then appended to the file as one line
     unit     what the progress bar counts
     current  brings a row that an earlier version wrote up to date
+    group    returns a key: on a cluster, one worker measures the cases of a key
     """
     import contextlib
 
@@ -175,9 +184,32 @@ def resume(
     kept = [current(row) for row in files.read_lines(path)]
     done = {tuple(row[key] for key in keys): row for row in kept}
     missing = [(each, case) for each, case in cases if tuple(each.values()) not in done]
-    with contextlib.closing(Lines(path)) as lines:
-        for identity, case in tqdm(missing, unit=unit):
-            row = identity | measure(case)
+    on_ray.reached(path, cases, measure, len(missing))
+    with (
+        contextlib.closing(Lines(path)) as lines,
+        contextlib.closing(_rest_of_rows(path, missing, measure, group)) as measured,
+        tqdm(total=len(missing), unit=unit) as bar,
+    ):
+        for identity, rest in measured:
+            row = identity | rest
             lines.append(row)
             done[tuple(identity.values())] = row
+            bar.update()
     return [done[tuple(identity.values())] for identity, _ in cases]
+
+
+def _rest_of_rows(
+    path: Path,
+    missing: Sequence[tuple[dict[str, Any], Case]],
+    measure: Callable[[Case], dict[str, Any]],
+    group: Callable[[Case], Hashable],
+) -> Generator[tuple[dict[str, Any], dict[str, Any]], None, None]:
+    """Yield (what identifies a row, the rest of it), measured here or on a cluster."""
+    if not on_ray.is_asking():
+        for identity, case in missing:
+            yield identity, measure(case)
+        return
+    pieces: dict[Hashable, list[dict[str, Any]]] = {}
+    for identity, case in missing:
+        pieces.setdefault(group(case), []).append(identity)
+    yield from on_ray.measured(path, list(pieces.values()))

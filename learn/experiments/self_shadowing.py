@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from learn.data.records import Records
     from manifests.schema import Record
 
+ON_RAY = True
 PICTURES = {
     "layer": "the layer, no shadows",
     "shadowed": "the layer, with training's shadows",

@@ -14,6 +14,8 @@ from learn.commands import options
 from learn.experiments import runner
 from manifests.option_types import positive
 
+ON_RAY = True
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of edits."""

@@ -71,7 +71,11 @@ def compare(
         return _row(records, edit, painters[edit.source.id])
 
     rows = runner.resume(
-        out / "rows.jsonl", [({"edit": edit.id}, edit) for edit in edits], measure, "edit"
+        out / "rows.jsonl",
+        [({"edit": edit.id}, edit) for edit in edits],
+        measure,
+        "edit",
+        group=lambda edit: edit.source.id,
     )
     about = {"edits": len(edits), "size": edits[0].source.camera.size, "network": size}
     return {"about": about, "parts": summary(rows)}

@@ -23,7 +23,8 @@ import numpy as np
 from factory.planning import jobs
 from factory.planning.assets import opened
 from factory.planning.facts import Memory
-from factory.planning.reading import Reading, processors
+from factory.planning.reading import Reading
+from manifests.subprocesses import processors
 
 ROUND, ALONG = 100, 150  # vertices; there are two triangles for each
 

@@ -1,5 +1,7 @@
 """What `plan` says for a cluster: workers, hours, core-hours, cost and disk space."""
 
+from dataclasses import replace
+
 import pytest
 
 from brdfactory.command_line import run
@@ -45,11 +47,26 @@ def test_the_command_says_hours_disk_and_money(forecast, capsys):
     assert "time       about 4 min" in text
     assert "cost       about 0.524 core-hours: 0.262 at 0.5 per core-hour" in text
     assert "disk       about 2.0 GB" in text and "idle" not in text
-    assert forecast[0].threads == 1
+    assert forecast[0].threads == 1 and "busy" not in text
     assert run(["plan", "smallest", "--machines", "1000", "--cores", "100"]) == 0
     text = capsys.readouterr().out
     assert "idle       99984 of the workers: there are 16 to make" in text
     assert "core-hours (--price P gives the money)" in text
+
+
+@pytest.mark.parametrize(
+    ("computed", "load", "is_said"),
+    [(400.0, 9.0, True), (1500.0, 9.0, False), (400.0, 0.5, False), (None, 9.0, False)],
+)
+def test_a_busy_machine_is_said(monkeypatch, capsys, computed, load, is_said):
+    """Of little computation on an idle machine, a GPU is the reason."""
+    measured = replace(MEASURED, computed=computed)
+    monkeypatch.setattr("factory.execution.forecast.probed", lambda plan, options: measured)
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr("manifests.subprocesses.processors", lambda: 2)
+    assert run(["plan", "smallest", "--machines", "2", "--cores", "4"]) == 0
+    text = capsys.readouterr().out
+    assert ("take 4.0 times as long as they compute" in text) == is_said == ("busy" in text)
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from factory.execution.ray_pool import MOST_LOSSES, RayPool, _Lost, _require_answer, _Worker
+from factory.execution.ray_pool import RayPool, _Lost, _Worker
 from factory.execution.ray_worker import RayWorker, lines_path
 from factory.execution.registration import register
 from factory.execution.run import RunOptions, assign, carry_out, shape_sources, worker_config
 from factory.execution.worker import Chunk, Reply
 from manifests.errors import InputError
+from manifests.ray_cluster import MOST_LOSSES, _require_answer
 from manifests.store import Lines, Store
 from manifests.verification import faults_of
 from tests.support.tetrahedron import FAKE, ROOT

@@ -25,6 +25,7 @@ from manifests.reading import read
 from manifests.schema import Camera, Job
 from manifests.store import Lines
 from shaders import frames, tone
+from tests.support import fake_ray
 from tests.support.synthetic import SHAPE, add_shape, matte, named, with_picture, write_dataset
 
 SIZE = 32
@@ -345,3 +346,26 @@ def test_intervals_need_several_shapes_materials_and_lights():
 
 def test_a_group_without_scenes_has_no_row():
     assert ladder_report.ladder_table([]) is None
+
+
+def test_a_cluster_measures_the_same_lines_and_continues_them(options, monkeypatch, tmp_path):
+    """Its first worker, and the first that has the third line in hand, are lost."""
+    few = [rung for rung in RUNGS if rung.name in ("direct", "8-bit")]
+    monkeypatch.setattr(ladder, "RUNGS", few)
+    lines = {"here": replace(options, out=tmp_path / "here"), "there": replace(options, ray="auto")}
+    ladder.make(lines["here"])
+    given = []
+
+    def lost(piece):
+        given.append(piece)
+        return piece in (None, 2) and given.count(piece) == 1
+
+    fake_ray.installed(monkeypatch, lost)
+    ladder.make(lines["there"])
+    path = options.out / "lines.jsonl"
+    kept = path.read_bytes()
+    assert ladder.rows_of(options.out) == ladder.rows_of(tmp_path / "here")
+    assert kept.count(b"\n") == len(ladder.rows_of(options.out)) == 4
+    path.write_bytes(kept[: kept.index(b"\n") + 20])
+    ladder.make(lines["there"])
+    assert sorted(path.read_bytes().splitlines()) == sorted(kept.splitlines())

@@ -21,6 +21,7 @@ python=${PYTHON:-python3}
 port=${RAY_PORT:-6379}
 cpus=${SLURM_CPUS_PER_TASK:-$(nproc)}
 export RAY_USAGE_STATS_ENABLED=0
+export RAY_worker_niceness=0  # Ray's own 15 lets any other program of the node go first
 # only this job's processes may use the cluster: srun hands the token on in the environment
 export RAY_AUTH_MODE=token
 RAY_AUTH_TOKEN=$(od -An -N32 -tx1 /dev/urandom | tr -d ' \n')
