@@ -35,7 +35,7 @@ from shaders import tone
 PORTIONS, EACH = 16, 8  # pictures that say how noisy pixels are, and their samples
 FLOOR = 0.1  # of the mean σ: a pixel that a pilot shows without noise may have some
 THRESHOLDS = (0.1, 0.03, 0.01)
-MOST = 1024  # samples of a pixel under adaptive sampling
+MOST = 256  # samples of a pixel under adaptive sampling
 TIMED = 64  # samples that say how long one takes
 
 
