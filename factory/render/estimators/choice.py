@@ -21,7 +21,7 @@ from factory.render.estimators.halves import DirectPicture, Estimate, Halves, Sh
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 4  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 5  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -62,7 +62,13 @@ def identity() -> list[object]:
         [closed_form.TYPICAL],
         sorted(denoised.COST.items()),
         direct_light.constants(),
-        [self_shading.TOLERANCE, self_shading.WIDER, self_shading.FEW, self_shading.LEAST_SHARE],
+        [
+            self_shading.TOLERANCE,
+            self_shading.WIDER,
+            self_shading.FEW,
+            self_shading.LEAST_SHARE,
+            self_shading.UNSURE,
+        ],
     ]
 
 
