@@ -111,8 +111,10 @@ def methods(studio: Studio) -> dict[tuple[str, str], Method]:
     )
 
 
-def save(path: Path) -> None:
-    """Write Blender's scenes, with the light map inside, into a .blend file."""
+def save(shown: Shown, path: Path) -> None:
+    """Write what is shown as a picture, with the light map inside, into a .blend file."""
+    # a closed form that was accepted at once has left the segments emitting their numbers
+    shown.renderer.portion(0, 1, shown.seed, shown.tier)
     for image in bpy.data.images:
         if image.type != "RENDER_RESULT":
             image.update()
@@ -151,7 +153,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             ]
             if options.blenderproc:
                 blend = Path(folder) / "scene.blend"
-                save(blend)
+                save(shown, blend)
                 pictures += rendered_by_peer(blend, options.blenderproc)
             reference = stage.reference(scene, mask, options.reference)
             for family, name, picture, seconds in pictures:
