@@ -2,6 +2,8 @@
 
 python -m factory.render.validation.relighting --scenes 6 --out DIR
 
+A measurement that was stopped is continued by the same command.
+
 Light is added up linearly, so a picture under any light is a sum of pictures under a basis of
 lights, in so far as the basis can show that light (factory.render.validation.light_bases).
 
@@ -20,6 +22,7 @@ speed     by how much faster a basis makes N pictures than the fastest of path t
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -39,10 +42,11 @@ from factory.render.validation.relighting_report import chart, figures, report
 from manifests.files import write_json, write_text
 from manifests.option_types import positive, whole
 from manifests.provenance import provenance
+from manifests.store import Lines
 
 LIGHTS = 64
-SHOWN = (0, 27, 53)  # of them, of which errors are measured
-SAMPLES = {"32 cells": (4, 16), "128 cells": (1, 4), "31 harmonics": (4,), "32 factors": (4, 16)}
+SHOWN = (0, 27)  # of them, of which errors are measured
+SAMPLES = {"32 cells": (4, 16), "128 cells": (4,), "31 harmonics": (4,), "32 factors": (16,)}
 BASELINES = {"path tracing": (4, 16, 64), "denoised": (4, 16, 64), "ratio": (4, 16)}
 
 
@@ -108,12 +112,17 @@ def light_by_light(studio: Studio, shown: Shown, L: np.ndarray) -> Iterator[tupl
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return a row for each scene, setting and light that is shown."""
+    """Return a row for each scene, setting and light that is shown.
+
+    Rows of an earlier, stopped measurement are kept.
+    """
+    lines = Lines(options.out / "rows.jsonl")
+    scenes = [json.loads(line) for line in lines.read().splitlines()][: options.scenes]
     stage, all_lights = error_target.Stage(options.size, 1), lights()
     studio, some = stage.studio, [all_lights[k] for k in SHOWN]
     bases = [cells(4, 8), cells(8, 16), harmonics(), factors(all_lights, 32)]
-    rows: list[dict[str, Any]] = []
-    for number in range(options.scenes):
+    for number in range(len(scenes), options.scenes):
+        rows: list[dict[str, Any]] = []
         scene = replace(error_target.drawn(number, options.seed, stage.materials), tier="full")
         mask = stage.show(scene)
         studio.direct_light()  # compiles its kernels
@@ -142,8 +151,10 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
                             "error": error_target.compared(picture, picture, reference).error,
                         }
                     )
+        lines.append(rows)
+        scenes.append(rows)
         print(f"{number + 1} of {options.scenes}: {scene}", flush=True)
-    return rows
+    return [row for rows in scenes for row in rows]
 
 
 def main() -> None:
