@@ -4,13 +4,17 @@ what      Cycles stops a pixel when two estimates of it, one of half the samples
           than a threshold times the square root of its value, which is nearly a display value
 bias      a pixel that looks quiet by chance stops too early
 cost      the samples, and a look at all pixels from time to time
-fails     always, by the error that jobs limit. Cycles gives each pixel as many samples as make all
-          pixels equally noisy: n ∝ σ², for a pixel whose display value has the variance σ² at one
-          sample. The mean error of N samples per pixel is then mean(σ²) / N, exactly as with N
-          samples for every pixel. The best division is n ∝ σ, with mean(σ)² / N, which
-          factory.render.validation.adaptive_sampling measures as well: it saves something where a
-          few pixels have nearly all noise, as on mirror-like materials, and there the closed form
-          and the denoiser are faster. Hence it is no estimator that a job may name
+fails     on most materials, by the error that jobs limit. Cycles gives each pixel as many samples
+          as make all pixels equally noisy: n ∝ σ², for a pixel whose display value has the variance
+          σ² at one sample. The mean error of N samples per pixel is then mean(σ²) / N, exactly as
+          with N samples for every pixel. The least mean error is that of n ∝ σ, mean(σ)² / N: on
+          a median shot 1.2 times less, which is less than it takes to find σ out
+pays      where few pixels have nearly all noise: in the same time it has a quarter to a half of
+          path tracing's error on 2 of 24 shots, cubes of mirror-like metal, and on none of the
+          others less than 0.6 of it (factory.render.validation.adaptive_sampling)
+
+It is no estimator that a job may name: it would be chosen for one shot in twelve, its samples could
+not be continued where they do not suffice, and the difference of two halves does not show its bias.
 """
 
 import contextlib
