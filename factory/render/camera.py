@@ -48,6 +48,21 @@ def view_vectors(camera: Camera) -> np.ndarray:
     return frames.view_vectors(height, width, fov=fov)
 
 
+def points(camera: Camera, mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Return where the rays through pixels' centres meet the surface: (P, 3), camera frame.
+
+    The origin is the object's centre.
+
+    mask   (height, width) bool: pixels whose rays meet it
+    depth  (P,) behind the plane through the object's centre, along the optical axis
+    """
+    x, y = (grid[mask] * camera.half_extent for grid in frames.pixel_grid(*camera.size))
+    if camera.fov_deg is not None:
+        spread = 1 + depth / distance(camera)  # rays go apart: 1 at the object's centre
+        x, y = x * spread, y * spread
+    return np.stack([x, y, -depth], axis=-1)
+
+
 def place(scene: bpy.types.Scene, camera: Camera) -> None:
     """Give the scene's camera object the pose, lens and frame that `camera` describes."""
     away, world_from_camera = distance(camera), camera_from_fixed_world(camera).T

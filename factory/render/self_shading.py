@@ -16,6 +16,9 @@ TOLERANCE = 1e-4
 # the same of a few facets, because the quadrilaterals of a bevel are seldom planar
 WIDER, FEW = 2e-3, 0.02
 LEAST_SHARE = 0.1  # of a mesh's facets, of which some side of it shows nothing else
+# of facets seen in perspective whose z is known up to its sign; what float32 leaves of a z near 0
+# is a third of it
+UNSURE = 2e-3
 TRIED = 256  # facets that are looked at first, because most shapes have one of another kind there
 
 
@@ -29,6 +32,20 @@ def may_shade_itself(vertices: np.ndarray, facets: np.ndarray, points: np.ndarra
         if (above > WIDER).any() or uneven > FEW * len(facets):
             return True
     return False
+
+
+def are_known(facets: np.ndarray, views: np.ndarray) -> bool:
+    """Return whether facets with n_z ≥ 0 are the ones that are visible.
+
+    Of a visible facet n_x and n_y are rendered, and that it faces the viewer. If the facet with
+    −n_z would face the viewer as well, either may be the one. None of an object around its centre
+    that is convex is like that, from farther away than twice its radius.
+
+    facets  (P, 3) with n_z ≥ 0
+    views   (P, 3) unit vectors to the viewer
+    """
+    beside = np.einsum("pi,pi->p", facets[:, :2], views[:, :2])
+    return bool((beside < facets[:, 2] * views[:, 2] - UNSURE).all())
 
 
 def has_convex_side(vertices: np.ndarray, corners: np.ndarray) -> bool:

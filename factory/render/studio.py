@@ -88,7 +88,7 @@ class _Surface(NamedTuple):
     """What the rays through pixels' centres meet: a mask (height, width), and of its pixels
 
     normals   (P, 3) float32, camera frame, as they are interpolated: they may lean away
-    facets    (P, 3) normals of the facets, which face a distant viewer
+    facets    (P, 3) normals of the facets, with n_z ≥ 0: they face a distant viewer
     depth     (P,) as in Geometry; segments (P,) uint8
     """
 
@@ -375,21 +375,20 @@ class Studio:
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
 
     def may_shade_itself(self) -> bool:
-        """Return False if nothing that is visible can be shaded by the object or lit by its light.
-
-        Of cameras in perspective it is not known.
-        """
+        """Return False if nothing visible can be shaded by the object or lit by its light."""
         lens = self._require_camera()
-        if lens.fov_deg is not None or not self._has_convex_side:
+        if not self._has_convex_side:
             return True
         key = self._azimuth, lens
         if key not in self._may_shade_itself:
             at = self._surface()
-            x, y = (grid[at.mask] * lens.half_extent for grid in frames.pixel_grid(*lens.size))
-            self._may_shade_itself[key] = self_shading.may_shade_itself(
+            known = lens.fov_deg is None or self_shading.are_known(
+                at.facets, camera.view_vectors(lens)[at.mask]
+            )
+            self._may_shade_itself[key] = not known or self_shading.may_shade_itself(
                 camera.seen(self._vertices, self._azimuth, lens),
                 at.facets,
-                np.stack([x, y, -at.depth], axis=-1),
+                camera.points(lens, at.mask, at.depth),
             )
         return self._may_shade_itself[key]
 

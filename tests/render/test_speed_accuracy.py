@@ -1,10 +1,16 @@
 """The figures of the chart of error against time, from rows whose times and errors are known."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
+from factory.render.estimators.halves import Shown
 from factory.render.validation import error_target, speed_accuracy
+from manifests.schema import Camera
+from shaders.mixture import Mixture
 
 LIMIT = "limit on the error"
 
@@ -96,3 +102,38 @@ def test_direct_light_is_compared_with_the_time_of_path_tracing_at_its_error():
         "| s, m | 0.00 | 4.00 | 100 |",
         "| geometric mean, worst | | | 45, 20 |",
     ]
+
+
+RENDER = """
+import sys
+import bpy
+import numpy as np
+from factory.render import render_result
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+render_result.hook_cycles()
+(scene,) = (each for each in bpy.data.scenes if each.camera)
+scene.render.use_border, scene.cycles.samples = False, 64
+np.save(sys.argv[2], render_result.render_passes(scene)["Combined"][..., :3])
+"""
+
+
+@pytest.mark.blender
+def test_a_saved_scene_is_the_picture_also_after_a_closed_form(studio, tmp_path):
+    from factory.lights import load as load_light
+    from factory.shapes.catalogue import load
+
+    mesh = load("sphere")
+    studio.set_camera(Camera(size=(32, 32)))
+    studio.set_shape(mesh)
+    studio.set_light(load_light("city").L64, 0)
+    studio.set_materials([Mixture.lambert([0.2, 0.4, 0.6])] * mesh.segments)
+    studio.set_view(0.0)
+    exact = studio.direct_light().radiance
+    mask = studio.geometry().mask
+    shown = Shown(studio, 3, "direct", mask)
+    speed_accuracy.save(shown, tmp_path / "scene.blend")
+    words = [str(tmp_path / name) for name in ("scene.blend", "picture.npy")]
+    subprocess.run([sys.executable, "-c", RENDER, *words], check=True, capture_output=True)
+    picture = np.load(words[1])
+    np.testing.assert_allclose(picture[mask].mean(0), exact[mask].mean(0), rtol=0.02)
+    assert np.abs(picture[mask] - exact[mask]).mean() < 0.1 * exact[mask].mean()

@@ -10,18 +10,25 @@ error alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from factory.render import self_shading
-from factory.render.estimators import closed_form, denoised, path_tracing, ratio
-from factory.render.estimators.halves import DirectPicture, Estimate, Halves, Shown
+from factory.render.estimators import blends, closed_form, denoised, path_tracing, ratio
+from factory.render.estimators.halves import (
+    CONFIDENCE,
+    DirectPicture,
+    Estimate,
+    Halves,
+    Shown,
+)
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 4  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 5  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -58,11 +65,18 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST],
+        [blends.SHARES, blends.MOST_BIAS],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL],
         sorted(denoised.COST.items()),
         direct_light.constants(),
-        [self_shading.TOLERANCE, self_shading.WIDER, self_shading.FEW, self_shading.LEAST_SHARE],
+        [
+            self_shading.TOLERANCE,
+            self_shading.WIDER,
+            self_shading.FEW,
+            self_shading.LEAST_SHARE,
+            self_shading.UNSURE,
+        ],
     ]
 
 
@@ -107,13 +121,12 @@ class _Tried(NamedTuple):
     """Pictures of both halves by an estimator, and the unbiased ones that they are compared with.
 
     predicted  error by the estimator's model
-    unbiased   None: the halves as they were rendered
     """
 
     estimator: Estimator
     pair: list[np.ndarray]
     predicted: float
-    unbiased: list[np.ndarray] | None
+    unbiased: Sequence[np.ndarray]
 
 
 @dataclass
@@ -146,20 +159,29 @@ class _Attempt:
             self.asked, self.direct = True, self.shown.renderer.direct_light()
         if self.direct is None or closed_form.NAME not in self.estimators:
             return None
-        radiance = self.direct.radiance
-        estimate = self.halves.denoised_estimate((radiance, radiance))
-        self.tried[closed_form.NAME] = estimate, self.halves.samples
-        if estimate.bound > self.error:
-            return None
-        return Picture(
-            radiance=radiance,
-            alpha=self.direct.alpha,
-            estimator=closed_form.NAME,
-            samples=2 * self.halves.samples,
-            predicted=closed_form.TYPICAL,
-            estimated=estimate,
-            traced=self.shown.tier,
-        )
+        # without noise if it may, since a blend is not worth it
+        for shares in ((0.0,), blends.SHARES):
+            smooth = [self.direct.radiance] * 2
+            blend = blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
+            self.tried[closed_form.NAME] = (
+                _with_bias(blend.estimate, blend.bias),
+                self.halves.samples,
+            )
+            if self._is_kept(blend.estimate, blend.bias):
+                return Picture(
+                    radiance=(blend.pair[0] + blend.pair[1]) / 2,
+                    alpha=self.direct.alpha,
+                    estimator=closed_form.NAME,
+                    samples=2 * self.halves.samples,
+                    predicted=closed_form.TYPICAL,
+                    estimated=blend.estimate,
+                    traced=self.shown.tier,
+                )
+        return None
+
+    def _is_kept(self, estimate: Estimate, bias: float) -> bool:
+        """Whether a picture has an error and a squared bias that the limit allows."""
+        return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
 
     def _is_worth_asking(self) -> bool:
         """Whether the closed form takes less time than the cheapest plan without it."""
@@ -215,7 +237,12 @@ class _Attempt:
             return None
         smooth = halves.grow(plan.samples, denoise=True)
         tried = [
-            _Tried(denoised.NAME, smooth, denoised.predicted(self.pilot, PILOT, plan.samples), None)
+            _Tried(
+                denoised.NAME,
+                smooth,
+                denoised.predicted(self.pilot, PILOT, plan.samples),
+                halves.pictures,
+            )
         ]
         if name == ratio.NAME:
             assert self.direct is not None
@@ -231,11 +258,12 @@ class _Attempt:
                 ),
             )
         for each in tried:
-            estimate = self._estimate(each)
-            self.tried[each.estimator] = estimate, plan.samples
-            if estimate.bound <= self.error:
+            blend = blends.best(halves, each.pair, each.unbiased, self.error)
+            estimate = self._estimate(each.estimator, blend)
+            self.tried[each.estimator] = _with_bias(estimate, blend.bias), plan.samples
+            if self._is_kept(estimate, blend.bias):
                 return Picture(
-                    radiance=(each.pair[0] + each.pair[1]) / 2,
+                    radiance=(blend.pair[0] + blend.pair[1]) / 2,
                     alpha=halves.alpha,
                     estimator=each.estimator,
                     samples=2 * halves.samples,
@@ -245,14 +273,25 @@ class _Attempt:
                 )
         return None
 
-    def _estimate(self, tried: _Tried) -> Estimate:
+    def _estimate(self, name: Estimator, blend: blends.Blend) -> Estimate:
         """Return the error of pictures of both halves.
 
         What is compared with pictures that contain the closed form cannot show its error: that is
         added as it is on average, unless the samples as rendered show beyond doubt that it is more.
         """
-        plain = self.halves.denoised_estimate(tried.pair)
-        if tried.unbiased is None or closed_form.is_out(plain, self.error):
+        if name != ratio.NAME:
+            return blend.estimate
+        plain = self.halves.denoised_estimate(blend.pair)
+        if closed_form.is_out(plain, self.error):
             return plain
-        estimate = self.halves.denoised_estimate(tried.pair, tried.unbiased)
-        return Estimate(max(estimate.error, 0.0) + closed_form.TYPICAL, estimate.standard_error)
+        error = max(blend.estimate.error, 0.0) + closed_form.TYPICAL
+        return Estimate(error, blend.estimate.standard_error)
+
+
+def _with_bias(estimate: Estimate, bias: float) -> Estimate:
+    """Return an estimate by which further samples are planned.
+
+    Its error is above the limit also where the squared bias is above its share beyond doubt.
+    """
+    least = bias - CONFIDENCE * estimate.standard_error
+    return Estimate(max(estimate.error, least / blends.MOST_BIAS), estimate.standard_error)

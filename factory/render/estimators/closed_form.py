@@ -3,7 +3,8 @@
 what      shaders.direct_light at the normals inside each pixel
 bias      all light that the object blocks or reflects onto itself: none in the tier `direct`, and
           in the others none where a shape cannot shade itself, as seen from this side
-checked   against the samples of both halves, in every tier: the estimate contains the bias
+checked   against the samples of both halves, in every tier: the estimate contains the bias. Where
+          it is above a third of the limit a share of the samples is blended in (`blends`)
 cost      none but its own, for the samples of the pilot are there already
 fails     few: wide lobes on coarse facets, and mirror-like materials under small lamps
 """
@@ -39,6 +40,8 @@ def needed(estimate: Estimate, samples: int, error: float) -> int | None:
     """
     if is_out(estimate, error):
         return None
+    if estimate.bound <= error:  # its bias may be too large: a look that is twice as close
+        return 2 * samples
     left = error - max(estimate.error, 0.0)
     if left <= 0:  # above the limit, but not beyond doubt: a closer look decides
         left = error / 4

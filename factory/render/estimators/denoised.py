@@ -1,8 +1,9 @@
 """Path tracing and Open Image Denoise, with albedo and normal as guides.
 
-what      each half is denoised by itself, and the picture is the mean of both
+what      each half is denoised by itself, and the picture is the mean of both, with a share of the
+          noisy one (`blends`)
 bias      detail that noise hides is smoothed; the estimate includes it, because each denoised half
-          is compared with the other half's noisy pixels
+          is compared with the other half's noisy pixels. It is at most a third of the limit
 cost      the samples, and a fixed time per half, here as the samples that take as long
 fails     sharp reflections, whose detail no guide shows: there it saves no samples
 """
@@ -13,9 +14,9 @@ from factory.render.estimators.halves import Estimate
 from manifests.schema import Estimator
 
 NAME: Estimator = "denoised"
-# error of the denoised picture: SCALE · (error of the same samples without denoiser)^POWER,
+# error of the picture: SCALE · (error of the same samples without denoiser)^POWER,
 # measured by factory.render.validation.error_target
-SCALE, POWER = 2.8, 0.55
+SCALE, POWER = 1.2, 0.69
 LEAST = 4  # samples of each half that are worth denoising
 MOST_TRIES = 3
 # samples that take as long as denoising one half

@@ -158,19 +158,30 @@ class Halves:
         Bias is included. The pictures are denoised halves, or what was computed from them.
 
         halves  unbiased pictures of both halves (default: `pictures`)
+        """
+        exposure = tone.auto_exposure((denoised[0] + denoised[1]) / 2, self.shown.mask)
+        return self.error_and_bias(denoised, halves or self.pictures, exposure)[0]
+
+    def error_and_bias(
+        self, pair: Sequence[np.ndarray], halves: Sequence[np.ndarray], exposure: float
+    ) -> tuple[Estimate, float]:
+        """Return the error of the mean of two pictures, and the squared bias that is part of it.
+
+        halves  unbiased pictures: each of the pair is independent of the other half's
 
         A denoised half is compared with the other half as it was rendered, whose noise is
         independent: E|dA − B|² is dA's error plus B's noise, and |A − B|² / 2 is that noise. Of the
-        mean of dA and dB the error is the mean of theirs, less |dA − dB|² / 4.
+        mean of dA and dB the error is the mean of theirs, less |dA − dB|² / 4. That is as well the
+        noise of the mean, and what it leaves of the error is bias.
         """
         mask = self.shown.mask
-        exposure = tone.auto_exposure((denoised[0] + denoised[1]) / 2, mask)
-        a, b = (tone.display(half[mask], exposure) for half in halves or self.pictures)
-        da, db = (tone.display(half[mask], exposure) for half in denoised)
+        a, b = (tone.display(half[mask], exposure) for half in halves)
+        da, db = (tone.display(half[mask], exposure) for half in pair)
         across = tone.squared_difference(da, b) + tone.squared_difference(db, a)
         noise = tone.squared_difference(a, b)
         spread = tone.squared_difference(da, db)
-        return mean_over((across - noise) / 2 - spread / 4)
+        estimate = mean_over((across - noise) / 2 - spread / 4)
+        return estimate, estimate.error - float(spread.mean(dtype=np.float64)) / 4
 
     def _exposure(self) -> float:
         """Return the exposure of the picture without noise.

@@ -4,7 +4,8 @@ what      closed form · denoised picture / denoised picture without shadows and
           each half both pictures have the same seed, so that most of their noise is common and
           their ratio has little (Heitz, Hill and McGuire 2018, "Combining analytic direct
           illumination and stochastic shadows")
-bias      of the denoiser, where it treats the two pictures differently: the estimate contains it.
+bias      of the denoiser, where it treats the two pictures differently: the estimate contains it,
+          and a share of `unbiased` beside it keeps it below a third of the limit (`blends`).
           That of the closed form is added to the estimate as it is on average
 cost      every sample twice, both denoisings, and the closed form
 fails     interreflection in strong highlights, which unoccluded light does not show. The ratio is

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from factory.lights import load as load_light
-from factory.render.estimators import choice
+from factory.render.estimators import blends, choice
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves, Shown, mean_over
 from factory.render.studio import Studio
 from factory.shapes.catalogue import load as load_shape
@@ -150,11 +150,12 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
             start = time.process_time()
             halves.grow(samples)
             middle = time.process_time()
-            pair = halves.grow(samples, denoise=True)
+            halves.grow(samples, denoise=True)
             end = time.process_time()
             alone = Halves(halves.shown)
-            pair = alone.grow(samples, denoise=True)
-            picture = (pair[0] + pair[1]) / 2
+            smooth = alone.grow(samples, denoise=True)
+            blend = blends.best(alone, smooth, alone.pictures, 0.0)
+            picture = (blend.pair[0] + blend.pair[1]) / 2
             rows.append(
                 {
                     "shot": number,
@@ -162,7 +163,7 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
                     "samples": samples,
                     "noise_by_pilot": pilot.estimate().error * choice.PILOT / samples,
                     "noise": compared(alone.picture, alone.picture, reference).error,
-                    "estimated": alone.denoised_estimate(pair).error,
+                    "estimated": blend.estimate.error,
                     "achieved": compared(picture, picture, reference).error,
                     "seconds": middle - start,
                     "denoiser": end - middle - (middle - start),

@@ -2,9 +2,11 @@
 
 python -m factory.render.validation.self_shading_check --shots 1000 --out DIR
 python -m factory.render.validation.self_shading_check --shots 1000 --meshes FOLDER --out DIR
+python -m factory.render.validation.self_shading_check --shots 1000 --perspective --out DIR
 
 shots       families of shapes in turn, or the meshes of FOLDER as half of the shots; drawn seeds,
-            sides and elevations of −10° to 60°, from a distant camera
+            sides and elevations of −10° to 60°, from a distant camera, or in perspective with
+            fields of view of 10° to 75° and the whole unit sphere in the frame
 rays        RAYS from each visible point, in directions drawn over its facet. A shot shades itself
             if more than one in a thousand meets the object
 recognised  by factory.render.self_shading
@@ -21,6 +23,7 @@ from typing import Any
 
 import bpy  # noqa: F401 (brings mathutils)
 import mathutils.bvhtree
+import msgspec
 import numpy as np
 
 from factory.lights import load as load_light
@@ -34,7 +37,7 @@ from manifests.files import write_json, write_text
 from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 from manifests.schema import Camera
-from shaders import frames, tone
+from shaders import tone
 from shaders.mixture import Mixture
 
 RAYS = 8
@@ -65,8 +68,7 @@ def share_blocked(studio: Studio, tree: Any, rng: np.random.Generator) -> float:
     tree  of the mesh, in the object's frame
     """
     at, lens = studio._surface(), studio._require_camera()
-    x, y = (grid[at.mask] * lens.half_extent for grid in frames.pixel_grid(*lens.size))
-    points = np.stack([x, y, -at.depth], axis=-1)
+    points = camera.points(lens, at.mask, at.depth)
     some = rng.permutation(len(points))[:MOST_POINTS]
     turn = camera.seen(np.eye(3), studio._azimuth, lens)  # rows: the object's axes as seen
     blocked = total = 0
@@ -99,14 +101,19 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             mesh = load_shape(name)
         except InputError:
             continue
-        size = (options.size, options.size)
-        studio.set_camera(Camera(size=size, elevation_deg=float(rng.uniform(-10, 60))))
+        lens = Camera(size=(options.size, options.size), elevation_deg=float(rng.uniform(-10, 60)))
+        if options.perspective:
+            fov = float(rng.uniform(10, 75))
+            wide = lens.half_extent / float(np.cos(np.radians(fov) / 2))
+            lens = msgspec.structs.replace(lens, fov_deg=fov, half_extent=wide)
+        studio.set_camera(lens)
         studio.set_shape(mesh)
         studio.set_view(float(rng.uniform(0, 2 * np.pi)))
         recognised = not studio.may_shade_itself()
         tree = mathutils.bvhtree.BVHTree.FromPolygons(mesh.vertices.tolist(), mesh.faces.tolist())
         row: dict[str, Any] = {
             "shape": Path(name).name,
+            "fov_deg": lens.fov_deg,
             "recognised": recognised,
             "blocked": share_blocked(studio, tree, rng),
         }
@@ -177,6 +184,7 @@ def main() -> None:
     parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
     parser.add_argument("--size", type=positive, default=96, metavar="PIXELS")
     parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
+    parser.add_argument("--perspective", action="store_true", help="a drawn field of view")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     options = parser.parse_args()
     rows = measure(options)

@@ -20,14 +20,13 @@ speed      of a limit on the error against another method: the other's time divi
 from __future__ import annotations
 
 import argparse
-import contextlib
 import io
 import json
 import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,8 +35,8 @@ import bpy
 import numpy as np
 
 from factory.render.estimators import choice, ratio
+from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.estimators.halves import Shown
-from factory.render.settings import Setting, apply, assign
 from factory.render.studio import Studio
 from factory.render.validation.error_target import TIERS, Scene, Stage, compared, drawn
 from manifests.errors import InputError
@@ -73,7 +72,7 @@ def methods(studio: Studio) -> dict[tuple[str, str], Method]:
 
     def adaptive(threshold: float) -> Method:
         def render(at: Shown) -> np.ndarray:
-            with adaptive_sampling(threshold):
+            with stopping_at(studio._scene, threshold):
                 return studio.picture(MOST_ADAPTIVE, at.seed, at.tier)[0]
 
         return render
@@ -112,25 +111,10 @@ def methods(studio: Studio) -> dict[tuple[str, str], Method]:
     )
 
 
-@contextlib.contextmanager
-def adaptive_sampling(threshold: float) -> Iterator[None]:
-    """Let Cycles stop sampling pixels whose noise is below a threshold, as its default does."""
-    scene = next(each for each in bpy.data.scenes if each.camera)
-    apply(
-        scene,
-        (
-            Setting("cycles.use_adaptive_sampling", True, "compared"),
-            Setting("cycles.adaptive_threshold", threshold, "compared"),
-        ),
-    )
-    try:
-        yield
-    finally:
-        assign(scene, "cycles.use_adaptive_sampling", False)
-
-
-def save(path: Path) -> None:
-    """Write Blender's scenes, with the light map inside, into a .blend file."""
+def save(shown: Shown, path: Path) -> None:
+    """Write what is shown as a picture, with the light map inside, into a .blend file."""
+    # a closed form that was accepted at once has left the segments emitting their numbers
+    shown.renderer.portion(0, 1, shown.seed, shown.tier)
     for image in bpy.data.images:
         if image.type != "RENDER_RESULT":
             image.update()
@@ -169,7 +153,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             ]
             if options.blenderproc:
                 blend = Path(folder) / "scene.blend"
-                save(blend)
+                save(shown, blend)
                 pictures += rendered_by_peer(blend, options.blenderproc)
             reference = stage.reference(scene, mask, options.reference)
             for family, name, picture, seconds in pictures:

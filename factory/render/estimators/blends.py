@@ -1,0 +1,59 @@
+"""Smoothed pictures blended with unbiased ones, whose noise is less of a fault than their bias.
+
+What a denoiser leaves of the error is bias for the most part: the same on every picture of a shot,
+whatever its seed. A share of the noisy picture beside it takes bias away with the square of the
+rest's share, and adds noise with the square of its own. All of it is known from the two halves: the
+error of a blend from its comparison with the other half, and the spread of both blends, which is
+noise, taken from it is the bias.
+
+pair   pictures of both halves, (height, width, 3) each
+bias   squared, in display values as errors are, mean over the mask
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from factory.render.estimators.halves import Estimate, Halves
+from shaders import tone
+
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6)  # of the unbiased pictures
+MOST_BIAS = 1 / 3  # of the limit on the error
+
+
+class Blend(NamedTuple):
+    """Blends of both halves, the estimated error of their mean, and its squared bias."""
+
+    pair: list[np.ndarray]
+    estimate: Estimate
+    bias: float
+
+
+def best(
+    halves: Halves,
+    smooth: Sequence[np.ndarray],
+    unbiased: Sequence[np.ndarray],
+    error: float,
+    shares: Sequence[float] = SHARES,
+) -> Blend:
+    """Return the blend of least error among those whose bias is small enough, or among all.
+
+    smooth    pictures of both halves by a denoiser, or computed from them
+    unbiased  pictures of both halves, with their noise; they may have negative radiance
+    error     the limit
+    shares    of the unbiased pictures that are tried
+    """
+    exposure = tone.auto_exposure((smooth[0] + smooth[1]) / 2, halves.shown.mask)
+    blends = []
+    for share in shares:
+        some = np.float32(share)
+        pair = [
+            np.maximum(s + some * (u - s), np.float32(0)) if share else s
+            for s, u in zip(smooth, unbiased, strict=True)
+        ]
+        blends.append(Blend(pair, *halves.error_and_bias(pair, unbiased, exposure)))
+    allowed = [each for each in blends if each.bias <= MOST_BIAS * error]
+    return min(allowed or blends, key=lambda each: each.estimate.bound)

@@ -1,0 +1,109 @@
+"""Blends of smooth and noisy pictures: their bias, on pictures of known truth and noise."""
+
+import numpy as np
+import pytest
+
+from factory.render.estimators import blends, choice, closed_form
+from factory.render.estimators.halves import Halves, Shown
+from shaders import tone
+from tests.render.test_error_estimates import MASK, Known, Shaded, error, shown
+
+
+def squared_bias(pair, known):
+    """Mean of (P1 − T)(P2 − T) in display values, of two independent pictures."""
+    exposure = tone.auto_exposure(known.truth, MASK)
+    truth = tone.display(known.truth[MASK], exposure)
+    a, b = (tone.display(each[MASK], exposure) - truth for each in pair)
+    return float((a * b).mean())
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.05, 0.1])
+def test_the_bias_of_a_pair_is_what_its_spread_does_not_show(bias):
+    estimates, truths = [], []
+    for seed in range(20):
+        known = Known(noise=0.2, bias=bias)
+        halves = Halves(shown(known, seed))
+        pair = halves.grow(64, denoise=True)
+        exposure = tone.auto_exposure(known.truth, MASK)
+        estimates.append(halves.error_and_bias(pair, halves.pictures, exposure)[1])
+        truths.append(squared_bias(pair, known))
+    assert np.mean(estimates) == pytest.approx(np.mean(truths), rel=0.05, abs=0.3)
+
+
+def test_a_blend_has_less_error_and_less_bias_than_what_it_is_made_of():
+    known = Known(noise=0.6, bias=0.08)
+    halves = Halves(shown(known))
+    pair = halves.grow(64, denoise=True)
+    blend = blends.best(halves, pair, halves.pictures, 1000.0)
+    errors = [error(sum(each) / 2, known) for each in (blend.pair, pair, halves.pictures)]
+    assert errors[0] < 0.8 * min(errors[1:])
+    assert squared_bias(blend.pair, known) < 0.6 * squared_bias(pair, known)
+    assert blend.estimate.error == pytest.approx(errors[0], rel=0.15)
+
+
+def test_a_small_bias_goes_before_a_small_error():
+    known = Known(noise=0.9, bias=0.08)
+    halves = Halves(shown(known))
+    pair = halves.grow(64, denoise=True)
+    free = blends.best(halves, pair, halves.pictures, 1000.0)
+    bound = blends.best(halves, pair, halves.pictures, 2 * free.bias)
+    assert bound.bias <= 2 / 3 * free.bias
+    assert bound.estimate.error >= free.estimate.error
+    # where no share suffices, the least error stands
+    assert blends.best(halves, pair, halves.pictures, 1e-3).bias == free.bias
+
+
+def test_smooth_pictures_stay_as_they_are_where_they_have_no_bias():
+    known = Known(noise=0.6, left=0.1)
+    halves = Halves(shown(known))
+    pair = halves.grow(16, denoise=True)
+    blend = blends.best(halves, pair, halves.pictures, 1000.0)
+    assert all(a is b for a, b in zip(blend.pair, pair, strict=True))
+
+
+def test_blends_with_pictures_below_zero_are_not_negative():
+    known = Known(noise=0.6, bias=0.08)
+    halves = Halves(shown(known))
+    pair = halves.grow(64, denoise=True)
+    below = [each - 5 for each in halves.pictures]
+    blend = blends.best(halves, pair, below, 1000.0, shares=(0.6,))
+    assert min(each.min() for each in blend.pair) == 0
+
+
+def bias_of_pictures(bias, limit):
+    """Mean squared bias of a limit's pictures, of the limit, and how many the denoiser made."""
+    ratios, denoisers = [], 0
+    for seed in range(8):
+        known = Known(noise=1.0, left=0.05, bias=bias)
+        pair = [choice.picture(shown(known, s), limit) for s in (seed, seed + 100)]
+        ratios.append(squared_bias([each.radiance for each in pair], known) / limit)
+        denoisers += sum(each.estimator == "denoised" for each in pair)
+        assert all(each.estimated.bound <= limit for each in pair)
+    return np.mean(ratios), denoisers
+
+
+def test_bias_is_at_most_a_third_of_the_limit(monkeypatch):
+    for bias in (0.03, 0.05):
+        share, denoisers = bias_of_pictures(bias, 25.0)
+        assert share < 1 / 3 and denoisers >= 8
+    monkeypatch.setattr(blends, "SHARES", (0.0,))
+    monkeypatch.setattr(blends, "MOST_BIAS", 1.0)
+    share, denoisers = bias_of_pictures(0.03, 25.0)
+    assert share > 1 / 3 and denoisers >= 8  # without blends it was more
+
+
+def test_a_closed_form_that_is_a_little_off_is_blended_or_left():
+    limit = 20.0
+    for closed, alone in ((1.01, True), (1.045, False)):
+        known = Shaded(deepest=1.0, closed=closed)
+        made = choice.picture(Shown(known, 5, "direct", MASK), limit)
+        exact = np.float32(known.unblocked * closed)
+        assert error(made.radiance, known) <= limit
+        assert (made.estimator == closed_form.NAME and (made.radiance == exact).all()) == alone
+        assert error(exact, known) < limit  # by the limit alone both could have stood
+
+
+def test_shares_are_part_of_the_fingerprint(monkeypatch):
+    before = choice.identity()
+    monkeypatch.setattr(blends, "SHARES", (0.0, 0.5))
+    assert choice.identity() != before
