@@ -23,13 +23,14 @@ nodes  of a map: polar angle θ and azimuth φ of the normal at ((θ cos φ, θ 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from shaders import direct_light_kernels, envmap
-from shaders.mixture import Mixture, ramp_table
+from shaders.mixture import TABLE_SIZE, Mixture, ramp_table, table_look_up
 
 LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
 NARROW = 0.03  # α below which a lobe is sampled
@@ -51,6 +52,7 @@ CUT = 0.3
 BELOW = 2.0  # tan θ_h / α beyond which what a lobe would reflect from below a facet is left in
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
+GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
 LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
 
 
@@ -109,14 +111,19 @@ class DirectLight:
         return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
 
     def at(
-        self, n: np.ndarray, samples: int = SAMPLES, facets: np.ndarray | None = None
+        self,
+        n: np.ndarray,
+        samples: int = SAMPLES,
+        facets: np.ndarray | None = None,
+        misdirected: bool = True,
     ) -> np.ndarray:
         """Return radiance (P, 3) float32 at normals (P, 3), of which some may face away.
 
-        samples  directions per normal of each of the two distributions of a narrow lobe; few
-                 suffice where many normals are averaged, for their errors differ
-        facets   (P, 3) normals of the surface itself: as in Cycles, narrow lobes reflect no light
-                 from below it. None: the normals
+        samples      directions per normal of each of the two distributions of a narrow lobe; few
+                     suffice where many normals are averaged, for their errors differ
+        facets       (P, 3) normals of the surface itself: as in Cycles, narrow lobes reflect no
+                     light from below it. None: the normals
+        misdirected  False: without the light that Cycles finds by mistake
         """
         given = np.ascontiguousarray(n, np.float32)
         n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
@@ -125,18 +132,11 @@ class DirectLight:
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
-                at = self._maps[k]
-                if direct_light_kernels.mark(n, at.known):
-                    self._fill(k, np.argwhere(at.known == 2))
-                direct_light_kernels.interpolate(n, at.nodes, self._tables[k], radiance)
+                self._look_up(self._maps[k], lambda n, k=k: self._summed(k, n), k, n, radiance)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
-        if self._misdirected is not None:
-            at = self._misdirected
-            if direct_light_kernels.mark(n, at.known):
-                nodes = np.argwhere(at.known == 2)
-                at.set(nodes, self.misdirected(at.normals(nodes)))
-            direct_light_kernels.interpolate(n, at.nodes, UNWEIGHTED, radiance)
+        if misdirected and self._misdirected is not None:
+            self._look_up(self._misdirected, self.misdirected, None, n, radiance)
         (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
         if len(leaning):
             hidden = np.zeros((len(leaning), 3), np.float32)
@@ -196,12 +196,47 @@ class DirectLight:
             width = EXTENT / 4  # across which the samples' share falls off
         return max(LEAST_NODES, 3 + int(np.ceil(np.pi / (SPACING * width))))
 
-    def _fill(self, k: int, nodes: np.ndarray) -> None:
-        """Compute nodes (N, 2), by row and column, of closure k's map."""
-        n = self._maps[k].normals(nodes)
+    def _look_up(
+        self,
+        at: _Map,
+        compute: Callable[[np.ndarray], np.ndarray],
+        k: int | None,
+        n: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """Add to out (P, 3) the radiance at normals (P, 3) of closure k, or of what has no weight.
+
+        It is interpolated in a map. Near the horizon it is computed at each normal, because nodes
+        there stand on both sides of where a closure ends.
+
+        compute  the map's function of normals (N, 3)
+        """
+        table = UNWEIGHTED if k is None else self._tables[k]
+        low = n[:, 2] < self._horizon(at, k)
+        above = np.ascontiguousarray(n[~low])
+        if direct_light_kernels.mark(above, at.known):
+            nodes = np.argwhere(at.known == 2)
+            at.set(nodes, compute(at.normals(nodes)))
+        radiance = np.zeros_like(above)
+        direct_light_kernels.interpolate(above, at.nodes, table, radiance)
+        out[~low] += radiance
+        if low.any():
+            weights = table_look_up(table[:, 2:], 1 - n[low, 2])
+            out[low] += compute(np.ascontiguousarray(n[low])) * weights
+
+    def _horizon(self, at: _Map, k: int | None) -> float:
+        """Return n·v below which a map is not looked up: two nodes from where closure k ends.
+
+        A closure whose normal is tilted away from the viewer ends before n·v = 0.
+        """
+        tilts = self.mixture.tilt if k is None else self._tables[k][-GRAZING_ROWS:, 1]
+        return 2 * np.pi / (len(at.known) - 3) + max(0.0, -float(tilts.min()))
+
+    def _summed(self, k: int, n: np.ndarray) -> np.ndarray:
+        """Return what closure k of unit weight reflects, but not what `_sample` adds, (N, 3)."""
         radiance = np.zeros_like(n)
         self._sum(k, n, radiance)
-        self._maps[k].set(nodes, radiance)
+        return radiance
 
     def misdirected(self, n: np.ndarray) -> np.ndarray:
         """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3)."""

@@ -47,7 +47,7 @@ from factory.render.settings import (
     effective,
 )
 from factory.shapes.mesh import Mesh
-from manifests.arrays import LIGHT_SHAPE
+from manifests.arrays import LIGHT_SHAPE, Facets
 from manifests.schema import Camera, LightResolution, Tier
 from shaders import frames, nodes
 from shaders.mixture import Mixture
@@ -76,12 +76,14 @@ class Geometry:
     depth     (height, width) float32, distance behind the plane through the object's centre, along
               the optical axis; 0 outside the mask
     segments  (height, width) uint8: 1, 2, …; 0 outside the mask
+    facets    of points seen by a distant viewer; None for other cameras
     """
 
     normals: np.ndarray
     mask: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+    facets: Facets | None = None
 
 
 class _Surface(NamedTuple):
@@ -278,11 +280,17 @@ class Studio:
         view = (
             None if lens.fov_deg is None else camera.view_vectors(lens)[at.mask].astype(np.float32)
         )
+        facets = None
+        if lens.pixel == "centre" and lens.fov_deg is None:
+            facets = Facets(np.zeros((*lens.size, 3), np.float32), np.zeros(lens.size, np.float32))
+            facets.normals[at.mask] = at.facets
+            facets.cosine[at.mask] = at.normals[:, 2]
         shot = Geometry(
             np.zeros((*lens.size, 3), np.float32),
             at.mask,
             np.zeros(lens.size, np.float32),
             np.zeros(lens.size, np.uint8),
+            facets,
         )
         shot.normals[at.mask] = _facing(at.normals, view)
         shot.depth[at.mask] = at.depth
