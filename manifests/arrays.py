@@ -12,8 +12,9 @@ geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the c
            to 2^-15: a normal turns by .001° at most (in half precision by .03°, a tenth of chrome's
            lobe), and files shrink by 20 to 60 %. uint32: segment, 1 … S, 0 in the background; mask
            = segment > 0. Where pixels are points and the viewer is distant also facet.X, facet.Y
-           and facet.Z, the triangle's own unit normal, and facet.cosine, n·v of the interpolated
-           normal, which is negative where it faces away: what Cycles shades depends on both.
+           and facet.Z, the triangle's own unit normal; facet.cosine, n·v of the interpolated
+           normal, which is negative where it faces away; and facet.beside, which is above 0 where
+           the pixel is so close to an edge that Cycles may meet its other side.
 light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from
            the zenith down, columns around the vertical axis, as the camera sees it at rotation 0;
            scale, the mean luminance by which the map was divided.
@@ -44,6 +45,7 @@ DEPTH_CHANNEL = "depth.Z"
 SEGMENT_CHANNEL = "segment"
 FACET_CHANNELS = ("facet.X", "facet.Y", "facet.Z")
 COSINE_CHANNEL = "facet.cosine"
+BESIDE_CHANNEL = "facet.beside"
 STEPS_PER_UNIT = np.float32(1 << 15)  # of normals and depth
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
 MOST_SEGMENTS = 255
@@ -136,6 +138,14 @@ FACETS = (  # of geometry files of points seen by a distant viewer; others have 
         "none",
         _STEP,
     ),
+    Array(
+        BESIDE_CHANNEL,
+        np.dtype(np.float32),
+        _FRAME,
+        "share of four rays around the pixel's centre that meet another surface; optional",
+        "none",
+        _STEP,
+    ),
 )
 LIGHT = (
     Array(
@@ -207,10 +217,13 @@ class Facets(NamedTuple):
              face the viewer; 0 in the background
     cosine   (height, width) float32, n·v of the interpolated normals, negative where they face
              away; 0 in the background
+    beside   (height, width) float32, share of four rays within Cycles' narrowest pixel filter that
+             meet another surface than the one through the centre; 0 in the background
     """
 
     normals: np.ndarray
     cosine: np.ndarray
+    beside: np.ndarray
 
 
 class SeenGeometry(Protocol):
@@ -289,6 +302,7 @@ def encode_geometry(geometry: SeenGeometry) -> bytes:
         parts = np.moveaxis(geometry.facets.normals, -1, 0)
         layers |= dict(zip(FACET_CHANNELS, parts, strict=True))
         layers[COSINE_CHANNEL] = geometry.facets.cosine
+        layers[BESIDE_CHANNEL] = geometry.facets.beside
     rounded = {
         name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
         for name, values in layers.items()
@@ -333,8 +347,10 @@ def read_geometry(
     facets = None
     if all(name in channels for name in FACET_TYPES):
         parts = np.stack([channels[name] for name in FACET_CHANNELS], axis=-1).astype(np.float32)
-        facets = Facets(parts, channels[COSINE_CHANNEL].astype(np.float32))
-        _require_finite(path, "cosines", facets.cosine)
+        others = (channels[name].astype(np.float32) for name in (COSINE_CHANNEL, BESIDE_CHANNEL))
+        facets = Facets(parts, *others)
+        for what, values in (("cosines", facets.cosine), ("shares", facets.beside)):
+            _require_finite(path, what, values)
         _require_unit(path, "facet normals", facets.normals, whole > 0)
     return Geometry(normals, depth, whole.astype(np.uint8), facets)
 

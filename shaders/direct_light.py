@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,10 +47,8 @@ WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / �
 SAMPLES = 12  # directions per normal of each of the two distributions
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
-# α of lobes that end at the facet. Cycles cuts all of them off where it draws directions by the
-# lobe, but of wide ones it finds most of that light by drawing towards the light
-CUT = 0.3
-BELOW = 2.0  # tan θ_h / α beyond which what a lobe would reflect from below a facet is left in
+# into how many parts texels are divided below facets, by the least α of lobes that are not narrow
+LEANING = ((0.2, 1), (0.08, 2), (0.0, 3))
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
@@ -90,6 +89,7 @@ class DirectLight:
         self.camera_from_light = camera_from_light
         self._lights: dict[int, np.ndarray] = {}
         self._detail: dict[int, tuple[Any, ...]] = {}
+        self._texels: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._least = np.exp(mixture.log_alpha.min(0))
         self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
         self._misdirected: _Map | None = None
@@ -139,47 +139,39 @@ class DirectLight:
             self._look_up(self._misdirected, self.misdirected, None, n, radiance)
         (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
         if len(leaning):
-            hidden = np.zeros((len(leaning), 3), np.float32)
-            for k in range(len(self.mixture.kinds)):
-                self._below_facets(k, n[leaning], facets[leaning], hidden)
-            radiance[leaning] = np.maximum(radiance[leaning] - hidden, 0)
+            radiance[leaning] -= self._leaning(n[leaning], facets[leaning], away=False)
+            np.maximum(radiance, 0, out=radiance)
         (away,) = np.nonzero(given[:, 2] < LEAST_COS)
         if len(away):
-            radiance[away] = self._away(given[away], facets[away])
+            radiance[away] = self._leaning(given[away], facets[away], away=True)
+            if misdirected and self._misdirected is not None:
+                radiance[away] += self.misdirected(given[away], facets[away])
         return radiance
 
-    def _below_facets(self, k: int, n: np.ndarray, facets: np.ndarray, out: np.ndarray) -> None:
-        """Add to out (P, 3) what closure k would reflect from below the facets (P, 3)."""
-        kind, least = self.mixture.kinds[k], self._least[k]
-        if kind not in LOBES or not NARROW <= least < CUT:
-            return
-        direct_light_kernels.add_below(
-            direct_light_kernels.KINDS[kind],
+    def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
+        """Return what add_leaning adds (P, 3) at normals and facets (P, 3)."""
+        lobes = [
+            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
+        ]
+        width = min([a for a in lobes if a >= NARROW], default=1.0)
+        parts = 1 if away else next((parts for wide, parts in LEANING if width >= wide), 1)
+        extents = [
+            np.tan(EXTENT / 2) if self._is_narrow(k) and not away else 0
+            for k in range(len(self._least))
+        ]
+        lights, density = self.texels(parts)
+        radiance = np.zeros_like(n)
+        direct_light_kernels.add_leaning(
+            np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
             n,
             facets,
-            self._tables[k],
-            np.float32(BELOW),
-            self.lights(min(len(self.light), BLOCKS[1][1])),
-            out,
+            np.stack(self._tables),
+            np.array(extents, np.float32),
+            lights,
+            density,
+            away,
+            radiance,
         )
-
-    def _away(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
-        """Return radiance (P, 3) at normals (P, 3) that face away, as they may on coarse meshes.
-
-        Diffuse closures reflect there as elsewhere, the others where their tilted normal faces the
-        viewer.
-        """
-        lights = self.lights(min(len(self.light), BLOCKS[1][1]))
-        irradiance = np.maximum(n @ lights[:3], 0) @ lights[6:].T / np.float32(np.pi)
-        radiance = np.zeros_like(n)
-        for k, kind in enumerate(self.mixture.kinds):
-            if kind == "diffuse":
-                _, _, weights = self.mixture.at(np.abs(n[:, 2]).astype(np.float64))
-                radiance += irradiance * weights[:, k].astype(np.float32)
-            else:
-                number = direct_light_kernels.KINDS[kind]
-                table = self._tables[k]
-                direct_light_kernels.add_away(number, n, facets, table, lights, radiance)
         return radiance
 
     def _is_narrow(self, k: int) -> bool:
@@ -238,23 +230,48 @@ class DirectLight:
         self._sum(k, n, radiance)
         return radiance
 
-    def misdirected(self, n: np.ndarray) -> np.ndarray:
-        """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3)."""
+    def misdirected(self, n: np.ndarray, facets: np.ndarray | None = None) -> np.ndarray:
+        """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3).
+
+        facets  (P, 3) as `at` has them; None: the normals
+        """
         radiance = np.zeros_like(n)
-        # Cycles draws texels by their mean over the channels and the sine at their middle
-        _, solid_angle = envmap.directions(*self.light.shape[:2])
-        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
         direct_light_kernels.add_misdirected(
             np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
             n,
+            n if facets is None else facets,
             np.stack(self._tables),
             self.light,
-            (drawn / (drawn.sum() * solid_angle)).astype(np.float32),
+            self.density,
             np.ascontiguousarray(self.camera_from_light.T, np.float32),
             HALF_VECTORS,
             radiance,
         )
         return radiance
+
+    @cached_property
+    def density(self) -> np.ndarray:
+        """By which Cycles draws directions to the light, (height, width) float32 in 1/sr."""
+        # it draws texels by their mean over the channels and the sine at their middle
+        _, solid_angle = envmap.directions(*self.light.shape[:2])
+        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
+        return (drawn / (max(drawn.sum(), 1e-30) * solid_angle)).astype(np.float32)
+
+    def texels(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return texels that are not black, divided into parts × parts, as lights.
+
+        Returns  (9, T), as direct_light_kernels.add_lights takes them, and their density (T,)
+        """
+        if parts not in self._texels:
+            height, width = self.light.shape[:2]
+            w, solid_angle = envmap.directions(height * parts, width * parts)
+            light, density = (
+                each.repeat(parts, 0).repeat(parts, 1) for each in (self.light, self.density)
+            )
+            lit = light.any(-1)
+            energy = light[lit].astype(np.float64) * solid_angle[lit][:, None]
+            self._texels[parts] = self._lit(w[lit][None], energy[None])[0], density[lit]
+        return self._texels[parts]
 
     def lights(self, rows: int) -> np.ndarray:
         """Return the lights that stand for blocks of the map, `rows` blocks from pole to pole.

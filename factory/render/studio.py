@@ -29,6 +29,7 @@ from factory.render import (
     device,
     light,
     materials,
+    points,
     render_result,
     self_shading,
     window,
@@ -99,6 +100,16 @@ class _Surface(NamedTuple):
     facets: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+
+    def pasted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the mask, and normals, facets and segments in its frame, 0 outside."""
+
+        def paste(values: np.ndarray) -> np.ndarray:
+            frame = np.zeros((*self.mask.shape, *values.shape[1:]), values.dtype)
+            frame[self.mask] = values
+            return frame
+
+        return self.mask, paste(self.normals), paste(self.facets), paste(self.segments)
 
 
 class Studio:
@@ -282,9 +293,7 @@ class Studio:
         )
         facets = None
         if lens.pixel == "centre" and lens.fov_deg is None:
-            facets = Facets(np.zeros((*lens.size, 3), np.float32), np.zeros(lens.size, np.float32))
-            facets.normals[at.mask] = at.facets
-            facets.cosine[at.mask] = at.normals[:, 2]
+            facets = self._facets(lens, at)
         shot = Geometry(
             np.zeros((*lens.size, 3), np.float32),
             at.mask,
@@ -296,6 +305,19 @@ class Studio:
         shot.depth[at.mask] = at.depth
         shot.segments[at.mask] = at.segments
         return shot
+
+    def _facets(self, lens: Camera, at: _Surface) -> Facets:
+        """Return the Facets of points, of which `at` is the surface."""
+        corners = []
+        try:
+            for rightwards, upwards in points.CORNERS:
+                camera.shift(self._scene, lens, rightwards, upwards)
+                corners.append(self._surface().pasted())
+        finally:
+            camera.shift(self._scene, lens, 0.0, 0.0)
+        centre = at.pasted()
+        _, normals, facets, _ = centre
+        return Facets(facets, normals[..., 2], points.beside(centre, corners))
 
     def _surface(self) -> _Surface:
         """Return what one ray through each pixel's centre meets."""
