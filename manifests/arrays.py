@@ -11,10 +11,8 @@ geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the c
            the object fills, negative in front of the plane, 0 in the background. Both are rounded
            to 2^-15: a normal turns by .001° at most (in half precision by .03°, a tenth of chrome's
            lobe), and files shrink by 20 to 60 %. uint32: segment, 1 … S, 0 in the background; mask
-           = segment > 0. Where pixels are points and the viewer is distant also facet.X, facet.Y
-           and facet.Z, the triangle's own unit normal; facet.cosine, n·v of the interpolated
-           normal, which is negative where it faces away; and facet.beside, which is above 0 where
-           the pixel is so close to an edge that Cycles may meet its other side.
+           = segment > 0. Where pixels are points and the viewer is distant also the channels of
+           manifests.facets.
 light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from
            the zenith down, columns around the vertical axis, as the camera sees it at rotation 0;
            scale, the mean luminance by which the map was divided.
@@ -32,8 +30,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from manifests import archives, exr
+from manifests import archives, exr, facets
 from manifests.errors import InputError
+from manifests.facets import Facets
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
 from shaders.envmap import mean_radiance
@@ -43,9 +42,6 @@ PICTURE_CHANNELS = ("R", "G", "B")
 NORMAL_CHANNELS = ("normal.X", "normal.Y", "normal.Z")
 DEPTH_CHANNEL = "depth.Z"
 SEGMENT_CHANNEL = "segment"
-FACET_CHANNELS = ("facet.X", "facet.Y", "facet.Z")
-COSINE_CHANNEL = "facet.cosine"
-BESIDE_CHANNEL = "facet.beside"
 STEPS_PER_UNIT = np.float32(1 << 15)  # of normals and depth
 LARGEST_HALF = 65504.0  # a sun seen in a mirror may exceed it; it is far above any exposure's white
 MOST_SEGMENTS = 255
@@ -116,35 +112,24 @@ GEOMETRY = (
         "none",
     ),
 )
-FACETS = (  # of geometry files of points seen by a distant viewer; others have none of them
+FACETS = (  # of points seen by a distant viewer
     *(
-        Array(
-            name,
-            np.dtype(np.float32),
-            _FRAME,
-            "part of the triangle's own unit normal; 0 in the background; optional",
-            f"camera, {axis}",
-            _STEP,
-        )
-        for name, axis in zip(
-            FACET_CHANNELS, ("x right", "y up", "z towards the viewer"), strict=True
-        )
+        Array(name, np.dtype(np.float32), _FRAME, f"part of the {what}", f"camera, {axis}", _STEP)
+        for what, names in facets.VECTORS.items()
+        for name, axis in zip(names, ("x right", "y up", "z towards the viewer"), strict=True)
+    ),
+    *(
+        Array(name, np.dtype(np.float32), _FRAME, what, "picture", _STEP)
+        for name, what in facets.NUMBERS.items()
+        if name != facets.OTHER_SEGMENT
     ),
     Array(
-        COSINE_CHANNEL,
-        np.dtype(np.float32),
+        facets.OTHER_SEGMENT,
+        np.dtype(np.uint32),
         _FRAME,
-        "n·v of the interpolated normal, before it was made to face the viewer; optional",
+        facets.NUMBERS[facets.OTHER_SEGMENT],
+        "picture",
         "none",
-        _STEP,
-    ),
-    Array(
-        BESIDE_CHANNEL,
-        np.dtype(np.float32),
-        _FRAME,
-        "share of four rays around the pixel's centre that meet another surface; optional",
-        "none",
-        _STEP,
     ),
 )
 LIGHT = (
@@ -200,7 +185,9 @@ PICTURE_TYPES = {array.name: array.type for array in PICTURE}
 GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
 FACET_TYPES = {array.name: array.type for array in FACETS}
 PACKED_TYPES = {array.name: array.type for array in PACKED}
-PIXEL_BYTES = 4 * len(GEOMETRY_TYPES | FACET_TYPES)  # the most that a pixel of ours takes, uncompressed
+PIXEL_BYTES = 4 * len(
+    GEOMETRY_TYPES | FACET_TYPES
+)  # the most that a pixel of ours takes, uncompressed
 # the most that an EXR's header and its table of lines take beside the pixels
 HEADER_BYTES = 1 << 20
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
@@ -208,22 +195,6 @@ UNIT_MEAN = 1e-4  # of a light's mean luminance; float32 sums keep it to 1e-6
 AGAIN = "render or copy it again"
 LIGHT_AGAIN = "render or copy the data set again"
 _NO_ARCHIVE = (*archives.DAMAGE, KeyError)  # KeyError: a member is missing
-
-
-class Facets(NamedTuple):
-    """What Cycles shades by besides the interpolated normals.
-
-    normals  (height, width, 3) float32, unit normals of the triangles, in the camera frame; they
-             face the viewer; 0 in the background
-    cosine   (height, width) float32, n·v of the interpolated normals, negative where they face
-             away; 0 in the background
-    beside   (height, width) float32, share of four rays within Cycles' narrowest pixel filter that
-             meet another surface than the one through the centre; 0 in the background
-    """
-
-    normals: np.ndarray
-    cosine: np.ndarray
-    beside: np.ndarray
 
 
 class SeenGeometry(Protocol):
@@ -298,16 +269,16 @@ def encode_geometry(geometry: SeenGeometry) -> bytes:
     """Return the bytes of a geometry file."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
     layers[DEPTH_CHANNEL] = geometry.depth
+    segments = {SEGMENT_CHANNEL: geometry.segments}
     if geometry.facets is not None:
-        parts = np.moveaxis(geometry.facets.normals, -1, 0)
-        layers |= dict(zip(FACET_CHANNELS, parts, strict=True))
-        layers[COSINE_CHANNEL] = geometry.facets.cosine
-        layers[BESIDE_CHANNEL] = geometry.facets.beside
+        layers |= facets.layers(geometry.facets)
+        segments[facets.OTHER_SEGMENT] = geometry.facets.other_segments
     rounded = {
         name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
         for name, values in layers.items()
     }
-    return exr.encode(rounded | {SEGMENT_CHANNEL: geometry.segments.astype(np.uint32)})
+    whole = {name: values.astype(np.uint32) for name, values in segments.items()}
+    return exr.encode(rounded | whole)
 
 
 def read_geometry(
@@ -344,15 +315,16 @@ def read_geometry(
     depth = channels[DEPTH_CHANNEL].astype(np.float32)
     _require_finite(path, "depth", depth)
     _require_unit(path, "normals", normals, whole > 0)
-    facets = None
-    if all(name in channels for name in FACET_TYPES):
-        parts = np.stack([channels[name] for name in FACET_CHANNELS], axis=-1).astype(np.float32)
-        others = (channels[name].astype(np.float32) for name in (COSINE_CHANNEL, BESIDE_CHANNEL))
-        facets = Facets(parts, *others)
-        for what, values in (("cosines", facets.cosine), ("shares", facets.beside)):
-            _require_finite(path, what, values)
-        _require_unit(path, "facet normals", facets.normals, whole > 0)
-    return Geometry(normals, depth, whole.astype(np.uint8), facets)
+    seen = None
+    if facets.SHARE in channels:
+        for name in FACET_TYPES:
+            _require_finite(path, name, channels[name])
+        seen = facets.of_channels(channels)
+        _require_unit(path, "facet normals", seen.normals, whole > 0)
+        mixed = seen.other_segments > 0
+        _require_unit(path, "normals of the other surface", seen.other_normals, mixed)
+        _require_unit(path, "facet normals of the other surface", seen.other_facets, mixed)
+    return Geometry(normals, depth, whole.astype(np.uint8), seen)
 
 
 def _require_finite(path: str | Path, what: str, values: np.ndarray) -> None:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,7 @@ LEANING = ((0.2, 1), (0.08, 2), (0.0, 3))
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
-LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
+FACING = 1e-3  # n·v of normals that lean away from the viewer
 
 
 def constants() -> list[list[object]]:
@@ -126,13 +126,13 @@ class DirectLight:
         misdirected  False: without the light that Cycles finds by mistake
         """
         given = np.ascontiguousarray(n, np.float32)
-        n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
+        n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], FACING)], axis=1)
         n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
         facets = n if facets is None else np.ascontiguousarray(facets, np.float32)
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
-                self._look_up(self._maps[k], lambda n, k=k: self._summed(k, n), k, n, radiance)
+                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
         if misdirected and self._misdirected is not None:
@@ -141,7 +141,7 @@ class DirectLight:
         if len(leaning):
             radiance[leaning] -= self._leaning(n[leaning], facets[leaning], away=False)
             np.maximum(radiance, 0, out=radiance)
-        (away,) = np.nonzero(given[:, 2] < LEAST_COS)
+        (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
             radiance[away] = self._leaning(given[away], facets[away], away=True)
             if misdirected and self._misdirected is not None:
@@ -405,7 +405,7 @@ class _Map:
         place = ((nodes[:, ::-1] - 1) / (len(self.known) - 3) * 2 - 1) * (np.pi / 2)
         theta = np.linalg.norm(place, axis=1)
         along = place / np.maximum(theta[:, None], 1e-12)
-        theta = np.minimum(theta, np.arccos(LEAST_COS))
+        theta = np.minimum(theta, np.arccos(FACING))
         n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
         return n.astype(np.float32)
 

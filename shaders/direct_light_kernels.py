@@ -711,7 +711,9 @@ def add_misdirected(
                 wx, wy, wz = wx / length, wy / length, wz / length
                 row, column = _texel(to_light, wx, wy, wz, height, width)
                 other = density[row, column]
-                share = picked[k] * least**exponent / np.float32(count) * p / (p * p + other * other)
+                share = (
+                    picked[k] * least**exponent / np.float32(count) * p / (p * p + other * other)
+                )
                 out[i, 0] += share * fr * light[row, column, 0]
                 out[i, 1] += share * fg * light[row, column, 1]
                 out[i, 2] += share * fb * light[row, column, 2]

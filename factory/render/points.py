@@ -1,34 +1,65 @@
-"""Pixels that are points: which of them lie so close to an edge that Cycles may meet its other side.
+"""Pixels that are points: where Cycles' pixel shows a second surface besides the point's.
 
-Cycles' narrowest pixel filter is a bell 0.01 pixels wide. Its rays lie within CORNER of a pixel's
-centre, except one in some hundred, so where rays through the corners of that square meet the
-surface that the centre shows, all do.
+Cycles' narrowest pixel filter is a bell with a standard deviation of 0.0025 pixels. Beside an edge,
+some of its rays therefore meet another surface than the one through the pixel's centre. Geometry is
+seen through points that stand for equal parts of the bell, and the share that meets another surface
+is counted.
 """
 
 from collections.abc import Sequence
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
-CORNER = 0.0075  # pixels, three standard deviations of the filter
-CORNERS = ((-CORNER, -CORNER), (-CORNER, CORNER), (CORNER, -CORNER), (CORNER, CORNER))
-# between normals of one surface, and between facets that the closed form of direct light does not
-# tell apart
+DEVIATION = 0.0025  # pixels
+ACROSS = 5  # points, the middle one of which is the centre
+# Cycles looks its filters up in a table whose middle lies half an entry away from the centre: with
+# a BOX filter, the first sample goes by so many pixels to the right of it and above it
+BOX_SHIFT = 0.25 / 511
+# within these, normals and facets count as those of one surface: on small roundings they turn fast
 SAME_NORMAL = float(np.cos(np.radians(3.0)))
 SAME_FACET = float(np.cos(np.radians(10.0)))
 
 
-def beside(centre: Sequence[np.ndarray], corners: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Return which share of the corners shows another surface than the centre, (height, width).
+def offsets() -> list[tuple[float, float]]:
+    """Return the points' places (rightwards, upwards) in pixels, the nearest to the centre first.
 
-    Each is mask (height, width), normals and facets (height, width, 3) and segments (height, width)
-    as rays through one point of each pixel find them. The share is 0 outside the centre's mask.
+    The centre itself, which comes first, is (0, 0).
     """
-    mask, normals, facets, segments = centre
-    differing = np.zeros(mask.shape, np.float32)
-    for _, other_normals, other_facets, other_segments in corners:
-        same = (segments == other_segments) & (
-            np.einsum("hwi,hwi->hw", normals, other_normals) > SAME_NORMAL
+    bell = NormalDist(0, DEVIATION)
+    places = [bell.inv_cdf((k + 0.5) / ACROSS) for k in range(ACROSS)]
+    return sorted(((x, y) for x in places for y in places), key=lambda at: at[0] ** 2 + at[1] ** 2)
+
+
+class Seen(NamedTuple):
+    """What rays through one point of each pixel meet; 0 outside the mask.
+
+    mask (height, width), normals and facets (height, width, 3), segments (height, width)
+    """
+
+    mask: np.ndarray
+    normals: np.ndarray
+    facets: np.ndarray
+    segments: np.ndarray
+
+
+def other(centre: Seen, around: Sequence[Seen]) -> tuple[np.ndarray, Seen]:
+    """Return which share of a pixel shows another surface than its centre, and that surface.
+
+    around   what the points other than the centre meet, the nearest first
+    Returns  share (height, width) float32, 0 outside the centre's mask; the nearest other surface
+    """
+    count = np.zeros(centre.mask.shape, np.float32)
+    found = Seen(*(np.zeros_like(values) for values in centre))
+    for each in around:
+        differs = centre.mask & ~(
+            (centre.segments == each.segments)
+            & (np.einsum("hwi,hwi->hw", centre.normals, each.normals) > SAME_NORMAL)
+            & (np.einsum("hwi,hwi->hw", centre.facets, each.facets) > SAME_FACET)
         )
-        same &= np.einsum("hwi,hwi->hw", facets, other_facets) > SAME_FACET
-        differing += ~same
-    return differing / len(corners) * mask
+        first = differs & (count == 0)
+        for values, theirs in zip(found, each, strict=True):
+            values[first] = theirs[first]
+        count += differs
+    return count / (len(around) + 1), found

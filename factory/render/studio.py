@@ -48,7 +48,8 @@ from factory.render.settings import (
     effective,
 )
 from factory.shapes.mesh import Mesh
-from manifests.arrays import LIGHT_SHAPE, Facets
+from manifests.arrays import LIGHT_SHAPE
+from manifests.facets import Facets
 from manifests.schema import Camera, LightResolution, Tier
 from shaders import frames, nodes
 from shaders.mixture import Mixture
@@ -101,15 +102,15 @@ class _Surface(NamedTuple):
     depth: np.ndarray
     segments: np.ndarray
 
-    def pasted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the mask, and normals, facets and segments in its frame, 0 outside."""
+    def pasted(self) -> points.Seen:
+        """Return the surface in the frame of its mask."""
 
         def paste(values: np.ndarray) -> np.ndarray:
             frame = np.zeros((*self.mask.shape, *values.shape[1:]), values.dtype)
             frame[self.mask] = values
             return frame
 
-        return self.mask, paste(self.normals), paste(self.facets), paste(self.segments)
+        return points.Seen(self.mask, paste(self.normals), paste(self.facets), paste(self.segments))
 
 
 class Studio:
@@ -308,22 +309,32 @@ class Studio:
 
     def _facets(self, lens: Camera, at: _Surface) -> Facets:
         """Return the Facets of points, of which `at` is the surface."""
-        corners = []
-        try:
-            for rightwards, upwards in points.CORNERS:
-                camera.shift(self._scene, lens, rightwards, upwards)
-                corners.append(self._surface().pasted())
-        finally:
-            camera.shift(self._scene, lens, 0.0, 0.0)
+        around = [self._surface(x, y).pasted() for x, y in points.offsets()[1:]]
         centre = at.pasted()
-        _, normals, facets, _ = centre
-        return Facets(facets, normals[..., 2], points.beside(centre, corners))
+        share, other = points.other(centre, around)
+        return Facets(
+            centre.facets,
+            centre.normals[..., 2],
+            share,
+            other.normals,
+            other.facets,
+            other.segments,
+        )
 
-    def _surface(self) -> _Surface:
-        """Return what one ray through each pixel's centre meets."""
+    def _surface(self, rightwards: float = 0.0, upwards: float = 0.0) -> _Surface:
+        """Return what one ray through each pixel meets, so many pixels from its centre.
+
+        Pixels that are points are seen through their centres to a hundredth of the width of Cycles'
+        narrowest filter, others as Cycles' table of filters has it.
+        """
         self._show("geometry")
         lens = self._require_camera()
-        (top, bottom, left, right), passes = self._render_passes(lens)
+        exact = points.BOX_SHIFT if lens.pixel == "centre" and lens.fov_deg is None else 0.0
+        try:
+            camera.shift(self._scene, lens, rightwards - exact, upwards - exact)
+            (top, bottom, left, right), passes = self._render_passes(lens)
+        finally:
+            camera.shift(self._scene, lens, 0.0, 0.0)
         mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
         inside = mask[top:bottom, left:right]
         world, emitted = passes["Normal"][inside], passes["Combined"][inside]
