@@ -121,13 +121,12 @@ class DirectLight:
 
         samples      directions per normal of each of the two distributions of a narrow lobe; few
                      suffice where many normals are averaged, for their errors differ
-        facets       (P, 3) normals of the surface itself: as in Cycles, narrow lobes reflect no
-                     light from below it. None: the normals
+        facets       (P, 3) normals of the surface itself: of light below it Cycles loses a part
+                     (direct_light_kernels.add_leaning). None: the normals
         misdirected  False: without the light that Cycles finds by mistake
         """
         given = np.ascontiguousarray(n, np.float32)
-        n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], FACING)], axis=1)
-        n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+        n = _facing(given)
         facets = n if facets is None else np.ascontiguousarray(facets, np.float32)
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
@@ -135,8 +134,6 @@ class DirectLight:
                 self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
-        if misdirected and self._misdirected is not None:
-            self._look_up(self._misdirected, self.misdirected, None, n, radiance)
         (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
         if len(leaning):
             radiance[leaning] -= self._leaning(n[leaning], facets[leaning], away=False)
@@ -144,8 +141,17 @@ class DirectLight:
         (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
             radiance[away] = self._leaning(given[away], facets[away], away=True)
-            if misdirected and self._misdirected is not None:
-                radiance[away] += self.misdirected(given[away], facets[away])
+        return radiance + self.mistaken(given, facets) if misdirected else radiance
+
+    def mistaken(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
+        """Return the light (P, 3) that Cycles finds by mistake at normals and facets as of `at`."""
+        radiance = np.zeros_like(n)
+        if self._misdirected is None:
+            return radiance
+        self._look_up(self._misdirected, self.misdirected, None, _facing(n), radiance)
+        (away,) = np.nonzero(n[:, 2] < FACING)
+        if len(away):
+            radiance[away] = self.misdirected(n[away], facets[away])
         return radiance
 
     def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
@@ -418,6 +424,12 @@ class _Map:
     @classmethod
     def empty(cls, size: int) -> _Map:
         return cls(np.zeros((size, size, 3), np.float32), np.zeros((size, size), np.uint8))
+
+
+def _facing(n: np.ndarray) -> np.ndarray:
+    """Return normals (P, 3) with n·v of at least FACING."""
+    n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], FACING)], axis=1)
+    return (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

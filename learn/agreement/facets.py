@@ -24,10 +24,10 @@ import numpy as np
 from learn.data.records import Sample
 from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from shaders import tone
-from shaders.direct_light import FACING, DirectLight
+from shaders.direct_light import COS_LEANING, FACING, DirectLight
 from shaders.mixture import Mixture
 
-SAMPLES = 192  # of each narrow lobe at each normal: half of what the factory takes for a point
+SAMPLES = 96  # of each narrow lobe at each normal: half of what the factory takes for a point
 LARGEST_RATIO = (
     4.0  # of H / N: where the nodes are nearly black at a record's normal, it says nothing
 )
@@ -84,19 +84,23 @@ def closed_forms(sample: Sample, mixtures: Sequence[Mixture]) -> ClosedForms | N
     n = sample.n.numpy()
     interpolated = facets.interpolated(n)
     segments = sample.segments.numpy()
+    leaning = (interpolated * facets.normals).sum(-1) < COS_LEANING
+    away = (segments > 0) & (facets.cosine < FACING)
+    leaning |= away
     plain, cut, points, others = (np.zeros(n.shape) for _ in range(4))
     for number, mixture in enumerate(mixtures, 1):
         direct = DirectLight(mixture, sample.light.numpy(), sample.camera_from_light)
         here = segments == number
-        at, facet = interpolated[here], facets.normals[here]
-        plain[here] = direct.at(n[here], SAMPLES, misdirected=False)
-        cut[here] = direct.at(at, SAMPLES, facet, misdirected=False)
-        points[here] = direct.at(at, SAMPLES, facet)
+        plain[here] = cut[here] = direct.at(n[here], SAMPLES, misdirected=False)
+        differs = here & leaning
+        cut[differs] = direct.at(
+            interpolated[differs], SAMPLES, facets.normals[differs], misdirected=False
+        )
+        points[here] = cut[here] + direct.mistaken(interpolated[here], facets.normals[here])
         there = (facets.share > 0) & (facets.other_segments == number)
         others[there] = direct.at(facets.other_normals[there], SAMPLES, facets.other_facets[there])
     share = facets.share[..., None]
     pixels = (1 - share) * points + share * others
-    away = (segments > 0) & (facets.cosine < FACING)
     return ClosedForms(plain, cut, points, pixels, facets.share, away)
 
 
