@@ -38,7 +38,7 @@ def sample():
     facet = unit(np.concatenate([rng.uniform(-1, 1, (*SIZE, 2)), np.ones((*SIZE, 1))], axis=-1))
     leaning = unit(facet + rng.normal(0, 0.15, facet.shape))
     leaning[0] = unit(np.stack([np.ones(8), np.linspace(-1, 1, 8), np.full(8, -0.05)], axis=-1))
-    facet[0] = unit(leaning[0] + [0, 0, 0.3])
+    facet[0] = unit(leaning[0] + np.array([0, 0, 0.3]))
     cosine = leaning[..., 2].copy()
     stored = leaning.copy()
     stored[..., 2] = np.maximum(stored[..., 2], 1e-3)
@@ -49,7 +49,7 @@ def sample():
     share = np.where((np.arange(48).reshape(SIZE) % 5 == 0) & mask, 0.4, 0)
     others = np.where(share > 0, 3 - segments, 0)
     others[2] = 0  # the background
-    other_normals = unit(facet + [0.3, 0, 0]) * (others > 0)[..., None]
+    other_normals = unit(facet + np.array([0.3, 0, 0])) * (others > 0)[..., None]
     L = rng.uniform(0.2, 1.0, (64, 128, 3))
     L[15:20, 60:70] = 30
     given = Facets(

@@ -1,4 +1,4 @@
-"""Points: geometry looks through pixels' centres, and knows where Cycles' pixel shows two surfaces."""
+"""Points: geometry looks through centres, and knows where Cycles' pixel shows two surfaces."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_points_stand_for_equal_parts_of_the_filter():
 
 @pytest.mark.blender
 def test_geometry_of_points_looks_through_the_centres(studio):
-    """On the planes of a cube, depth says where a ray passed: .0005 pixels would be 3e-5 or more."""
+    """On a cube's planes, depth says where a ray passed: .0005 pixels would be 3e-5 or more."""
     from factory.render import camera
     from factory.shapes.primitives import cube
     from manifests.schema import Camera

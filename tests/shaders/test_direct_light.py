@@ -226,7 +226,7 @@ def lost_below(mixture, light, n, facet):
     energy = light.mean(-1) * solid_angle
     q = energy / energy.sum() / solid_angle
     w = w @ ROTATION.T
-    h = w + [0, 0, 1]
+    h = w + np.array([0, 0, 1])
     h /= np.linalg.norm(h, axis=-1, keepdims=True)
     cos_i, cos_h, cos_d = np.maximum(w @ n, 1e-9), np.maximum(h @ n, 1e-9), h[..., 2]
     exponent = 2 / np.exp(2 * mixture.log_alpha[0, 1]) - 2
