@@ -10,10 +10,11 @@ radiance  (height, width, 3) float32, linear Rec.709, black outside the object; 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import platform
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -414,6 +415,16 @@ class Studio:
         noisy = window.paste(rendered["Noisy Image"], visible, lens.size)
         smooth = np.maximum(rgba[..., :3], np.float32(0))
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
+
+    @contextlib.contextmanager
+    def sampled_by(self, pattern: str) -> Iterator[None]:
+        """Render pictures inside the block by another cycles.sampling_pattern, for measurements."""
+        usual = self._scene.cycles.sampling_pattern
+        assign(self._scene, "cycles.sampling_pattern", pattern)
+        try:
+            yield
+        finally:
+            assign(self._scene, "cycles.sampling_pattern", usual)
 
     def may_shade_itself(self) -> bool:
         """Return False if nothing that is visible can be shaded by the object or lit by its light.
