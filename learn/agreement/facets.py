@@ -27,7 +27,7 @@ from shaders import tone
 from shaders.direct_light import COS_LEANING, FACING, DirectLight
 from shaders.mixture import Mixture
 
-SAMPLES = 96  # of each narrow lobe at each normal: half of what the factory takes for a point
+SAMPLES = 192  # of each narrow lobe at each normal, as many as the factory takes for a point
 LARGEST_RATIO = (
     4.0  # of H / N: where the nodes are nearly black at a record's normal, it says nothing
 )
