@@ -34,11 +34,16 @@ def mixtures():
 
 @pytest.fixture(scope="module")
 def sample():
-    """Normals that lean from their facets, some away from the viewer, some pixels beside edges."""
+    """Normals that lean from their facets: a row away from the viewer, one near the horizon.
+
+    Every fifth pixel is beside an edge.
+    """
     rng = np.random.default_rng(5)
     facet = unit(np.concatenate([rng.uniform(-1, 1, (*SIZE, 2)), np.ones((*SIZE, 1))], axis=-1))
     leaning = unit(facet + rng.normal(0, 0.15, facet.shape))
     leaning[0] = unit(np.stack([np.ones(8), np.linspace(-1, 1, 8), np.full(8, -0.05)], axis=-1))
+    leaning[1] = unit(np.stack([np.ones(8), np.linspace(-1, 1, 8), np.full(8, 0.15)], axis=-1))
+    facet[1] = unit(leaning[1] + np.array([0, 0, 0.1]))
     facet[0] = unit(leaning[0] + np.array([0, 0, 0.3]))
     cosine = leaning[..., 2].copy()
     stored = leaning.copy()
@@ -100,11 +105,12 @@ def test_all_causes_together_predict_what_cycles_shows(sample, mixtures, truth):
     forms = facets.closed_forms(sample, mixtures)
     mask = sample.segments.numpy() > 0
     rng = np.random.default_rng(1)
-    pictures = truth + rng.normal(0, 0.02, (2, *truth.shape))
+    pictures = truth + rng.normal(0, 0.005, (2, *truth.shape))
     # a layer whose label is the nodes' own closed form
     figures = facets.figures(pictures, mask, forms.plain, forms, 0.5)
     assert set(figures) == set(facets.FIGURES)
-    noise = 1.0
+    # of one value: about 0.005 · 150 / 2.2 display values, squared; the net of 105 scatters less
+    noise = 0.2
     assert figures["layer"] > 50 * noise
     assert all(figures[cause] > noise for cause in ("facets", "half_vectors", "second_surface"))
     assert abs(figures["predicted"]) < noise and abs(figures["nodes"]) < noise
@@ -113,7 +119,7 @@ def test_all_causes_together_predict_what_cycles_shows(sample, mixtures, truth):
     assert figures["away"] == pytest.approx(8 / mask.sum())
     # a label that is a tenth too bright: the prediction keeps its error, where normals do not lean
     brighter = facets.figures(pictures, mask, 1.1 * forms.plain, forms, 0.5)
-    assert brighter["predicted"] == pytest.approx(brighter["node_fit"], abs=noise)
+    assert brighter["predicted"] == pytest.approx(brighter["node_fit"], rel=0.1)
     assert brighter["node_fit"] > 3 * noise
 
 
