@@ -6,6 +6,7 @@ seen through points that stand for equal parts of the bell, and the share that m
 is counted.
 """
 
+import math
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 DEVIATION = 0.0025  # pixels
-ACROSS = 5  # points, the middle one of which is the centre
+COUNT = 32  # points; a step of 1/32 in the share of a pixel that lies beside an upright edge
 # Cycles looks its filters up in a table whose middle lies half an entry away from the centre: with
 # a BOX filter, the first sample goes by so many pixels to the right of it and above it
 BOX_SHIFT = 0.25 / 511
@@ -25,11 +26,15 @@ SAME_FACET = float(np.cos(np.radians(10.0)))
 def offsets() -> list[tuple[float, float]]:
     """Return the points' places (rightwards, upwards) in pixels, the nearest to the centre first.
 
-    The centre itself, which comes first, is (0, 0).
+    They form a lattice, so that across an edge of any direction they lie at many distances from it:
+    edges of upright objects are upright in every view, and whole columns of pixels lie beside them.
     """
-    bell = NormalDist(0, DEVIATION)
-    places = [bell.inv_cdf((k + 0.5) / ACROSS) for k in range(ACROSS)]
-    return sorted(((x, y) for x in places for y in places), key=lambda at: at[0] ** 2 + at[1] ** 2)
+    bell, golden = NormalDist(0, DEVIATION), (math.sqrt(5) - 1) / 2
+    places = [
+        (bell.inv_cdf((k + 0.5) / COUNT), bell.inv_cdf((0.5 + k * golden) % 1))
+        for k in range(COUNT)
+    ]
+    return sorted(places, key=lambda at: at[0] ** 2 + at[1] ** 2)
 
 
 class Seen(NamedTuple):
@@ -47,7 +52,7 @@ class Seen(NamedTuple):
 def other(centre: Seen, around: Sequence[Seen]) -> tuple[np.ndarray, Seen]:
     """Return which share of a pixel shows another surface than its centre, and that surface.
 
-    around   what the points other than the centre meet, the nearest first
+    around   what rays through `offsets` meet
     Returns  share (height, width) float32, 0 outside the centre's mask; the nearest other surface
     """
     count = np.zeros(centre.mask.shape, np.float32)
@@ -62,4 +67,4 @@ def other(centre: Seen, around: Sequence[Seen]) -> tuple[np.ndarray, Seen]:
         for values, theirs in zip(found, each, strict=True):
             values[first] = theirs[first]
         count += differs
-    return count / (len(around) + 1), found
+    return count / len(around), found

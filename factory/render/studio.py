@@ -310,7 +310,7 @@ class Studio:
 
     def _facets(self, lens: Camera, at: _Surface) -> Facets:
         """Return the Facets of points, of which `at` is the surface."""
-        around = [self._surface(x, y).pasted() for x, y in points.offsets()[1:]]
+        around = [self._surface(x, y).pasted() for x, y in points.offsets()]
         centre = at.pasted()
         share, other = points.other(centre, around)
         return Facets(

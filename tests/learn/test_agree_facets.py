@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from learn.agreement import facets, page, summary
-from learn.commands import agree
 from manifests.facets import Facets
 from shaders import frames
 from shaders.direct_light import DirectLight
@@ -142,12 +141,3 @@ def test_the_limit_is_judged_over_the_whole_mask(predicted, holds):
     assert ("within" if holds else "beyond") in page.whole_verdict(result)
     assert len(page.whole_rows(result)) == len(page.WHOLE)
     assert summary.whole([SimpleNamespace(**vars(row) | {"whole": None})]) is None
-
-
-@pytest.mark.parametrize(
-    "inside, whole, expected",
-    [(True, None, 0), (None, None, 0), (True, True, 0), (True, False, 3), (False, True, 3)],
-)
-def test_the_status_says_whether_both_limits_hold(inside, whole, expected):
-    result = {"direct": {"holds": inside}, "whole": None if whole is None else {"holds": whole}}
-    assert agree.status(result) == expected

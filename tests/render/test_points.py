@@ -1,5 +1,7 @@
 """Points: geometry looks through centres, and knows where Cycles' pixel shows two surfaces."""
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 
@@ -20,23 +22,24 @@ def test_the_share_of_another_surface_is_counted_and_the_nearest_is_kept():
     barely = np.array([0, np.sin(0.03), np.cos(0.03)])
     around = [centre, seen(barely, 1), seen(turned, 1), seen([0, 0, 1], 2), seen([0, 0, 1], 0)]
     share, other = points.other(centre, around)
-    np.testing.assert_allclose(share, 3 / 6)
+    np.testing.assert_allclose(share, 3 / 5)
     np.testing.assert_allclose(other.normals[2, 3], turned, atol=1e-6)
     assert (other.segments == 1).all() and other.mask.all()
     share, other = points.other(centre, [centre, around[4], around[2]])
-    np.testing.assert_allclose(share, 2 / 4)
+    np.testing.assert_allclose(share, 2 / 3)
     assert not other.mask.any() and not other.segments.any()  # the background
     assert not points.other(seen([0, 0, 1], 0), around)[0].any()
 
 
 def test_points_stand_for_equal_parts_of_the_filter():
-    places = np.array(points.offsets())
-    assert len(places) == points.ACROSS**2 and tuple(places[0]) == (0.0, 0.0)
-    assert np.abs(places.mean(0)).max() < 1e-9
-    # the middles of equal parts lie closer together than the bell as a whole
-    assert 0.8 < places.std() / points.DEVIATION < 1
+    places = np.array(points.offsets()) / points.DEVIATION
     lengths = np.linalg.norm(places, axis=1)
-    assert (np.diff(lengths) >= -1e-12).all()
+    assert len(places) == points.COUNT and (np.diff(lengths) >= 0).all()
+    bell = NormalDist()
+    for degrees in range(0, 180, 15):  # of edges through and beside the centre
+        across = places @ [np.cos(np.radians(degrees)), np.sin(np.radians(degrees))]
+        for distance in (-1.5, -0.6, 0.0, 0.3, 1.1):
+            assert abs((across < distance).mean() - bell.cdf(distance)) < 0.08
 
 
 @pytest.mark.blender
