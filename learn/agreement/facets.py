@@ -31,6 +31,7 @@ SAMPLES = 192  # of each narrow lobe at each normal, as many as the factory take
 LARGEST_RATIO = (
     4.0  # of H / N: where the nodes are nearly black at a record's normal, it says nothing
 )
+UNFITTED = 0.07  # n·v below which label and nodes only continue what was fitted above
 DARK = 1e-6  # radiance added to both sides of the ratio, of a light of unit mean
 FIGURES = (
     "layer",
@@ -39,6 +40,7 @@ FIGURES = (
     "second_surface",
     "predicted",
     "predicted_points",
+    "predicted_low",
     "node_fit",
     "nodes",
     "nodes_points",
@@ -53,6 +55,7 @@ class ClosedForms:
 
     share  (H, W) of each pixel that shows another surface than the point
     away   (H, W) bool: the interpolated normal faces away
+    low    (H, W) bool: it does not, but lies closer to the horizon than UNFITTED
     """
 
     plain: np.ndarray
@@ -61,6 +64,7 @@ class ClosedForms:
     pixels: np.ndarray
     share: np.ndarray
     away: np.ndarray
+    low: np.ndarray
 
     def predicted(self, integral: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what the layer's integral I (H, W, 3) predicts of F, H and M."""
@@ -101,7 +105,8 @@ def closed_forms(sample: Sample, mixtures: Sequence[Mixture]) -> ClosedForms | N
         others[there] = direct.at(facets.other_normals[there], SAMPLES, facets.other_facets[there])
     share = facets.share[..., None]
     pixels = (1 - share) * points + share * others
-    return ClosedForms(plain, cut, points, pixels, facets.share, away)
+    low = (segments > 0) & ~away & (facets.cosine < UNFITTED)
+    return ClosedForms(plain, cut, points, pixels, facets.share, away, low)
 
 
 def figures(
@@ -117,6 +122,7 @@ def figures(
     facets, half_vectors, second_surface   display L2 between the prediction with and without each
     predicted         net, of the prediction with all of them
     predicted_points  its part without pixels beside edges
+    predicted_low     of that, the part of pixels with n·v below UNFITTED
     node_fit          display L2 between the prediction and the nodes' closed form M
     nodes             net, of M itself: what no cause explains
     nodes_points      its part without pixels beside edges
@@ -132,7 +138,7 @@ def figures(
         tone.display(np.maximum(each, 0), exposure)[mask]
         for each in (integral, *forms.predicted(integral), forms.pixels)
     )
-    beside = forms.share[mask] > 0
+    beside, low = forms.share[mask] > 0, forms.low[mask]
 
     def net(D: np.ndarray) -> np.ndarray:
         return squared_net_of_noise(C - D)
@@ -147,6 +153,7 @@ def figures(
         "second_surface": float(squared_difference(H, P).mean()),
         "predicted": float(net(P).mean()),
         "predicted_points": apart(net(P)),
+        "predicted_low": float((net(P) * low)[~beside].sum() / len(low)),
         "node_fit": float(squared_difference(P, M).mean()),
         "nodes": float(net(M).mean()),
         "nodes_points": apart(net(M)),
