@@ -11,7 +11,8 @@ geometry   OpenEXR, float32: normal.X, normal.Y, normal.Z, unit vectors in the c
            the object fills, negative in front of the plane, 0 in the background. Both are rounded
            to 2^-15: a normal turns by .001° at most (in half precision by .03°, a tenth of chrome's
            lobe), and files shrink by 20 to 60 %. uint32: segment, 1 … S, 0 in the background; mask
-           = segment > 0.
+           = segment > 0. Where pixels are points and the viewer is distant also the channels of
+           manifests.facets.
 light map  npz: L, (64, 128, 3) float32, linear Rec.709 radiance of unit mean luminance, rows from
            the zenith down, columns around the vertical axis, as the camera sees it at rotation 0;
            scale, the mean luminance by which the map was divided.
@@ -29,8 +30,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from manifests import archives, exr
+from manifests import archives, exr, facets
 from manifests.errors import InputError
+from manifests.facets import Facets
 from manifests.files import npz_bytes
 from manifests.inputs import require_file
 from shaders.envmap import mean_radiance
@@ -110,6 +112,26 @@ GEOMETRY = (
         "none",
     ),
 )
+FACETS = (  # of points seen by a distant viewer
+    *(
+        Array(name, np.dtype(np.float32), _FRAME, f"part of the {what}", f"camera, {axis}", _STEP)
+        for what, names in facets.VECTORS.items()
+        for name, axis in zip(names, ("x right", "y up", "z towards the viewer"), strict=True)
+    ),
+    *(
+        Array(name, np.dtype(np.float32), _FRAME, what, "picture", _STEP)
+        for name, what in facets.NUMBERS.items()
+        if name != facets.OTHER_SEGMENT
+    ),
+    Array(
+        facets.OTHER_SEGMENT,
+        np.dtype(np.uint32),
+        _FRAME,
+        facets.NUMBERS[facets.OTHER_SEGMENT],
+        "picture",
+        "none",
+    ),
+)
 LIGHT = (
     Array(
         "L",
@@ -154,11 +176,18 @@ PACKED = (
         f"steps of 1/{PACKED_RADIUS}",
     ),
 )
-FILES = {"images/ab/ID.exr": PICTURE, "geometry/ab/ID.exr": GEOMETRY, "lights/NAME-HASH.npz": LIGHT}
+FILES = {
+    "images/ab/ID.exr": PICTURE,
+    "geometry/ab/ID.exr": (*GEOMETRY, *FACETS),
+    "lights/NAME-HASH.npz": LIGHT,
+}
 PICTURE_TYPES = {array.name: array.type for array in PICTURE}
 GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
+FACET_TYPES = {array.name: array.type for array in FACETS}
 PACKED_TYPES = {array.name: array.type for array in PACKED}
-PIXEL_BYTES = 4 * len(GEOMETRY_TYPES)  # the most that a pixel of ours takes, uncompressed
+PIXEL_BYTES = 4 * len(
+    GEOMETRY_TYPES | FACET_TYPES
+)  # the most that a pixel of ours takes, uncompressed
 # the most that an EXR's header and its table of lines take beside the pixels
 HEADER_BYTES = 1 << 20
 UNIT_LENGTH = 1e-2  # of |n|; what is written keeps it to 1e-4
@@ -183,6 +212,9 @@ class SeenGeometry(Protocol):
     @property
     def mask(self) -> np.ndarray: ...
 
+    @property
+    def facets(self) -> Facets | None: ...
+
 
 class Geometry(NamedTuple):
     """What a shape shows from one view.
@@ -190,11 +222,13 @@ class Geometry(NamedTuple):
     normals   (height, width, 3) float32, unit vectors in the camera frame, 0 in the background
     depth     (height, width) float32, 0 in the background
     segments  (height, width) uint8, 1 … S, 0 in the background
+    facets    None where the file holds none
     """
 
     normals: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+    facets: Facets | None = None
 
     @property
     def mask(self) -> np.ndarray:
@@ -235,11 +269,16 @@ def encode_geometry(geometry: SeenGeometry) -> bytes:
     """Return the bytes of a geometry file."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
     layers[DEPTH_CHANNEL] = geometry.depth
+    segments = {SEGMENT_CHANNEL: geometry.segments}
+    if geometry.facets is not None:
+        layers |= facets.layers(geometry.facets)
+        segments[facets.OTHER_SEGMENT] = geometry.facets.other_segments
     rounded = {
         name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
         for name, values in layers.items()
     }
-    return exr.encode(rounded | {SEGMENT_CHANNEL: geometry.segments.astype(np.uint32)})
+    whole = {name: values.astype(np.uint32) for name, values in segments.items()}
+    return exr.encode(rounded | whole)
 
 
 def read_geometry(
@@ -250,14 +289,14 @@ def read_geometry(
 ) -> Geometry:
     """Return the Geometry of a file.
 
-    Normals and depth must be finite, and normals of unit length wherever there is a segment.
+    All arrays must be finite, and normals of unit length wherever there is a segment.
 
     size       (height, width) that it must have, None: any
     file_hash  sha256 that the file must have, None: any
     exact      refuse other channels and types than `encode_geometry` writes
     Raises     InputError
     """
-    channels = _channels(path, GEOMETRY_TYPES, size, file_hash, exact)
+    channels = _channels(path, GEOMETRY_TYPES, size, file_hash, exact, FACET_TYPES)
     segments = channels[SEGMENT_CHANNEL]
     whole = (
         segments.astype(np.int64)
@@ -274,16 +313,35 @@ def read_geometry(
         )
     normals = np.stack([channels[name] for name in NORMAL_CHANNELS], axis=-1).astype(np.float32)
     depth = channels[DEPTH_CHANNEL].astype(np.float32)
-    for what, values in (("normals", normals), ("depth", depth)):
-        if wrong := int((~np.isfinite(values)).sum()):
-            raise InputError(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
-    inside = normals[whole > 0].astype(np.float64)
+    _require_finite(path, "depth", depth)
+    _require_unit(path, "normals", normals, whole > 0)
+    seen = None
+    if facets.SHARE in channels:
+        for name in FACET_TYPES:
+            _require_finite(path, name, channels[name])
+        seen = facets.of_channels(channels)
+        _require_unit(path, "facet normals", seen.normals, whole > 0)
+        mixed = seen.other_segments > 0
+        _require_unit(path, "normals of the other surface", seen.other_normals, mixed)
+        _require_unit(path, "facet normals of the other surface", seen.other_facets, mixed)
+    return Geometry(normals, depth, whole.astype(np.uint8), seen)
+
+
+def _require_finite(path: str | Path, what: str, values: np.ndarray) -> None:
+    """Raise InputError unless all values are finite."""
+    if wrong := int((~np.isfinite(values)).sum()):
+        raise InputError(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
+
+
+def _require_unit(path: str | Path, what: str, normals: np.ndarray, mask: np.ndarray) -> None:
+    """Raise InputError unless normals (height, width, 3) are finite, and unit inside the mask."""
+    _require_finite(path, what, normals)
+    inside = normals[mask].astype(np.float64)
     lengths = np.sqrt((inside * inside).sum(-1))
     if lengths.size and np.abs(lengths - 1).max() > UNIT_LENGTH:
         raise InputError(
-            path, "unit normals", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN
+            path, f"unit {what}", f"lengths {lengths.min():.4f}–{lengths.max():.4f}", AGAIN
         )
-    return Geometry(normals, depth, whole.astype(np.uint8))
 
 
 def encode_light(L: np.ndarray, scale: float) -> bytes:
@@ -415,8 +473,13 @@ def _channels(
     size: tuple[int, int] | None,
     file_hash: str | None,
     exact: bool,
+    optional: dict[str, np.dtype] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Return the channels of a file, all of one size; types: {name: type as it is written}."""
+    """Return the channels of a file, all of one size.
+
+    types     {name: type as it is written}
+    optional  types of further channels, of which a file holds all or none
+    """
     data = None
     if file_hash is not None:
         pixels = exr.MAX_PIXELS if size is None else size[0] * size[1]
@@ -427,6 +490,11 @@ def _channels(
     if missing:
         result = f"only {', '.join(sorted(channels))}"
         raise InputError(path, f"channels {', '.join(types)}", result, AGAIN)
+    if optional and any(name in channels for name in optional):
+        if missing := [name for name in optional if name not in channels]:
+            result = f"no {', '.join(missing)}"
+            raise InputError(path, f"all or none of {', '.join(optional)}", result, AGAIN)
+        types = types | optional
     sizes = {channels[name].shape for name in types}
     if (
         len(sizes) != 1

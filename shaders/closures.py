@@ -136,4 +136,6 @@ def evaluate(
     ci, co, ch, seen = tilted(tilt, cos_i, cos_o, cos_h, cos_d)
     xp = namespace(ci)
     f = CLOSURES[kind](alpha, ci, co, ch, cos_d) * ci / cos_i
+    if kind == "diffuse":  # Cycles asks for no view in front of its normal
+        seen = ci > MIN_COS
     return xp.where(seen, f, 0 * f)

@@ -23,13 +23,15 @@ nodes  of a map: polar angle θ and azimuth φ of the normal at ((θ cos φ, θ 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from shaders import direct_light_kernels, envmap
-from shaders.mixture import Mixture, ramp_table
+from shaders.mixture import TABLE_SIZE, Mixture, ramp_table, table_look_up
 
 LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
 NARROW = 0.03  # α below which a lobe is sampled
@@ -45,13 +47,12 @@ WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / �
 SAMPLES = 12  # directions per normal of each of the two distributions
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
-# α of lobes that end at the facet. Cycles cuts all of them off where it draws directions by the
-# lobe, but of wide ones it finds most of that light by drawing towards the light
-CUT = 0.3
-BELOW = 2.0  # tan θ_h / α beyond which what a lobe would reflect from below a facet is left in
+# into how many parts texels are divided below facets, by the least α of lobes that are not narrow
+LEANING = ((0.2, 1), (0.08, 2), (0.0, 3))
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
-LEAST_COS = 1e-3  # n·v of normals that lean away from the viewer
+GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
+FACING = 1e-3  # n·v of normals that lean away from the viewer
 
 
 def constants() -> list[list[object]]:
@@ -88,6 +89,7 @@ class DirectLight:
         self.camera_from_light = camera_from_light
         self._lights: dict[int, np.ndarray] = {}
         self._detail: dict[int, tuple[Any, ...]] = {}
+        self._texels: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._least = np.exp(mixture.log_alpha.min(0))
         self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
         self._misdirected: _Map | None = None
@@ -109,77 +111,73 @@ class DirectLight:
         return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
 
     def at(
-        self, n: np.ndarray, samples: int = SAMPLES, facets: np.ndarray | None = None
+        self,
+        n: np.ndarray,
+        samples: int = SAMPLES,
+        facets: np.ndarray | None = None,
+        misdirected: bool = True,
     ) -> np.ndarray:
         """Return radiance (P, 3) float32 at normals (P, 3), of which some may face away.
 
-        samples  directions per normal of each of the two distributions of a narrow lobe; few
-                 suffice where many normals are averaged, for their errors differ
-        facets   (P, 3) normals of the surface itself: as in Cycles, narrow lobes reflect no light
-                 from below it. None: the normals
+        samples      directions per normal of each of the two distributions of a narrow lobe; few
+                     suffice where many normals are averaged, for their errors differ
+        facets       (P, 3) normals of the surface itself: of light below it Cycles loses a part
+                     (direct_light_kernels.add_leaning). None: the normals
+        misdirected  False: without the light that Cycles finds by mistake
         """
         given = np.ascontiguousarray(n, np.float32)
-        n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], LEAST_COS)], axis=1)
-        n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+        n = _facing(given)
         facets = n if facets is None else np.ascontiguousarray(facets, np.float32)
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
-                at = self._maps[k]
-                if direct_light_kernels.mark(n, at.known):
-                    self._fill(k, np.argwhere(at.known == 2))
-                direct_light_kernels.interpolate(n, at.nodes, self._tables[k], radiance)
+                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
-        if self._misdirected is not None:
-            at = self._misdirected
-            if direct_light_kernels.mark(n, at.known):
-                nodes = np.argwhere(at.known == 2)
-                at.set(nodes, self.misdirected(at.normals(nodes)))
-            direct_light_kernels.interpolate(n, at.nodes, UNWEIGHTED, radiance)
         (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
         if len(leaning):
-            hidden = np.zeros((len(leaning), 3), np.float32)
-            for k in range(len(self.mixture.kinds)):
-                self._below_facets(k, n[leaning], facets[leaning], hidden)
-            radiance[leaning] = np.maximum(radiance[leaning] - hidden, 0)
-        (away,) = np.nonzero(given[:, 2] < LEAST_COS)
+            radiance[leaning] -= self._leaning(n[leaning], facets[leaning], away=False)
+            np.maximum(radiance, 0, out=radiance)
+        (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
-            radiance[away] = self._away(given[away], facets[away])
+            radiance[away] = self._leaning(given[away], facets[away], away=True)
+        return radiance + self.mistaken(given, facets) if misdirected else radiance
+
+    def mistaken(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
+        """Return the light (P, 3) that Cycles finds by mistake at normals and facets as of `at`."""
+        radiance = np.zeros_like(n)
+        if self._misdirected is None:
+            return radiance
+        self._look_up(self._misdirected, self.misdirected, None, _facing(n), radiance)
+        (away,) = np.nonzero(n[:, 2] < FACING)
+        if len(away):
+            radiance[away] = self.misdirected(n[away], facets[away])
         return radiance
 
-    def _below_facets(self, k: int, n: np.ndarray, facets: np.ndarray, out: np.ndarray) -> None:
-        """Add to out (P, 3) what closure k would reflect from below the facets (P, 3)."""
-        kind, least = self.mixture.kinds[k], self._least[k]
-        if kind not in LOBES or not NARROW <= least < CUT:
-            return
-        direct_light_kernels.add_below(
-            direct_light_kernels.KINDS[kind],
+    def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
+        """Return what add_leaning adds (P, 3) at normals and facets (P, 3)."""
+        lobes = [
+            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
+        ]
+        width = min([a for a in lobes if a >= NARROW], default=1.0)
+        parts = 1 if away else next((parts for wide, parts in LEANING if width >= wide), 1)
+        extents = [
+            np.tan(EXTENT / 2) if self._is_narrow(k) and not away else 0
+            for k in range(len(self._least))
+        ]
+        lights, density = self.texels(parts)
+        radiance = np.zeros_like(n)
+        direct_light_kernels.add_leaning(
+            np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
             n,
             facets,
-            self._tables[k],
-            np.float32(BELOW),
-            self.lights(min(len(self.light), BLOCKS[1][1])),
-            out,
+            np.stack(self._tables),
+            np.array(extents, np.float32),
+            lights,
+            density,
+            away,
+            radiance,
         )
-
-    def _away(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
-        """Return radiance (P, 3) at normals (P, 3) that face away, as they may on coarse meshes.
-
-        Diffuse closures reflect there as elsewhere, the others where their tilted normal faces the
-        viewer.
-        """
-        lights = self.lights(min(len(self.light), BLOCKS[1][1]))
-        irradiance = np.maximum(n @ lights[:3], 0) @ lights[6:].T / np.float32(np.pi)
-        radiance = np.zeros_like(n)
-        for k, kind in enumerate(self.mixture.kinds):
-            if kind == "diffuse":
-                _, _, weights = self.mixture.at(np.abs(n[:, 2]).astype(np.float64))
-                radiance += irradiance * weights[:, k].astype(np.float32)
-            else:
-                number = direct_light_kernels.KINDS[kind]
-                table = self._tables[k]
-                direct_light_kernels.add_away(number, n, facets, table, lights, radiance)
         return radiance
 
     def _is_narrow(self, k: int) -> bool:
@@ -196,30 +194,90 @@ class DirectLight:
             width = EXTENT / 4  # across which the samples' share falls off
         return max(LEAST_NODES, 3 + int(np.ceil(np.pi / (SPACING * width))))
 
-    def _fill(self, k: int, nodes: np.ndarray) -> None:
-        """Compute nodes (N, 2), by row and column, of closure k's map."""
-        n = self._maps[k].normals(nodes)
+    def _look_up(
+        self,
+        at: _Map,
+        compute: Callable[[np.ndarray], np.ndarray],
+        k: int | None,
+        n: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """Add to out (P, 3) the radiance at normals (P, 3) of closure k, or of what has no weight.
+
+        It is interpolated in a map. Near the horizon it is computed at each normal, because nodes
+        there stand on both sides of where a closure ends.
+
+        compute  the map's function of normals (N, 3)
+        """
+        table = UNWEIGHTED if k is None else self._tables[k]
+        low = n[:, 2] < self._horizon(at, k)
+        above = np.ascontiguousarray(n[~low])
+        if direct_light_kernels.mark(above, at.known):
+            nodes = np.argwhere(at.known == 2)
+            at.set(nodes, compute(at.normals(nodes)))
+        radiance = np.zeros_like(above)
+        direct_light_kernels.interpolate(above, at.nodes, table, radiance)
+        out[~low] += radiance
+        if low.any():
+            weights = table_look_up(table[:, 2:], 1 - n[low, 2])
+            out[low] += compute(np.ascontiguousarray(n[low])) * weights
+
+    def _horizon(self, at: _Map, k: int | None) -> float:
+        """Return n·v below which a map is not looked up: two nodes from where closure k ends.
+
+        A closure whose normal is tilted away from the viewer ends before n·v = 0.
+        """
+        tilts = self.mixture.tilt if k is None else self._tables[k][-GRAZING_ROWS:, 1]
+        return 2 * np.pi / (len(at.known) - 3) + max(0.0, -float(tilts.min()))
+
+    def _summed(self, k: int, n: np.ndarray) -> np.ndarray:
+        """Return what closure k of unit weight reflects, but not what `_sample` adds, (N, 3)."""
         radiance = np.zeros_like(n)
         self._sum(k, n, radiance)
-        self._maps[k].set(nodes, radiance)
+        return radiance
 
-    def misdirected(self, n: np.ndarray) -> np.ndarray:
-        """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3)."""
+    def misdirected(self, n: np.ndarray, facets: np.ndarray | None = None) -> np.ndarray:
+        """Return the radiance (P, 3) that Cycles finds by mistake at normals (P, 3).
+
+        facets  (P, 3) as `at` has them; None: the normals
+        """
         radiance = np.zeros_like(n)
-        # Cycles draws texels by their mean over the channels and the sine at their middle
-        _, solid_angle = envmap.directions(*self.light.shape[:2])
-        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
         direct_light_kernels.add_misdirected(
             np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
             n,
+            n if facets is None else facets,
             np.stack(self._tables),
             self.light,
-            (drawn / (drawn.sum() * solid_angle)).astype(np.float32),
+            self.density,
             np.ascontiguousarray(self.camera_from_light.T, np.float32),
             HALF_VECTORS,
             radiance,
         )
         return radiance
+
+    @cached_property
+    def density(self) -> np.ndarray:
+        """By which Cycles draws directions to the light, (height, width) float32 in 1/sr."""
+        # it draws texels by their mean over the channels and the sine at their middle
+        _, solid_angle = envmap.directions(*self.light.shape[:2])
+        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
+        return (drawn / (max(drawn.sum(), 1e-30) * solid_angle)).astype(np.float32)
+
+    def texels(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return texels that are not black, divided into parts × parts, as lights.
+
+        Returns  (9, T), as direct_light_kernels.add_lights takes them, and their density (T,)
+        """
+        if parts not in self._texels:
+            height, width = self.light.shape[:2]
+            w, solid_angle = envmap.directions(height * parts, width * parts)
+            light, density = (
+                each.repeat(parts, 0).repeat(parts, 1) for each in (self.light, self.density)
+            )
+            lit = light.any(-1)
+            energy = light[lit].astype(np.float64) * solid_angle[lit][:, None]
+            self._texels[parts] = self._lit(w[lit][None], energy[None])[0], density[lit]
+        return self._texels[parts]
 
     def lights(self, rows: int) -> np.ndarray:
         """Return the lights that stand for blocks of the map, `rows` blocks from pole to pole.
@@ -353,7 +411,7 @@ class _Map:
         place = ((nodes[:, ::-1] - 1) / (len(self.known) - 3) * 2 - 1) * (np.pi / 2)
         theta = np.linalg.norm(place, axis=1)
         along = place / np.maximum(theta[:, None], 1e-12)
-        theta = np.minimum(theta, np.arccos(LEAST_COS))
+        theta = np.minimum(theta, np.arccos(FACING))
         n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
         return n.astype(np.float32)
 
@@ -366,6 +424,12 @@ class _Map:
     @classmethod
     def empty(cls, size: int) -> _Map:
         return cls(np.zeros((size, size, 3), np.float32), np.zeros((size, size), np.uint8))
+
+
+def _facing(n: np.ndarray) -> np.ndarray:
+    """Return normals (P, 3) with n·v of at least FACING."""
+    n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], FACING)], axis=1)
+    return (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

@@ -20,6 +20,8 @@ LEAST_EXTENT = np.float32(3)  # in units of tan θ_h / α
 SHORT_TAILED = np.float32(25)  # t at which exponential lobes have ended
 ONE = np.float32(1)
 HALF = np.float32(0.5)
+LEAST_WEIGHT = np.float32(1e-5)  # of a closure that Cycles keeps
+LEAST_SHARE = np.float32(0.125)  # of the samples that follow a closure, before normalisation
 LEAST = np.float32(1e-4)  # cosine; shaders.closures.MIN_COS
 PI = np.float32(math.pi)
 GOLDEN = np.float32((math.sqrt(5) - 1) / 2)
@@ -144,11 +146,10 @@ def _share(t, end):
 
 
 @_inlined
-def _row(kind, n, alpha, tilt, end, least, wx, wy, wz, hx, hy, hz, f):
+def _row(kind, n, alpha, tilt, end, wx, wy, wz, hx, hy, hz, f):
     """Fill f (T,) with f · cos_i of one closure at one normal for lights w with half vectors h.
 
-    end    t at which samples take over, 0: nowhere
-    least  cosine between normal and light from which it is lit
+    end  t at which samples take over, 0: nowhere
     """
     nx, ny, co = n[0], n[1], n[2]
     sin2_o = ONE - co * co
@@ -162,7 +163,7 @@ def _row(kind, n, alpha, tilt, end, least, wx, wy, wz, hx, hy, hz, f):
         along = cd - co * cos_h
         ci = scale * (cos_i + tilt * (np.float32(2) * cd * along - sin2_o))
         ch = scale * (cos_h + tilt * along)
-        lit = seen and cos_i > least and ci > LEAST and ch > LEAST
+        lit = cos_i > LEAST and ci > LEAST and (kind == DIFFUSE or (seen and ch > LEAST))
         ci = min(max(ci, LEAST), ONE)
         ch = min(max(ch, LEAST), ONE)
         value = _value(kind, alpha, ci, o, ch, cd) * ci
@@ -194,7 +195,7 @@ def _end(alpha, extent):
 
 
 @_inlined
-def _evaluate(kind, n, alpha, tilt, end, least, lights, count, f):
+def _evaluate(kind, n, alpha, tilt, end, lights, count, f):
     """Fill f (T,) with f · cos_i of one closure for the first lights (9, T).
 
     The rows are cut one by one, since a part of a matrix would not be contiguous.
@@ -202,15 +203,15 @@ def _evaluate(kind, n, alpha, tilt, end, least, lights, count, f):
     x, y, z = lights[0][:count], lights[1][:count], lights[2][:count]
     hx, hy, hz = lights[3][:count], lights[4][:count], lights[5][:count]
     if kind == 0:
-        _row(0, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+        _row(0, n, alpha, tilt, end, x, y, z, hx, hy, hz, f)
     elif kind == 1:
-        _row(1, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+        _row(1, n, alpha, tilt, end, x, y, z, hx, hy, hz, f)
     elif kind == 2:
-        _row(2, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+        _row(2, n, alpha, tilt, end, x, y, z, hx, hy, hz, f)
     elif kind == 3:
-        _row(3, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+        _row(3, n, alpha, tilt, end, x, y, z, hx, hy, hz, f)
     else:
-        _row(4, n, alpha, tilt, end, least, x, y, z, hx, hy, hz, f)
+        _row(4, n, alpha, tilt, end, x, y, z, hx, hy, hz, f)
 
 
 @_inlined
@@ -245,7 +246,7 @@ def add_lights(
     v = np.empty(5, np.float32)
     for i in range(len(n)):
         _parameters(table, n[i, 2], v)
-        _evaluate(kind, n[i], v[0], v[1], _end(v[0], extent), LEAST, lights, count, f)
+        _evaluate(kind, n[i], v[0], v[1], _end(v[0], extent), lights, count, f)
         _add_energy(f, lights, count, out[i])
 
 
@@ -310,85 +311,13 @@ def add_blocks(
                 count += each
             for j in range(few * b, few * b + few):
                 beyond[j] = np.float32(0) if is_near else ONE
-        _evaluate(kind, n[i], alpha, tilt, np.float32(0), LEAST, gathered, count, f)
+        _evaluate(kind, n[i], alpha, tilt, np.float32(0), gathered, count, f)
         _add_energy(f, gathered, count, out[i])
         if kind == GGX:
-            _evaluate(kind, n[i], alpha, tilt, np.float32(0), LEAST, far, many, f)
+            _evaluate(kind, n[i], alpha, tilt, np.float32(0), far, many, f)
             for j in range(many):
                 f[j] *= beyond[j]
             _add_energy(f, far, many, out[i])
-
-
-@_inlined
-def _add_side(kind, n, facet, v, least, below, lights, count, f, out):
-    """Add to out (3,) what one closure reflects of the lights below a facet, or of those above it.
-
-    v      (5,) α, tilt and weights
-    least  cosine between normal and light from which it is lit
-    """
-    x, y, z = lights[0], lights[1], lights[2]
-    _evaluate(kind, n, v[0], v[1], np.float32(0), least, lights, count, f)
-    for j in range(count):
-        hidden = facet[0] * x[j] + facet[1] * y[j] + facet[2] * z[j] < 0
-        f[j] *= ONE if hidden == below else np.float32(0)
-    for c in range(3):
-        energy = lights[6 + c]
-        total = np.float32(0)
-        for j in range(count):
-            total += f[j] * energy[j]
-        out[c] += total * v[2 + c]
-
-
-@_compiled
-def add_below(
-    kind: int,
-    n: np.ndarray,
-    facets: np.ndarray,
-    table: np.ndarray,
-    within: np.float32,
-    lights: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Add to out (N, 3) what one closure would reflect of the lights below each point's facet.
-
-    facets  (N, 3) unit normals
-    within  tan θ_h / α around the lobe's axis: where no light below the facet is so near to it,
-            nothing is added
-    Others as of `add_lights`.
-    """
-    count = lights.shape[1]
-    f = np.empty(count, np.float32)
-    v = np.empty(5, np.float32)
-    for i in range(len(n)):
-        _parameters(table, n[i, 2], v)
-        mx, my, mz = _mirrored(n[i], v[1])
-        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
-        cone = np.float32(2) * np.float32(math.atan(within * v[0]))
-        if cone < PI / 2 and mx * fx + my * fy + mz * fz > np.float32(math.sin(cone)):
-            continue
-        _add_side(kind, n[i], facets[i], v, LEAST, True, lights, count, f, out[i])
-
-
-@_compiled
-def add_away(
-    kind: int,
-    n: np.ndarray,
-    facets: np.ndarray,
-    table: np.ndarray,
-    lights: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Add to out (N, 3) what one closure with a lobe reflects where normals (N, 3) face away.
-
-    Only a tilted normal may face the viewer there. As in Cycles it is lit by all light above the
-    facet, and parameters are those at |n·v|. Arguments as of `add_below`.
-    """
-    count = lights.shape[1]
-    f = np.empty(count, np.float32)
-    v = np.empty(5, np.float32)
-    for i in range(len(n)):
-        _parameters(table, abs(n[i, 2]), v)
-        _add_side(kind, n[i], facets[i], v, np.float32(-2), False, lights, count, f, out[i])
 
 
 @_inlined
@@ -596,10 +525,108 @@ def _lobe(kind, alpha, o, i, ch, cd):
     return common / (ONE + hidden_i + hidden_o), common / (ONE + hidden_o)
 
 
+@_inlined
+def _picked(v, counts, shares):
+    """Set shares (K,) to the chances with which Cycles draws by each closure.
+
+    They follow the closures' mean weights, but are at least an eighth of their sum before they are
+    made to add up to 1.
+
+    v       (K, 5) α, tilt and weights
+    counts  (K,) whether the closure may be drawn
+    """
+    total = np.float32(0)
+    for k in range(len(v)):
+        shares[k] = (v[k, 2] + v[k, 3] + v[k, 4]) / np.float32(3)
+        if not counts[k] or shares[k] < LEAST_WEIGHT:
+            shares[k] = np.float32(0)
+        total += shares[k]
+    several = np.float32(0)
+    for k in range(len(v)):
+        if shares[k] > 0:
+            shares[k] = max(shares[k], LEAST_SHARE * total)
+        several += shares[k]
+    for k in range(len(v)):
+        shares[k] /= max(several, np.float32(1e-30))
+
+
+@_compiled
+def add_leaning(
+    kinds: np.ndarray,
+    n: np.ndarray,
+    facets: np.ndarray,
+    tables: np.ndarray,
+    extents: np.ndarray,
+    lights: np.ndarray,
+    density: np.ndarray,
+    away: bool,
+    out: np.ndarray,
+) -> None:
+    """Add to out (N, 3) what normals that lean from their facets lose below them, or reflect.
+
+    Cycles finds light by directions that it draws towards the light, and by others that follow the
+    closures. Of the latter it drops those below the facet, but it weights the former as if it did
+    not. Of light that Cycles draws by the densities q and p, the share p²/(p² + q²) is lost.
+
+    kinds    (K,) of the mixture's closures; tables (K, S, 5) as of `add_lights`
+    facets   (N, 3) unit normals
+    extents  (K,) as of `add_samples`, whose share is left out; 0: nothing is
+    lights   (9, T) as of `add_lights`; density (T,) by which Cycles draws them, in 1/sr
+    away     False: what is lost. True: what is reflected at normals that face away. Diffuse
+             closures reflect there as elsewhere, others where their tilted normal faces the viewer
+    """
+    closures = len(kinds)
+    v = np.empty((closures, 5), np.float32)
+    axes = np.empty((closures, 3), np.float32)
+    ends = np.empty(closures, np.float32)
+    picked = np.empty(closures, np.float32)
+    counts = np.ones(closures, np.uint8)
+    for i in range(len(n)):
+        nx, ny, co = n[i, 0], n[i, 1], n[i, 2]
+        for k in range(closures):
+            _parameters(tables[k], abs(co), v[k])
+            axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
+            ends[k] = _end(v[k, 0], extents[k])
+        _picked(v, counts, picked)
+        for j in range(lights.shape[1]):
+            wx, wy, wz = lights[0, j], lights[1, j], lights[2, j]
+            below = facets[i, 0] * wx + facets[i, 1] * wy + facets[i, 2] * wz < 0
+            if not (below or away) or nx * wx + ny * wy + co * wz <= LEAST:
+                continue
+            hx, hy, hz = lights[3, j], lights[4, j], lights[5, j]
+            fr = fg = fb = p = np.float32(0)
+            for k in range(closures):
+                o = axes[k, 2]
+                ci = axes[k, 0] * wx + axes[k, 1] * wy + o * wz
+                ch = axes[k, 0] * hx + axes[k, 1] * hy + o * hz
+                if ci <= LEAST or (kinds[k] != DIFFUSE and (o <= LEAST or ch <= LEAST)):
+                    continue
+                ch = min(ch, ONE)
+                f, q = _lobe(
+                    kinds[k], v[k, 0], min(o, ONE), min(ci, ONE), ch, max(hz, np.float32(1e-6))
+                )
+                p += q * picked[k]
+                if ends[k] > 0:
+                    t = (ONE - ch * ch) / (ch * ch * v[k, 0] * v[k, 0])
+                    f *= ONE - _share(t, ends[k])
+                fr += f * v[k, 2]
+                fg += f * v[k, 3]
+                fb += f * v[k, 4]
+            share = ONE
+            if below:
+                share = p * p / max(p * p + density[j] * density[j], np.float32(1e-30))
+                if away:
+                    share = ONE - share
+            out[i, 0] += share * fr * lights[6, j]
+            out[i, 1] += share * fg * lights[7, j]
+            out[i, 2] += share * fb * lights[8, j]
+
+
 @_compiled
 def add_misdirected(
     kinds: np.ndarray,
     n: np.ndarray,
+    facets: np.ndarray,
     tables: np.ndarray,
     light: np.ndarray,
     density: np.ndarray,
@@ -615,24 +642,25 @@ def add_misdirected(
     sample beside those of the light.
 
     kinds    (K,) of the mixture's closures; tables (K, S, 5) as of `add_lights`
+    facets   (N, 3) unit normals, below which Cycles finds nothing
     density  (height, width) by which Cycles draws directions to the light, in 1/sr
     count    half vectors per normal and closure
     """
     height, width = light.shape[0], light.shape[1]
     closures = len(kinds)
     v = np.empty((closures, 5), np.float32)
+    picked = np.empty(closures, np.float32)
+    counts = np.ones(closures, np.uint8)
     for i in range(len(n)):
         co = n[i, 2]
-        total = np.float32(0)
         for k in range(closures):
-            _parameters(tables[k], co, v[k])
-            total += (v[k, 2] + v[k, 3] + v[k, 4]) / np.float32(3)
+            _parameters(tables[k], abs(co), v[k])
+        _picked(v, counts, picked)
         for k in range(closures):
-            if kinds[k] != ASHIKHMIN_SHIRLEY or total <= 0:
+            if kinds[k] != ASHIKHMIN_SHIRLEY or picked[k] <= 0:
                 continue
-            picked = (v[k, 2] + v[k, 3] + v[k, 4]) / (np.float32(3) * total)
             ax, ay, az = _axis(n[i], v[k, 1])
-            if az <= LEAST or picked <= 0:
+            if az <= LEAST:
                 continue
             exponent = np.float32(2) / (v[k, 0] * v[k, 0]) - ONE
             least = np.float32(math.sqrt(max(ONE - az * az, np.float32(0))))
@@ -661,6 +689,8 @@ def add_misdirected(
                 )
                 if wx * n[i, 0] + wy * n[i, 1] + wz * co < 0:
                     continue
+                if wx * facets[i, 0] + wy * facets[i, 1] + wz * facets[i, 2] < 0:
+                    continue
                 fr = fg = fb = p = np.float32(0)
                 for m in range(closures):
                     bx, by, bz = _axis(n[i], v[m, 1])
@@ -674,14 +704,16 @@ def add_misdirected(
                     fr += f * v[m, 2]
                     fg += f * v[m, 3]
                     fb += f * v[m, 4]
-                    p += q * (v[m, 2] + v[m, 3] + v[m, 4]) / (np.float32(3) * total)
+                    p += q * picked[m]
                 if p <= 0:
                     continue
                 length = np.float32(math.sqrt(wx * wx + wy * wy + wz * wz))
                 wx, wy, wz = wx / length, wy / length, wz / length
                 row, column = _texel(to_light, wx, wy, wz, height, width)
                 other = density[row, column]
-                share = picked * least**exponent / np.float32(count) * p / (p * p + other * other)
+                share = (
+                    picked[k] * least**exponent / np.float32(count) * p / (p * p + other * other)
+                )
                 out[i, 0] += share * fr * light[row, column, 0]
                 out[i, 1] += share * fg * light[row, column, 1]
                 out[i, 2] += share * fb * light[row, column, 2]

@@ -83,3 +83,10 @@ def place(scene: bpy.types.Scene, camera: Camera) -> None:
     height, width = camera.size
     assign(scene, "render.resolution_x", width)
     assign(scene, "render.resolution_y", height)
+
+
+def shift(scene: bpy.types.Scene, camera: Camera, rightwards: float, upwards: float) -> None:
+    """Move the frame of the scene's camera by parts of a pixel, as `place` has not."""
+    longer = max(camera.size)
+    assign(scene.camera.data, "shift_x", rightwards / longer)
+    assign(scene.camera.data, "shift_y", upwards / longer)

@@ -10,10 +10,11 @@ radiance  (height, width, 3) float32, linear Rec.709, black outside the object; 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import platform
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -29,6 +30,7 @@ from factory.render import (
     device,
     light,
     materials,
+    points,
     render_result,
     self_shading,
     window,
@@ -48,6 +50,7 @@ from factory.render.settings import (
 )
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
+from manifests.facets import Facets
 from manifests.schema import Camera, LightResolution, Tier
 from shaders import frames, nodes
 from shaders.mixture import Mixture
@@ -76,12 +79,14 @@ class Geometry:
     depth     (height, width) float32, distance behind the plane through the object's centre, along
               the optical axis; 0 outside the mask
     segments  (height, width) uint8: 1, 2, …; 0 outside the mask
+    facets    of points seen by a distant viewer; None for other cameras
     """
 
     normals: np.ndarray
     mask: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+    facets: Facets | None = None
 
 
 class _Surface(NamedTuple):
@@ -97,6 +102,16 @@ class _Surface(NamedTuple):
     facets: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+
+    def pasted(self) -> points.Seen:
+        """Return the surface in the frame of its mask."""
+
+        def paste(values: np.ndarray) -> np.ndarray:
+            frame = np.zeros((*self.mask.shape, *values.shape[1:]), values.dtype)
+            frame[self.mask] = values
+            return frame
+
+        return points.Seen(self.mask, paste(self.normals), paste(self.facets), paste(self.segments))
 
 
 class Studio:
@@ -278,22 +293,49 @@ class Studio:
         view = (
             None if lens.fov_deg is None else camera.view_vectors(lens)[at.mask].astype(np.float32)
         )
+        facets = None
+        if lens.pixel == "centre" and lens.fov_deg is None:
+            facets = self._facets(lens, at)
         shot = Geometry(
             np.zeros((*lens.size, 3), np.float32),
             at.mask,
             np.zeros(lens.size, np.float32),
             np.zeros(lens.size, np.uint8),
+            facets,
         )
         shot.normals[at.mask] = _facing(at.normals, view)
         shot.depth[at.mask] = at.depth
         shot.segments[at.mask] = at.segments
         return shot
 
-    def _surface(self) -> _Surface:
-        """Return what one ray through each pixel's centre meets."""
+    def _facets(self, lens: Camera, at: _Surface) -> Facets:
+        """Return the Facets of points, of which `at` is the surface."""
+        around = [self._surface(x, y).pasted() for x, y in points.offsets()]
+        centre = at.pasted()
+        share, other = points.other(centre, around)
+        return Facets(
+            centre.facets,
+            centre.normals[..., 2],
+            share,
+            other.normals,
+            other.facets,
+            other.segments,
+        )
+
+    def _surface(self, rightwards: float = 0.0, upwards: float = 0.0) -> _Surface:
+        """Return what one ray through each pixel meets, so many pixels from its centre.
+
+        Pixels that are points are seen through their centres to a hundredth of the width of Cycles'
+        narrowest filter, others as Cycles' table of filters has it.
+        """
         self._show("geometry")
         lens = self._require_camera()
-        (top, bottom, left, right), passes = self._render_passes(lens)
+        exact = points.BOX_SHIFT if lens.pixel == "centre" and lens.fov_deg is None else 0.0
+        try:
+            camera.shift(self._scene, lens, rightwards - exact, upwards - exact)
+            (top, bottom, left, right), passes = self._render_passes(lens)
+        finally:
+            camera.shift(self._scene, lens, 0.0, 0.0)
         mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
         inside = mask[top:bottom, left:right]
         world, emitted = passes["Normal"][inside], passes["Combined"][inside]
@@ -373,6 +415,16 @@ class Studio:
         noisy = window.paste(rendered["Noisy Image"], visible, lens.size)
         smooth = np.maximum(rgba[..., :3], np.float32(0))
         return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
+
+    @contextlib.contextmanager
+    def sampled_by(self, pattern: str) -> Iterator[None]:
+        """Render pictures inside the block by another cycles.sampling_pattern, for measurements."""
+        usual = self._scene.cycles.sampling_pattern
+        assign(self._scene, "cycles.sampling_pattern", pattern)
+        try:
+            yield
+        finally:
+            assign(self._scene, "cycles.sampling_pattern", usual)
 
     def may_shade_itself(self) -> bool:
         """Return False if nothing visible can be shaded by the object or lit by its light."""

@@ -53,6 +53,7 @@ class Row:
                          the scene's materials
     grazing              per bin of surface.GRAZING_DEG, over the pixels inside, like for like:
                          pixels, mean L2, mean relative signed error
+    whole                facets.figures, over the whole mask; None where they are not known
     """
 
     id: str
@@ -89,6 +90,7 @@ class Row:
     node_fit: float
     grazing: list
     causes: dict | None = None
+    whole: dict | None = None
 
     def to_json(self) -> dict:
         """Return the row as plain JSON."""

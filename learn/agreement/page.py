@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from learn.agreement.plots import NAMES
-from learn.agreement.summary import FIGURES
+from learn.agreement.summary import FIGURES, LIMIT
 from learn.figures.html import encoded, encoded_picture, image, page, paragraph, table
 
 TITLES = {
@@ -23,6 +23,19 @@ TITLES = {
     "node_fit": "node fit L2",
 }
 PERCENT = ("signed", "absolute", "sum_signed")
+# rows of the table of the whole mask
+WHOLE = {
+    "layer": "the layer alone",
+    "facets": "facets, and normals that face away",
+    "half_vectors": "half vectors that Cycles draws wrongly",
+    "second_surface": "pixels that show two surfaces",
+    "predicted": "the layer with all three",
+    "predicted_points": "of that, away from edges",
+    "predicted_low": "of that, where n·v is below 0.07 and label and nodes were not fitted",
+    "node_fit": "node fit at these pixels",
+    "nodes": "the nodes' closed form: what is left",
+    "nodes_points": "of that, away from edges",
+}
 DIFFERENCE_GAIN = 4.0  # display steps are shown this many times larger, around grey
 STYLE = """
 .cards{display:flex;flex-wrap:wrap;gap:.8rem;margin:1.2rem 0}
@@ -85,6 +98,24 @@ def verdict(head: Mapping) -> str:
     )
 
 
+def whole_verdict(whole: Mapping) -> str:
+    """Return the limit over the whole mask in sentences."""
+    if whole["holds"] is None:
+        return "The catalogue states no node fit: the limit over the whole mask cannot be judged."
+    judged = "within" if whole["holds"] else "beyond"
+    return (
+        "Over the whole mask, with what Cycles does at facets and at pixels that show two surfaces"
+        f" ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
+        f" {whole['predicted']:.3g}; the node fit in the catalogue is"
+        f" {whole['node_fit_catalogue']:.3g}: {judged} the limit of {LIMIT:g} times."
+    )
+
+
+def whole_rows(whole: Mapping) -> list[tuple[str, str]]:
+    """Return the rows (what, L2) of the table of the whole mask."""
+    return [(title, number(key, whole[key])) for key, title in WHOLE.items()]
+
+
 def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
     """Return report.md."""
     lines = [
@@ -107,6 +138,10 @@ def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
                 f" largest {shift['largest']:.3f}."
             ),
         ]
+    if whole := summary.get("whole"):
+        lines += ["", "## The whole mask (display L2)", "", whole_verdict(whole), ""]
+        lines += ["| | L2 |", "|---|---|"]
+        lines += [f"| {title} | {value} |" for title, value in whole_rows(whole)]
     lines += [
         "",
         "## By grazing angle",
@@ -156,7 +191,9 @@ def web(
         ),
         "<div class=plots>",
         *(_figure(image(encoded(png)), caption) for png, caption in plots),
-        "</div><h2>Pictures, the worst first</h2>",
+        "</div>",
+        *_whole(summary.get("whole")),
+        "<h2>Pictures, the worst first</h2>",
         paragraph(
             f"Cycles, the layer, and their difference times {DIFFERENCE_GAIN:g} around grey.",
             "soft",
@@ -167,6 +204,17 @@ def web(
         *(_breakdown(name, groups) for name, groups in summary["breakdowns"].items()),
     ]
     return page("Agreement", body, STYLE, heading="Cycles and the layer, side by side")
+
+
+def _whole(whole: Mapping | None) -> list[str]:
+    """Return the section of the whole mask as HTML."""
+    if not whole:
+        return []
+    return [
+        "<h2>The whole mask</h2>",
+        paragraph(whole_verdict(whole)),
+        table(["", "display L2"], [list(row) for row in whole_rows(whole)]),
+    ]
 
 
 def _figure(content: str, caption: str) -> str:

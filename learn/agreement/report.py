@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.agreement import causes, page, plots
+from learn.agreement import causes, facets, page, plots
 from learn.agreement.measure import Layer, Row, measure, rendered
 from learn.agreement.scenes import Condition, scenes
 from learn.agreement.summary import summarise
@@ -103,8 +103,11 @@ def compare(options: Options) -> tuple[list[Row], list[Panel]]:
                 continue
             layer = rendered(sample, options.tolerance, options.device)
             entries = [records.material(name) for name in group[0].records[0].materials]
+            forms = None
+            if any(condition.direct and len(condition.records) > 1 for condition in group):
+                forms = facets.closed_forms(sample, [entry.mixture for entry in entries])
             for condition in group:
-                row, shown = compare_condition(condition, records, sample, layer, entries)
+                row, shown = compare_condition(condition, records, sample, layer, entries, forms)
                 rows.append(row)
                 caption = (
                     f"{row.shape}, {' + '.join(dict.fromkeys(row.materials))}, {row.light} turned"
@@ -126,6 +129,7 @@ def compare_condition(
     sample: Sample,
     layer: Layer,
     entries: Sequence[Material],
+    forms: facets.ClosedForms | None = None,
 ) -> tuple[Row, tuple[np.ndarray, np.ndarray]]:
     """Return the Row of a condition, and its display pictures.
 
@@ -137,6 +141,8 @@ def compare_condition(
         row.causes = causes.separate_causes(
             sample, pictures, layer, [entry.mixture for entry in entries], row.exposure
         )
+        if forms is not None:
+            row.whole = facets.figures(pictures, layer.mask, layer.integral, forms, row.exposure)
     return row, shown
 
 

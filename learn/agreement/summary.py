@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from learn.agreement import surface
+from learn.agreement import facets, surface
 from learn.agreement.measure import Row
 
 # net display L2 of the direct tier, in units of the materials' own node fit
@@ -106,6 +106,22 @@ def causes(rows: Sequence[Row]) -> dict:
     return out
 
 
+def whole(rows: Iterable[Row]) -> dict | None:
+    """Return the means of facets.FIGURES over the direct tier's rows, and whether the limit holds.
+
+    Of the pixels of the whole mask the prediction must lie within LIMIT times the node fit of the
+    catalogue. None where no row has the figures
+    """
+    known = [row for row in direct(rows) if row.whole]
+    if not known:
+        return None
+    means = {name: mean([(row.whole or {})[name] for row in known]) for name in facets.FIGURES}
+    fit = mean([row.node_fit for row in known])
+    predicted = means["predicted"]
+    holds = None if fit is None or predicted is None else bool(predicted <= LIMIT * fit)
+    return {"conditions": len(known), **means, "node_fit_catalogue": fit, "holds": holds}
+
+
 def headline(rows: Iterable[Row]) -> dict:
     """Return the direct tier's net display L2 against LIMIT times the node fit of its materials.
 
@@ -138,6 +154,7 @@ def summarise(rows: Sequence[Row]) -> dict:
         "all": figures(rows) if rows else {},
         "direct": headline(rows),
         "causes": causes(own),
+        "whole": whole(own),
         "grazing": grazing(own),
         "breakdowns": (
             {"tier and light resolution": breakdown(rows, DIMENSIONS["tier and light resolution"])}

@@ -73,5 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     )
     print(page.verdict(summary["direct"]))
+    if summary["whole"]:
+        print(page.whole_verdict(summary["whole"]))
     print(f"See {arguments.out / 'index.html'}")
     return DISAGREE if summary["direct"]["holds"] is False else 0

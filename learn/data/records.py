@@ -39,7 +39,10 @@ REPAIR = "python -m factory verify DIR --repair, then render again"
 
 @dataclass(frozen=True)
 class Sample:
-    """One record's tensors in the module's shapes and frames; depth (H, W), 0 in the background."""
+    """One record's tensors in the module's shapes and frames; depth (H, W), 0 in the background.
+
+    facets  numpy, camera frame; None where the geometry file holds none
+    """
 
     record: Record
     image: torch.Tensor
@@ -49,6 +52,7 @@ class Sample:
     label: torch.Tensor
     light: torch.Tensor
     view: torch.Tensor | None
+    facets: arrays.Facets | None = None
 
     @property
     def mask(self) -> torch.Tensor:
@@ -133,7 +137,7 @@ class Records(torch.utils.data.Dataset):
 
         Raises InputError for a file that is missing, damaged or of another size.
         """
-        normals, depth, segments = self.geometry(record)
+        geometry = self._geometry(record)
         fov = None if record.camera.fov_deg is None else np.radians(record.camera.fov_deg)
         height, width = record.camera.size
         view = (
@@ -146,12 +150,13 @@ class Records(torch.utils.data.Dataset):
         return Sample(
             record,
             _tensor(self.image(record)),
-            _tensor(normals),
-            _tensor(depth),
-            _tensor(segments),
+            _tensor(geometry.normals),
+            _tensor(geometry.depth),
+            _tensor(geometry.segments.astype(np.int64)),
             _tensor(label),
             _tensor(light),
             view,
+            geometry.facets,
         )
 
     def views(self) -> list[View]:
@@ -191,9 +196,14 @@ class Records(torch.utils.data.Dataset):
 
         normals (H, W, 3) float32, depth (H, W) float32, segments (H, W) int64. Raises InputError.
         """
+        geometry = self._geometry(record)
+        return geometry.normals, geometry.depth, geometry.segments.astype(np.int64)
+
+    def _geometry(self, record: Record | View) -> arrays.Geometry:
+        """Return the geometry of a record or a view. Raises InputError."""
         path = self.store.fetch(record.geometry)
         geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
-        normals, depth, segments = geometry
+        segments = geometry.segments
         if away := turned_away(geometry, record.camera):
             raise InputError(
                 path, "normals that face the viewer", f"{away} turned away", "render it again"
@@ -205,7 +215,7 @@ class Records(torch.utils.data.Dataset):
                 f"segment {int(segments.max())}",
                 "render it again",
             )
-        return normals, depth, segments.astype(np.int64)
+        return geometry
 
     @cache  # noqa: B019 -- one data set lives as long as its program
     def material(self, name: str) -> Material:

@@ -110,7 +110,7 @@ def test_the_stored_light_is_the_one_that_lit_the_picture(made):
             or record.light_resolution != "64x128"
         ):
             continue
-        normals, _, segments = geometry = read_geometry(made.folder / record.geometry)
+        normals, _, segments, _ = geometry = read_geometry(made.folder / record.geometry)
         mask = geometry.mask
         light = stored_light(made, dataset, record)
         label = labelled(

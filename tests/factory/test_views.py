@@ -45,7 +45,7 @@ def test_every_shape_is_seen_from_every_view_once_and_nothing_is_pictured(
     }
     assert not (tmp_path / "images").exists() and not list(Store(tmp_path).records())
     for view in views:
-        _, _, segments = geometry = read_geometry(tmp_path / view.geometry)
+        _, _, segments, _ = geometry = read_geometry(tmp_path / view.geometry)
         mask = geometry.mask
         assert (
             view.coverage == pytest.approx(mask.mean(), abs=1e-6)

@@ -291,7 +291,7 @@ def _learned(folder):
             own += [labels[name] for name in line.get("materials", ())]
             own += [dataset["materials"][name]["side"] for name in line.get("materials", ())]
             geometry = there.geometry_of(line)
-            pixels = [np.ascontiguousarray(array).tobytes() for array in geometry]
+            pixels = [np.ascontiguousarray(array).tobytes() for array in geometry[:3]]
             if there.kind == "records":
                 pixels += [
                     there.picture_of(line).tobytes(),
@@ -849,7 +849,7 @@ def contents(base: Path) -> Iterator[Tampering]:
             def forge(folder, rng, change=change, level=level, name=name):
                 lines = folder.lines()
                 line = lines[0]
-                arrays_ = (np.asarray(a, np.float64) for a in folder.geometry_of(line))
+                arrays_ = (np.asarray(a, np.float64) for a in folder.geometry_of(line)[:3])
                 content = _encoded(*change(*arrays_), rounded=name != "normals not rounded")
                 if not level:
                     (folder.path / line["geometry"]).write_bytes(content)

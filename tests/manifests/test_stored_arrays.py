@@ -20,6 +20,7 @@ from manifests.arrays import (
     read_picture,
 )
 from manifests.errors import InputError
+from manifests.facets import OTHER_NORMALS, SHARE, Facets
 from manifests.files import npz_bytes, write_bytes
 from shaders.envmap import unit_mean
 
@@ -42,7 +43,67 @@ def geometry(rng):
         normals=normals.astype(np.float32),
         depth=rng.uniform(-1, 1, (24, 40)).astype(np.float32),
         segments=segments,
+        facets=None,
     )
+
+
+@pytest.fixture
+def facets(rng, geometry):
+    """Of the geometry: every third pixel inside is beside an edge."""
+
+    def unit(mask):
+        vectors = rng.normal(size=(24, 40, 3))
+        return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True) * mask[..., None]).astype(
+            np.float32
+        )
+
+    inside = geometry.segments > 0
+    mixed = inside & (np.arange(24 * 40).reshape(24, 40) % 3 == 0)
+    return Facets(
+        unit(inside),
+        (rng.uniform(-1, 1, (24, 40)) * inside).astype(np.float32),
+        (rng.integers(1, 25, (24, 40)) / 32 * mixed).astype(np.float32),
+        unit(mixed),
+        unit(mixed),
+        (mixed * rng.integers(1, 4, (24, 40))).astype(np.uint8),
+    )
+
+
+def test_facets_come_back_and_files_without_them_hold_none(tmp_path, geometry, facets):
+    write_geometry(tmp_path / "without.exr", geometry)
+    assert read_geometry(tmp_path / "without.exr", exact=True).facets is None
+    geometry.facets = facets
+    write_geometry(tmp_path / "with.exr", geometry)
+    back = read_geometry(tmp_path / "with.exr", exact=True)
+    assert back.facets is not None
+    for given, stored in zip(facets, back.facets, strict=True):
+        assert stored.dtype == given.dtype and np.abs(stored - given).max() <= 2**-16
+    np.testing.assert_array_equal(back.segments, geometry.segments)
+
+
+@pytest.mark.parametrize("wrong", [{OTHER_NORMALS[0]: None}, {SHARE: np.nan}])
+def test_facets_in_part_or_not_finite_are_refused(tmp_path, geometry, facets, wrong):
+    geometry.facets = facets
+    write_geometry(tmp_path / "g.exr", geometry)
+    channels = exr.read(tmp_path / "g.exr")
+    ((name, value),) = wrong.items()
+    if value is None:
+        del channels[name]
+    else:
+        channels[name] = np.full_like(channels[name], value)
+    exr.write(tmp_path / "g.exr", channels)
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        read_geometry(tmp_path / "g.exr")
+
+
+def test_interpolated_normals_are_what_they_were_before_they_faced_the_viewer(facets):
+    cosine = np.array([[-0.3, 0.0005, 0.4]], np.float32)
+    across = np.array([0.6, 0.8])
+    given = np.concatenate([np.sqrt(1 - cosine**2)[..., None] * across, cosine[..., None]], axis=-1)
+    seen = np.maximum(cosine, 1e-3)
+    stored = np.concatenate([np.sqrt(1 - seen**2)[..., None] * across, seen[..., None]], axis=-1)
+    back = facets._replace(cosine=cosine).interpolated(stored.astype(np.float32))
+    np.testing.assert_allclose(back, given, atol=1e-6)
 
 
 def test_a_picture_comes_back_to_half_precision(tmp_path, rng):

@@ -290,7 +290,7 @@ def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(
     record = lines(store)[0]
     geometry = arrays.read_geometry(store.folder / record.geometry)
     replace_file(
-        store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry)))
+        store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry[:3])))
     )
     assert message in "\n".join(texts(store))
 

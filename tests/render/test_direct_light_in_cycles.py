@@ -53,7 +53,9 @@ def test_a_wide_lobe_at_grazing_angles_is_as_bright_as_cycles_shows_it(studio, m
     mixture = Mixture.constant("ashikhmin_shirley", 0.75, [0.6, 0.5, 0.4])
     assert error(studio, mixture, FINE) < 0.3
     monkeypatch.setattr(
-        direct_light.DirectLight, "misdirected", lambda self, n: np.zeros_like(n, np.float32)
+        direct_light.DirectLight,
+        "misdirected",
+        lambda self, n, facets=None: np.zeros_like(n, np.float32),
     )
     studio._direct.clear()
     assert error(studio, mixture, FINE) > 5

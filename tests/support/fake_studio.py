@@ -50,7 +50,11 @@ class Studio:
     def geometry(self):
         segments = self._mask.astype(np.uint8)
         return SimpleNamespace(
-            normals=self._normals, mask=self._mask, depth=-self._normals[..., 2], segments=segments
+            normals=self._normals,
+            mask=self._mask,
+            depth=-self._normals[..., 2],
+            segments=segments,
+            facets=None,
         )
 
     def picture(self, samples, seed, tier="direct"):

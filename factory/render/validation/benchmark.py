@@ -239,7 +239,9 @@ def _accuracy(name: str) -> Callable[[argparse.Namespace], dict[str, Any]]:
 
             catalogue = load_catalogue()
             return {
-                material: closed_forms.closed_form(studio, catalogue[material].mixture)
+                material: closed_forms.closed_form(
+                    studio, catalogue[material].mixture, pattern=options.pattern
+                )
                 for material in options.material
             }
         return getattr(closed_forms, name)(studio)
@@ -282,6 +284,12 @@ def main(arguments: Sequence[str]) -> int:
         action="append",
         default=[],
         help="materials: a name in the catalogue; repeat the option for several",
+    )
+    parser.add_argument(
+        "--pattern",
+        default="TABULATED_SOBOL",
+        choices=("TABULATED_SOBOL", "BLUE_NOISE"),
+        help="materials: Cycles' sampling pattern (default: that of pictures, TABULATED_SOBOL)",
     )
     parser.add_argument(
         "--seed",
