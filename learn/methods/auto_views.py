@@ -40,12 +40,14 @@ from learn.methods.planned import Strategy
 # times as long as for a distant viewer, whose h and splines belong to the light
 DEARER = 2.4
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
-# of the error of interpolating between `across` views: factor × spread^power, by whether maps are
+# of the error of interpolating between so many views: factor × spread^power, by whether maps are
 # read where they mirror the light
 VIEW_ERROR = {
-    False: {1: (0.35, 1.0), 2: (0.08, 2.0), 3: (0.03, 3.0)},
-    True: {1: (0.1, 1.0), 2: (0.1, 2.0), 3: (0.1, 2.5)},
+    False: {1: (0.35, 1.0), 3: (0.1, 2.0), 6: (0.05, 3.0)},
+    True: {1: (0.02, 1.0), 3: (0.1, 2.0), 6: (0.1, 2.5)},
 }
+MORE_VIEWS = {1: 3, 3: 6, 6: 0}
+VIEW_SHARE = 0.4  # of the tolerance
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
 SIMILAR = 1.7  # times the size of the largest map: maps above it take its size
 VIEW_SHARE = 0.4  # of the tolerance
@@ -91,10 +93,10 @@ def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
     """A strategy of smaller error: more views and a larger map, more lights, less culling."""
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
-        across = strategy.across + 1
-        size = grown(strategy.size, len(scene.n)) if across <= 3 else 0
-        strategy = replace(strategy, size=size, across=across if size else 1)
-        strategy = replace(strategy, mirrored=strategy.mirrored and size > 0)
+        views = MORE_VIEWS[strategy.views]
+        size = grown(strategy.size, len(scene.n)) if views else 0
+        mirrored = strategy.mirrored and size > 0
+        strategy = replace(strategy, size=size, views=views if size else 1, mirrored=mirrored)
     return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
 
 
@@ -108,43 +110,42 @@ def best_plan(
     sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
     sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
     share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
-    sizes, levels, across = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
+    sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
     mirrored = sharp > BROAD
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
-        views = views_across(scene.spread, bool(mirrored[s]), VIEW_SHARE * tolerance / share[s])
-        if views and size <= reflectance_map.LARGEST and (mirrored[s] or covers(scene.n, size)):
-            nodes = views**2 * node_count(size)
-            by_map = DEARER * sum_seconds(sharp[s], nodes, lights, tolerance)
-            by_map += LOOK_UP * pixels * views**2
+        count = view_count(scene.plane.spread, mirrored[s], VIEW_SHARE * tolerance / share[s])
+        if count and size <= reflectance_map.LARGEST and (mirrored[s] or covers(scene.n, size)):
+            by_map = count * sum_seconds(sharp[s], node_count(size), lights, tolerance)
+            by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
-                sizes[s], across[s] = size, views
+                sizes[s], views[s] = size, count
     for kind in (mirrored, ~mirrored):  # lobes of similar width share their maps' look-ups
         alike = kind & (sizes > 0)
         alike &= SIMILAR * sizes > sizes.max(where=alike, initial=0)
-        sizes[alike], levels[alike], across[alike] = (
+        sizes[alike], levels[alike], views[alike] = (
             sizes.max(where=alike, initial=0),
             levels.min(where=alike, initial=9),
-            across.max(where=alike, initial=1),
+            views.max(where=alike, initial=1),
         )
     groups: dict[tuple[int, int, int, bool], list[int]] = {}
     for s in lobes:
-        key = int(sizes[s]), int(levels[s]), int(across[s]), bool(mirrored[s] and sizes[s])
+        key = int(sizes[s]), int(levels[s]), int(views[s]), bool(mirrored[s] and sizes[s])
         groups.setdefault(key, []).append(s)
     return [
-        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS, views, mirrors)
-        for (size, level, views, mirrors), lobes in groups.items()
+        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS, count, mirrors)
+        for (size, level, count, mirrors), lobes in groups.items()
     ]
 
 
-def views_across(spread: float, mirrored: bool, error: float) -> int:
-    """The fewest views along a side of the grid that keep a predicted error; 0 if none do."""
-    for across, (factor, power) in VIEW_ERROR[mirrored].items():
+def view_count(spread: float, mirrored: bool, error: float) -> int:
+    """The fewest views that keep a predicted error; 0 if none do."""
+    for count, (factor, power) in VIEW_ERROR[bool(mirrored)].items():
         if factor * spread**power <= error:
-            return across
+            return count
     return 0
 
 

@@ -8,8 +8,7 @@ interpolates between views:
     I(n, v) ≈ Σ_k ℓ_k(v) M_k(n_k),   M_k(n) = I(n, v_k)
 
 n_k is the pixel's normal, or for sharp lobes the one that mirrors the same light (`ViewMap`).
-ℓ_k are products of Lagrange polynomials over the Gauss points of the interval that the views take
-up in each of two directions.
+ℓ_k are the polynomials of degree 0, 1 or 2 that are 1 at v_k and 0 at the others.
 
 n, view (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at
 hand.
@@ -24,37 +23,61 @@ import torch
 
 from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
-from learn.methods import coarse, reflectance_map, refusal
+from learn.methods import coarse, light_tables, reflectance_map, refusal
+from learn.methods.block_lists import Listing, Tables
+from learn.methods.light_tables import Lights
 from learn.methods.planned import Strategy
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
-GAUSS_POINTS = {across: np.polynomial.legendre.leggauss(across)[0] for across in (1, 2, 3)}
 LEAST_SPREAD = 0.02  # of the views in a direction: polynomials over less lose digits
+
+
+def ring(count: int, radius: float) -> list[tuple[float, float]]:
+    """Points on a circle."""
+    angles = (2 * math.pi * k / count for k in range(count))
+    return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+
+
+# places of the views, from −1 to 1 in two directions, that fix a polynomial of degree 0, 1 or 2;
+# three have the second moments of the square
+VIEWS = {1: [(0.0, 0.0)], 3: ring(3, math.sqrt(2 / 3)), 6: [(0.0, 0.0), *ring(5, 1.0)]}
+# monomials x^a y^b, of which the first 1, 3 or 6 serve
+POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
 class ViewGrid:
     """Views v_k about a picture's views, and the weights by which a pixel interpolates.
 
-    across   views along a side, 1 to 3
-    views    (K, 3) float32 unit vectors
+    count    1, 3 or 6 views
+    views    (K, 3) float64 unit vectors
     weights  (K, P) float32
     """
 
-    def __init__(self, view: np.ndarray, across: int):
-        plane = Plane(view)
-        nodes = GAUSS_POINTS[across]
-        self.plane, self.nodes = plane, nodes
-        x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes, indexing="ij"))
-        self.views = plane.at(x, y).astype(np.float32)
-        (wx, self.dx), (wy, self.dy) = (lagrange(nodes, c) for c in plane.coordinates)
-        self.wx, self.wy = wx, wy
-        self.weights = product(wx, wy)
+    def __init__(self, plane: "Plane", count: int):
+        self.plane = plane
+        x, y = np.array(VIEWS[count]).T
+        self.views = plane.at(x, y)
+        powers = POWERS[:count]
+        self.factors = np.linalg.inv(np.stack([x**i * y**j for i, j in powers], -1)).T
+        x, y = plane.coordinates
+        self.weights = self.combined([x**i * y**j for i, j in powers])
+
+    def combined(self, monomials: list[np.ndarray | None]) -> np.ndarray:
+        """Weights (K, P) from monomials (P,), None for 0; without BLAS, whose threads spin."""
+        result = np.zeros((len(self.factors), len(self.plane.depth)), np.float32)
+        for row, factors in zip(result, self.factors, strict=True):
+            for factor, monomial in zip(factors, monomials, strict=True):
+                if monomial is not None and abs(factor) > 1e-9:
+                    row += np.float32(factor) * monomial
+        return result
 
     def backward(self, by_weights: np.ndarray) -> np.ndarray:
         """The derivative by view (P, 3), from the one by the weights (K, P)."""
-        by_x = (by_weights * product(self.dx, self.wy)).sum(0)
-        by_y = (by_weights * product(self.wx, self.dy)).sum(0)
-        return self.plane.backward(by_x, by_y)
+        x, y = self.plane.coordinates
+        powers = POWERS[: len(self.factors)]
+        dx = self.combined([i * x ** (i - 1) * y**j if i else None for i, j in powers])
+        dy = self.combined([j * x**i * y ** (j - 1) if j else None for i, j in powers])
+        return self.plane.backward((by_weights * dx).sum(0), (by_weights * dy).sum(0))
 
 
 class Plane:
@@ -82,6 +105,11 @@ class Plane:
         result = np.stack([a, b, np.ones_like(a)], -1) @ self.frame.astype(np.float64)
         return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
+    @property
+    def spread(self) -> float:
+        """Half the width (tangent) of the interval of the views; inf beyond about 60°."""
+        return max(self.half) if float(self.depth.min()) > 0.5 else math.inf
+
     def backward(self, by_x: np.ndarray, by_y: np.ndarray) -> np.ndarray:
         """The derivative by view (P, 3), from those by the coordinates (P,)."""
         by_a, by_b = by_x / self.half[0] / self.depth, by_y / self.half[1] / self.depth
@@ -90,36 +118,15 @@ class Plane:
         return by_a[:, None] * e1 + by_b[:, None] * e2 + by_depth[:, None] * axis
 
 
+@functools.lru_cache(maxsize=32)
+def lights_seen_from(lights: Lights, viewer: tuple[float, ...]) -> Lights:
+    """The same lights for a distant viewer in another direction."""
+    return light_tables.lights_at(lights.w, np.array(viewer))
+
+
 def along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
     return vectors[:, 0] * axis[0] + vectors[:, 1] * axis[1] + vectors[:, 2] * axis[2]
-
-
-def spread(view: np.ndarray) -> float:
-    """Half the width (tangent) of the interval that views (P, 3) take up; inf beyond 70° apart."""
-    plane = Plane(view)
-    return max(plane.half) if float(plane.depth.min()) > 0.5 else math.inf
-
-
-def lagrange(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lagrange polynomials (K, P) of K nodes at x (P,), and their derivatives."""
-    values, slopes = [], []
-    for i, node in enumerate(nodes):
-        others = [other for j, other in enumerate(nodes) if j != i]
-        scale = np.float32(1.0 / math.prod(node - other for other in others))
-        factors = [x - np.float32(other) for other in others]
-        values.append(scale * functools.reduce(np.multiply, factors, np.ones_like(x)))
-        slope = np.zeros_like(x)
-        for j in range(len(factors)):
-            rest = factors[:j] + factors[j + 1 :]
-            slope += functools.reduce(np.multiply, rest, np.ones_like(x))
-        slopes.append(scale * slope)
-    return np.stack(values), np.stack(slopes)
-
-
-def product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Products (K², P) of weights (K, P) in two directions."""
-    return (x[:, None] * y[None]).reshape(-1, x.shape[-1])
 
 
 class Scene:
@@ -139,6 +146,7 @@ class Scene:
         self.light_gradient, self.material_gradient = light_gradient, material_gradient
         self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
         self.tables: dict[tuple[tuple[int, ...], int], ViewedTables] = {}
+        self.grids: dict[int, ViewGrid] = {}
         self.list_bytes = 0
 
     @property
@@ -147,14 +155,22 @@ class Scene:
         return self.light.height * self.light.width
 
     @functools.cached_property
-    def spread(self) -> float:
-        """How far apart the views are (`spread`)."""
-        return spread(self.view)
+    def plane(self) -> Plane:
+        """The views in a plane."""
+        return Plane(self.view)
 
-    @functools.lru_cache(maxsize=3)  # noqa: B019, a scene lives as long as one picture
-    def grid(self, across: int) -> ViewGrid:
-        """The grid of views."""
-        return ViewGrid(self.view, across)
+    def grid(self, count: int) -> ViewGrid:
+        """The grid of `count` views."""
+        if count not in self.grids:
+            self.grids[count] = ViewGrid(self.plane, count)
+        return self.grids[count]
+
+    def seen_from(self, viewer: np.ndarray, lobes: tuple[int, ...], level: int) -> Tables:
+        """The tables of some lobes for a distant viewer in direction `viewer` (3,)."""
+        lights, energy = self.light.at(level)
+        lights = lights_seen_from(lights, tuple(viewer.tolist()))
+        flags = self.light_gradient, lobes, self.material_gradient
+        return Tables(self.m, energy, lights, *flags)
 
     def at(
         self,
@@ -201,7 +217,7 @@ class ViewMap:
         n = scene.n
         if mirrored:
             self.cosine = dot(n, scene.view)
-            u = 2 * self.cosine * n - scene.view + view
+            u = 2 * self.cosine * n - scene.view + view.astype(np.float32)
             self.length = np.sqrt(dot(u, u))
             self.normal = u / self.length
             n = turned(self.normal, self.frame)
@@ -246,7 +262,7 @@ def turned(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a·b, (P, 1)."""
-    return (a * b).sum(-1, keepdims=True)
+    return (a[:, :1] * b[:, :1] + a[:, 1:2] * b[:, 1:2]) + a[:, 2:] * b[:, 2:]
 
 
 class Sum:
@@ -260,22 +276,15 @@ class Sum:
             self.listing = scene.at(scene.n, scene.view, lobes, level, budget)
             self.values = self.listing.radiance
             return
-        self.grid = scene.grid(strategy.across)
+        self.grid = scene.grid(strategy.views)
         self.maps = [ViewMap(scene, view, size, strategy.mirrored) for view in self.grid.views]
-        counts = [len(each.nodes) for each in self.maps]
-        self.ends = np.cumsum(counts)[:-1]
-        self.listing = scene.at(
-            np.concatenate([each.normals for each in self.maps]),
-            np.repeat(self.grid.views, counts, 0),
-            lobes,
-            level,
-            budget,
-        )
+        self.listings = [
+            Listing(each.normals, scene.seen_from(view, lobes, level), budget)
+            for each, view in zip(self.maps, self.grid.views, strict=True)
+        ]
         self.tables = [
-            reflectance_map.table(values, each.nodes, size)
-            for values, each in zip(
-                np.split(self.listing.radiance, self.ends), self.maps, strict=True
-            )
+            reflectance_map.table(listing.radiance, each.nodes, size)
+            for listing, each in zip(self.listings, self.maps, strict=True)
         ]
         self.values = np.zeros_like(scene.n)
         for each, table, weight in self.parts():
@@ -295,17 +304,18 @@ class Sum:
         """Derivatives of Σ g·values, as those of `ViewedListing`."""
         if not self.strategy.size:
             return self.listing.backward(g, with_view)
-        by_n, by_values, by_weights = np.zeros_like(g), [], []
-        by_view = np.zeros_like(g)
-        for each, table, weight in self.parts():
+        by_n, by_view = np.zeros_like(g), np.zeros_like(g)
+        by_m, by_E = np.zeros((3, 3, 2, 6)), np.float32(0.0)
+        by_weights = []
+        for (each, table, weight), listing in zip(self.parts(), self.listings, strict=True):
             by_part_n, by_part_view, by_nodes = each.read_backward(table, weight * g, with_view)
             by_n += by_part_n
-            by_values.append(by_nodes)
+            _, by_part_m, by_part_E = listing.backward(by_nodes, False)
+            by_m, by_E = by_m + by_part_m, by_E + by_part_E
             if with_view:
-                by_weights.append((each.read(table) * g).sum(-1))
+                by_weights.append(dot(each.read(table), g)[:, 0])
                 if by_part_view is not None:
                     by_view += by_part_view
-        _, _, by_m, by_E = self.listing.backward(np.concatenate(by_values), False)
         if with_view:
             by_view += self.grid.backward(np.stack(by_weights))
         return by_n, by_view if with_view else None, by_m, by_E
