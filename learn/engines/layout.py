@@ -71,6 +71,12 @@ CUT_AXIS = 4
 VIEW_CUTS = 8
 THETA_BINS = 64  # of θ_d from 0 to π/2
 
+# A lobe and channel of one run of pixels (learn.engines.view_runs): γ and its slope by the spline's
+# x, κ log2 e and its slope; the sums have the same rows.
+RUN_GAMMA, RUN_GAMMA_SLOPE, RUN_KAPPA, RUN_KAPPA_SLOPE = range(4)
+RUN_CHANNEL_STRIDE = LANES * 4
+RUN_LOBE_STRIDE = 3 * RUN_CHANNEL_STRIDE
+
 # Samples of the quadrature about the z axis: half vector, log2 cos θ, solid angle.
 SAMPLE_X, SAMPLE_Y, SAMPLE_Z, SAMPLE_LOG_COSINE, SAMPLE_SOLID_ANGLE = range(5)
 SAMPLE_ROWS = 5
@@ -101,7 +107,17 @@ SAMPLE_CHUNKS = 8  # of pixels; each has a map of its own for the derivative by 
 DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
 GENERAL_SCRATCH = 2 * ENERGY_STRIDE * GENERAL_TILE + LANES * VALUES  # by n, by v, by m
 CULLED_SCRATCH = ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # sums, then normals (3, tile)
-VIEW_SCRATCH = 2 * ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # by n, normals, by v
+# The same for a view per pixel, from where a tile's or a chunk's part begins: sums by n, normals
+# (3, tile), each view less that of its run and the square of that (4, tile), the views of runs (3,
+# tile), sums by v; then for one run and block the lobes and their slopes, the spline's basis and its
+# slopes, and sums by the lobes and by their slopes.
+VIEW_OFFSETS = CULLED_SCRATCH
+VIEW_CENTRES = VIEW_OFFSETS + 4 * CULLED_TILE
+VIEW_V_SUMS = VIEW_CENTRES + 3 * CULLED_TILE
+VIEW_LOBES = VIEW_V_SUMS + ENERGY_STRIDE * CULLED_TILE
+VIEW_BASIS = VIEW_LOBES + 2 * LOBES_STRIDE
+VIEW_LOBE_SUMS = VIEW_BASIS + 2 * BASIS_STRIDE
+VIEW_SCRATCH = VIEW_LOBE_SUMS + 2 * LOBES_STRIDE
 # Second derivatives: rows of a pixel's sums (by n, by g; by n, by v, by g), and those by m.
 DISTANT_SECOND_ROWS = 6
 GENERAL_SECOND_ROWS = 9

@@ -179,6 +179,7 @@ class Scene:
         lobes: tuple[int, ...],
         level: int = 0,
         left_out: float = 0.0,
+        apart: float = 0.0,
     ) -> ViewedListing:
         """The `ViewedListing` of some lobes at normals and views (N, 3)."""
         if (lobes, level) not in self.tables:
@@ -186,7 +187,7 @@ class Scene:
             self.tables[lobes, level] = ViewedTables(
                 self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
             )
-        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, self.list_bytes)
+        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, self.list_bytes, apart)
         self.list_bytes += listing.list_bytes
         return listing
 

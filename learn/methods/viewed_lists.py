@@ -46,7 +46,7 @@ class ViewedTables:
     """Some lobes of a material under some lights, as learn.engines.culled_views reads them.
 
     m         (3, 3, 2, 6); energy: (blocks, 3, 16)
-    values    (many, 3, 2, 6) and steps (many, 3, 2, 5), float32: the lobes' splines
+    values    (many, 3, 2, 6) float32: control values of the lobes' splines
     curves    (many, 2, angles) float64: the least γ and the largest κ log2 e over channels
     """
 
@@ -61,9 +61,7 @@ class ViewedTables:
     ):
         self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
         self.geometry = lights.general_geometry()
-        tables = general_tables(m)
-        self.values = tables.values.reshape(3, 3, 2, 6)[self.numbers].copy()
-        self.steps = tables.steps.reshape(3, 3, 2, 5)[self.numbers].copy()
+        self.values = general_tables(m).values.reshape(3, 3, 2, 6)[self.numbers].copy()
         self.cones = lights.cones.copy()
         brightest = np.zeros(len(self.cones) * LANES, np.float32)
         # a light gathered from others may be negative
@@ -127,6 +125,7 @@ class ViewedListing:
     n, view       (P, 3)
     left_out      radiance that may be missing from a pixel in a channel
     stored_bytes  as in block_lists.Listing
+    apart         the longest difference of a view from that of the run that it shares
     radiance      (P, 3)
     list_bytes    lists that this object stores
     """
@@ -138,7 +137,9 @@ class ViewedListing:
         tables: ViewedTables,
         left_out: float,
         stored_bytes: int = 0,
+        apart: float = 0.0,
     ):
+        self.limit = np.array([apart], np.float32)
         self.tables, self.left_out, self.order = tables, left_out, by_place(n)
         self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
         self.list_bytes, self.lists = 0, dict[int, Lists]()
@@ -146,7 +147,7 @@ class ViewedListing:
         for start in range(0, len(n), PASS):
             part = slice(start, start + PASS)
             lists = select(self.n[part], self.view[part], tables, left_out)
-            run_forward(self.n[part], self.view[part], tables, lists, out[part])
+            run_forward(self.n[part], self.view[part], tables, lists, self.limit, out[part])
             if stored_bytes + self.list_bytes < CACHE_BYTES and not tables.dims_lobes:
                 self.lists[start] = lists
                 self.list_bytes += sum(array.nbytes for array in lists)
@@ -167,7 +168,7 @@ class ViewedListing:
             n, view = self.n[part], self.view[part]
             lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
             energy_sums, m_sums = run_backward(
-                n, view, self.tables, lists, g[part], by_n[part], by_view[part], with_view
+                n, view, self.tables, lists, self.limit, g[part], by_n[part], by_view[part], with_view
             )
             by_m += self.tables.material_gradient(m_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
@@ -211,15 +212,20 @@ def workers_for(lists: Lists, pixels: int) -> int:
 
 
 def run_forward(
-    n: np.ndarray, view: np.ndarray, tables: ViewedTables, lists: Lists, out: np.ndarray
+    n: np.ndarray,
+    view: np.ndarray,
+    tables: ViewedTables,
+    lists: Lists,
+    limit: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Write radiance (P, 3) into out."""
+    """Write radiance (P, 3) into out; limit: as in learn.engines.viewed_sums."""
 
     def kernel(first: int, last: int) -> None:
         scratch = np.empty(VIEW_SCRATCH, np.float32)
         sizes = first, last, len(n), tile_size(len(n)), lists.entries.shape[1], tables.many
-        arrays = n, view, tables.geometry, tables.energy, tables.values, scratch, out
-        machine_code.call("culled_views.forward", *sizes, *arrays, *lists)
+        arrays = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, out
+        machine_code.call("viewed_sums.forward", *sizes, *arrays, *lists)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(len(lists.lengths), 2 * workers), workers)
@@ -230,6 +236,7 @@ def run_backward(
     view: np.ndarray,
     tables: ViewedTables,
     lists: Lists,
+    limit: np.ndarray,
     g: np.ndarray,
     by_n: np.ndarray,
     by_view: np.ndarray,
@@ -249,10 +256,10 @@ def run_backward(
 
     def kernel(first: int, last: int) -> None:
         sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, tables.many, chunks
-        inputs = n, view, tables.geometry, tables.energy, tables.values, tables.steps, scratch, g
+        inputs = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, g
         outputs = by_n, by_view, energy_sums, m_sums
         arrays = *inputs, *outputs, *lists
-        machine_code.call("culled_views.backward", first, last, *sizes, int(with_view), *arrays)
+        machine_code.call("viewed_sums.backward", first, last, *sizes, int(with_view), *arrays)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
