@@ -5,7 +5,6 @@ time, broad lobes see the light through larger texels, and the picture is checke
 """
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -78,7 +77,9 @@ def planned_sums(
 ) -> planned_views.Sums:
     """Sums of one group that keep the tolerance on the sample."""
     _, _, material_gradient, light_gradient = gradients
-    scene = planned_views.Scene(n, view, m, light, rotation, light_gradient, material_gradient)
+    scene = planned_views.Scene(
+        n, view, m, light, rotation, tolerance, light_gradient, material_gradient
+    )
     lobes = (
         block_lists.ALL_LOBES
         if material_gradient
@@ -117,9 +118,9 @@ def best_plan(
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
-        count = view_count(scene.plane.spread, mirrored[s], VIEW_SHARE * tolerance / share[s])
-        if count and size <= reflectance_map.LARGEST and (mirrored[s] or covers(scene.n, size)):
-            by_map = count * sum_seconds(sharp[s], node_count(size), lights, tolerance)
+        count = view_count(scene.views.spread, mirrored[s], VIEW_SHARE * tolerance / share[s])
+        if count and size <= reflectance_map.LARGEST:
+            by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)
             by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
                 sizes[s], views[s] = size, count
@@ -147,8 +148,3 @@ def view_count(spread: float, mirrored: bool, error: float) -> int:
         if factor * spread**power <= error:
             return count
     return 0
-
-
-def covers(n: np.ndarray, size: int) -> bool:
-    """Whether a map of some size reaches all normals (P, 3), those beyond the disk included."""
-    return math.sqrt(1 - min(float(n[:, 2].min()), 0.0)) < 1 + 2 / (size - 5)
