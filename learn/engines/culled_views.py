@@ -26,66 +26,47 @@ from learn.engines.culled import (
     cut_at,
     least_cosine,
     nearest_cosine,
-    unpack,
 )
 from learn.engines.distant import (
-    LN2,
-    add_to,
     clear,
-    peak_cosine,
     w_of,
-    write_sums,
 )
 from learn.engines.exponentials import angle, exp2, exp2m1, log2
 from learn.engines.general import (
     LEAST_SQUARE,
-    add_by_view,
-    lobe,
-    lobe_backward,
-    offset,
-    shortfall,
     square,
-    w_plus_v,
 )
 from learn.engines.layout import (
-    CHANNEL_VALUES,
     CONE_ENERGY,
     CONE_STRIDE,
     CONE_W_COS,
     CONE_W_SIN,
     CONE_W_X,
+    CULLED_NORMALS,
     CULLED_TILE,
     CUT_AXIS,
     CUT_REACH,
-    ENERGY_STRIDE,
-    GENERAL_STRIDE,
     LANES,
-    LOBE_VALUES,
     SELECT_BOUND,
     SELECT_GAMMA,
     SELECT_H_COS,
     SELECT_H_SIN,
-    SELECT_H_X,
     SELECT_KAPPA,
     SELECT_REACH,
     SELECT_THETA,
     SELECT_VIEW_STRIDE,
     SELECT_WEIGHT,
     THETA_BINS,
-    VALUES,
     VIEW_CUTS,
-    VIEW_SCRATCH,
+    VIEW_VIEWS,
 )
-from learn.engines.splines import basis, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
     anywhere,
     bits,
     fma,
-    lane_max,
     lane_sum,
     load,
-    lowest_bit,
     maximum,
     minimum,
     splat,
@@ -120,13 +101,26 @@ def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -
 def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
     """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
 
-    o  offset of their normals
+    o  offset of their normals; their views are VIEW_VIEWS − CULLED_NORMALS behind
     """
     x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
-    a = VIEW_CUTS * entry + CUT_AXIS
-    along = fma(x, cuts[a], fma(y, cuts[a + 1], z * cuts[a + 2]))
-    near = along > cuts[VIEW_CUTS * entry + CUT_REACH]
+    a, v = VIEW_CUTS * entry + CUT_AXIS, o + VIEW_VIEWS - CULLED_NORMALS
+    sx = cuts[a] + load(scratch, v)
+    sy = cuts[a + 1] + load(scratch, v + CULLED_TILE)
+    sz = cuts[a + 2] + load(scratch, v + 2 * CULLED_TILE)
+    along = fma(x, sx, fma(y, sy, z * sz))
+    near = along > sqrt(square(sx, sy, sz)) * cuts[VIEW_CUTS * entry + CUT_REACH]
     return bits(near) & ((1 << min(LANES, count)) - 1)
+
+
+@inlined
+def unpack_views(v: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
+    """Write a tile's views as three rows at offset o."""
+    for j in range(CULLED_TILE):
+        for i in range(3):
+            scratch[o + CULLED_TILE * i + j] = (
+                v[3 * (start + j) + i] if j < count else types.float32(0.0)
+            )
 
 
 def select(
@@ -175,11 +169,13 @@ def select(
             theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
             store(scratch, b + LANES * SELECT_THETA, theta_d * BINS_PER_RADIAN)
             look_up_ranges(scratch, b, many, ranges)
-            store(scratch, b + LANES * SELECT_H_X, hx)
-            store(scratch, b + LANES * (SELECT_H_X + 1), hy)
-            store(scratch, b + LANES * (SELECT_H_X + 2), hz)
-            store(scratch, b + LANES * SELECT_H_COS, cos_h)
-            store(scratch, b + LANES * SELECT_H_SIN, sin_h)
+            # for one pixel's view the cone is narrower, and about another axis
+            alone = sqrt(2.0 * maximum(1.0 - cos_w, 0.0))
+            alone = alone / maximum(1.0 / inverse - gap, 1e-6) + 1e-6
+            beyond = alone > WHOLE_SPHERE
+            cos_1 = choose(beyond, -1.0, sqrt(maximum(1.0 - alone * alone, 0.0)))
+            store(scratch, b + LANES * SELECT_H_COS, cos_1)
+            store(scratch, b + LANES * SELECT_H_SIN, choose(beyond, 0.0, alone))
             axis = fma(hx, nx, fma(hy, ny, hz * nz))
             c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
             log_c = log2(c, 1.0 - c)
@@ -237,6 +233,7 @@ def select(
                         cuts[to + s] = scratch[q + LANES * s]
                     cuts[to + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
                     for i in range(3):
-                        cuts[to + CUT_AXIS + i] = scratch[b + LANES * (SELECT_H_X + i) + lane]
+                        axis_at = CONE_STRIDE * wide_block + LANES * (CONE_W_X + i) + lane
+                        cuts[to + CUT_AXIS + i] = cones[axis_at]
                     length += 1
         lengths[tile] = length

@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import add_to, peak_cosine, w_of
+from learn.engines.distant import peak_cosine, w_of
 from learn.engines.exponentials import angle
 from learn.engines.general import LEAST_SQUARE, shortfall, square, two_sum
 from learn.engines.layout import (
@@ -28,13 +28,11 @@ from learn.engines.layout import (
     CULLED_TILE,
     KAPPA_VALUES,
     LANES,
-    LOBE_VALUES,
     RUN_CHANNEL_STRIDE,
     RUN_GAMMA,
     RUN_GAMMA_SLOPE,
     RUN_KAPPA,
     RUN_KAPPA_SLOPE,
-    RUN_LOBE_STRIDE,
     VIEW_BASIS,
     VIEW_CENTRES,
     VIEW_LOBE_SUMS,
@@ -66,7 +64,9 @@ Shared = tuple[Vector, Vector, Vector, Lanes, Lanes, bool]
 
 
 @inlined
-def make_runs(v: np.ndarray, start: int, count: int, limit: float, scratch: np.ndarray, a: int) -> int:
+def make_runs(
+    v: np.ndarray, start: int, count: int, limit: float, scratch: np.ndarray, a: int
+) -> int:
     """The number of pixels in each run of a tile whose scratch begins at a.
 
     limit  the longest ‖d‖; the offsets and the runs' views are written
@@ -85,7 +85,9 @@ def make_runs(v: np.ndarray, start: int, count: int, limit: float, scratch: np.n
 
 
 @inlined
-def write_run(v: np.ndarray, start: int, first: int, length: int, scratch: np.ndarray, a: int) -> float:
+def write_run(
+    v: np.ndarray, start: int, first: int, length: int, scratch: np.ndarray, a: int
+) -> float:
     """Write a run's view and its pixels' offsets; returns the largest ‖d‖²."""
     x, y, z, widest = 0.0, 0.0, 0.0, types.float32(0.0)
     for p in range(start + first, start + first + length):

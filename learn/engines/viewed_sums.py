@@ -9,12 +9,12 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.culled import INT_POINTER, NEVER, unpack
-from learn.engines.culled_views import pixels_near
+from learn.engines.culled import INT_POINTER, unpack
+from learn.engines.culled_views import pixels_near, unpack_views
 from learn.engines.distant import LN2, add_to, clear, cosine, w_of, write_sums
 from learn.engines.exponentials import exp2, exp2m1
 from learn.engines.layout import (
-    CULLED_TILE,
+    CULLED_NORMALS,
     ENERGY_STRIDE,
     GENERAL_STRIDE,
     LANES,
@@ -32,6 +32,7 @@ from learn.engines.layout import (
     VIEW_OFFSETS,
     VIEW_SCRATCH,
     VIEW_V_SUMS,
+    VIEW_VIEWS,
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
@@ -43,7 +44,6 @@ from learn.engines.vector import (
     lowest_bit,
     maximum,
     splat,
-    store,
 )
 from learn.engines.vector import select as choose
 from learn.engines.view_runs import (
@@ -134,12 +134,13 @@ def forward(
         count = min(size, pixels - start)
         clear(scratch, 0, 3 * count)
         unpack(n, start, count, scratch, 0)
+        unpack_views(v, start, count, scratch, VIEW_VIEWS)
         run = make_runs(v, start, count, limit[0], scratch, 0)
         for i in range(room * tile, room * tile + lengths[tile]):
             o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
             lowest = lowest_cut(cuts, i, many)
             for group in range(0, count, LANES):
-                normals = ENERGY_STRIDE * CULLED_TILE + group
+                normals = CULLED_NORMALS + group
                 near = pixels_near(scratch, normals, count - group, cuts, i)
                 for part in range(group, min(group + LANES, count), run):
                     of_run = (near >> (part - group)) & ((1 << run) - 1)
@@ -216,7 +217,11 @@ def backward(
     m_sums       (chunks, 108, 16) out, like values: derivatives by γ ln² 2 and by κ, in lanes
     """
     for chunk in range(first, last):
-        base_e, by_m, base = ENERGY_STRIDE * blocks * chunk, LANES * VALUES * chunk, VIEW_SCRATCH * chunk
+        base_e, by_m, base = (
+            ENERGY_STRIDE * blocks * chunk,
+            LANES * VALUES * chunk,
+            VIEW_SCRATCH * chunk,
+        )
         lobes, lobe_sums = base + VIEW_LOBES, base + VIEW_LOBE_SUMS
         clear(energy_sums, base_e, 3 * blocks)
         clear(m_sums, by_m, VALUES)
@@ -226,12 +231,13 @@ def backward(
             clear(scratch, base, 3 * count)
             clear(scratch, base + VIEW_V_SUMS, 3 * count)
             unpack(n, start, count, scratch, base)
+            unpack_views(v, start, count, scratch, base + VIEW_VIEWS)
             run = make_runs(v, start, count, limit[0], scratch, base)
             for i in range(room * tile, room * tile + lengths[tile]):
                 o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
                 lowest = lowest_cut(cuts, i, many)
                 for group in range(0, count, LANES):
-                    normals = base + ENERGY_STRIDE * CULLED_TILE + group
+                    normals = base + CULLED_NORMALS + group
                     near = pixels_near(scratch, normals, count - group, cuts, i)
                     for part in range(group, min(group + LANES, count), run):
                         of_run = (near >> (part - group)) & ((1 << run) - 1)
@@ -256,7 +262,15 @@ def backward(
                             if not made:
                                 made = True
                                 make_lobes(
-                                    geometry, o, same, furthest, run == 1, many, values, scratch, base
+                                    geometry,
+                                    o,
+                                    same,
+                                    furthest,
+                                    run == 1,
+                                    many,
+                                    values,
+                                    scratch,
+                                    base,
                                 )
                                 clear(scratch, lobe_sums, RUN_LOBE_STRIDE // LANES * many)
                             delta = turn(geometry, o, same, scratch, d)

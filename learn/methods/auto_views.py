@@ -24,7 +24,6 @@ from learn.methods import (
 from learn.methods.checked_plan import CHEAP, checked_sums
 from learn.methods.cost_model import (
     CULL_NODES,
-    CULL_PIXELS,
     GUARANTEED,
     LIGHT_SHARE,
     MAP_SHARE,
@@ -47,9 +46,10 @@ VIEW_ERROR = {
 }
 MORE_VIEWS = {1: 3, 3: 6, 6: 0}
 VIEW_SHARE = 0.4  # of the tolerance
+NOTICED = 1e-3  # XX
+CULL_VIEWS = 30.0  # as CULL_PIXELS; cones of a tile's views widen the bound, not what is left out
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
-SIMILAR = 1.7  # times the size of the largest map: maps above it take its size
-VIEW_SHARE = 0.4  # of the tolerance
+SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
 
 
 def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor:
@@ -94,10 +94,14 @@ def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
     """A strategy of smaller error: more views and a larger map, more lights, less culling."""
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
-        views = MORE_VIEWS[strategy.views]
-        size = grown(strategy.size, len(scene.n)) if views else 0
+        size, views = grown(strategy.size, len(scene.n)), strategy.views
+        factor, power = VIEW_ERROR[strategy.mirrored].get(views, (1.0, 1.0))
+        if strategy.culled < CULL_NODES and factor * scene.views.spread**power > NOTICED:
+            views = MORE_VIEWS[views]
+        if not (size and views):
+            size, views = 0, 1
         mirrored = strategy.mirrored and size > 0
-        strategy = replace(strategy, size=size, views=views if size else 1, mirrored=mirrored)
+        strategy = replace(strategy, size=size, views=views, mirrored=mirrored)
     return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
 
 
@@ -124,20 +128,17 @@ def best_plan(
             by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
                 sizes[s], views[s] = size, count
-    for kind in (mirrored, ~mirrored):  # lobes of similar width share their maps' look-ups
+    for kind in (mirrored, ~mirrored):  # lobes of similar width share their maps' geometry
         alike = kind & (sizes > 0)
         alike &= SIMILAR * sizes > sizes.max(where=alike, initial=0)
-        sizes[alike], levels[alike], views[alike] = (
-            sizes.max(where=alike, initial=0),
-            levels.min(where=alike, initial=9),
-            views.max(where=alike, initial=1),
-        )
+        sizes[alike] = sizes.max(where=alike, initial=0)
+        views[alike] = views.max(where=alike, initial=1)
     groups: dict[tuple[int, int, int, bool], list[int]] = {}
     for s in lobes:
         key = int(sizes[s]), int(levels[s]), int(views[s]), bool(mirrored[s] and sizes[s])
         groups.setdefault(key, []).append(s)
     return [
-        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS, count, mirrors)
+        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_VIEWS, count, mirrors)
         for (size, level, count, mirrors), lobes in groups.items()
     ]
 

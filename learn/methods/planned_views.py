@@ -24,7 +24,7 @@ from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
 # longest difference of a view from that of the run that it shares, at a tolerance of 1e-2; the
 # error is of second order in it
-APART = 0.06
+APART = 0.15
 
 
 class Scene:
@@ -123,7 +123,8 @@ class Sum:
             self.read = [reflectance_map.read(chart.drawn, table, size) for table in self.maps]
             self.weights = places.weights(count)[:, :, None] if count > 1 else np.ones((1, 1, 1))
             self.values = functools.reduce(
-                np.add, (w.astype(np.float32) * r for w, r in zip(self.weights, self.read, strict=True))
+                np.add,
+                (w.astype(np.float32) * r for w, r in zip(self.weights, self.read, strict=True)),
             )
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
@@ -185,9 +186,7 @@ class Sums:
             by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
 
-    def read_backward(
-        self, part: Sum, g: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def read_backward(self, part: Sum, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives by the drawn places, by the offsets (2, P), and by the nodes' values."""
         places, chart = self.scene.where(part.strategy.mirrored)
         by_drawn, by_values, by_weights = np.zeros_like(g), [], []

@@ -86,7 +86,9 @@ class Views:
     def middle(self, n: np.ndarray) -> np.ndarray:
         """Slopes (2, P) of V."""
         terms = features(n)
-        return np.stack([sum(c * term for c, term in zip(row, terms, strict=True)) for row in self.fit])
+        return np.stack(
+            [sum(c * term for c, term in zip(row, terms, strict=True)) for row in self.fit]
+        )
 
     def middle_backward(self, n: np.ndarray, by_slopes: np.ndarray) -> np.ndarray:
         """The derivative by n (P, 3), from those by V's slopes (2, P)."""

@@ -40,6 +40,7 @@ LISTED = 2.5e-8  # seconds to sum a listed block for a pixel of its tile
 FINE = 4  # angles per bin at which a material's curves are looked up
 ANGLES = np.linspace(0.0, np.pi / 2, FINE * THETA_BINS + 1)
 BASIS = basis(ANGLES)  # (angles, 6)
+GRAZING = 1.35  # θ_d from which a lobe's height is not compared with others': few pixels have it
 
 
 class ViewedTables:
@@ -72,8 +73,9 @@ class ViewedTables:
         self.cones[:, CONE_ENERGY] = brightest.reshape(-1, LANES)
         curves = self.values.astype(np.float64) @ BASIS.T
         self.curves = np.stack([curves[:, :, 0].min(1), curves[:, :, 1].max(1)], 1)
-        least_height = DIM * self.curves[:, 1].max()
-        self.dims_lobes = material_gradient and bool((self.curves[:, 1] < least_height).any())
+        common = self.curves[:, 1, : np.searchsorted(ANGLES, GRAZING)]
+        least_height = DIM * common.max()
+        self.dims_lobes = material_gradient and bool((common < least_height).any())
         self.least_height = least_height
 
     def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
@@ -168,7 +170,15 @@ class ViewedListing:
             n, view = self.n[part], self.view[part]
             lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
             energy_sums, m_sums = run_backward(
-                n, view, self.tables, lists, self.limit, g[part], by_n[part], by_view[part], with_view
+                n,
+                view,
+                self.tables,
+                lists,
+                self.limit,
+                g[part],
+                by_n[part],
+                by_view[part],
+                with_view,
             )
             by_m += self.tables.material_gradient(m_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
