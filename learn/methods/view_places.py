@@ -26,6 +26,8 @@ from learn.methods import directional
 LEAST_HALF = 0.05  # of the offsets: polynomials over less lose digits
 LEAST_COSINE = 0.2  # n·v below which a highlight is no longer moved in full
 FITTED = 1024  # pixels to which V is fitted
+STEPS, SETTLED = 8, 2e-4  # at most, to find a place, and the mean change at which it is found
+LEFT = 0.02  # of a derivative, that the series for V's part in a place may leave out
 RIDGE = 1e-3  # holds V where a picture's normals do not tell its terms apart
 
 
@@ -81,6 +83,8 @@ class Views:
         self.fit = fitted(n[pick], self.slopes[:, pick])
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
+        steepness = 0.5 * float(np.abs(self.fit[:, 1:3]).max()) + 1e-9
+        self.terms = int(np.clip(math.ceil(math.log(LEFT) / math.log(min(steepness, 0.7))), 1, 6))
         self.spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
 
     def middle(self, n: np.ndarray) -> np.ndarray:
@@ -173,9 +177,11 @@ class Places:
         self.given, self.view, self.views, self.mirrored = n, view, views, mirrored
         self.n = n
         if mirrored:
-            for _ in range(2):  # V belongs to the place that is sought; each step gains a digit
-                self.middle = views.middle(self.n)
+            for _ in range(STEPS):  # V belongs to the place that is sought
+                before, self.middle = self.n, views.middle(self.n)
                 self.n, self.length, self.cosine = moved(n, view, views.vectors(self.middle))
+                if np.abs(self.n - before).mean() < SETTLED:
+                    break
         self.middle = views.middle(self.n)
         self.coordinates = (views.slopes - self.middle) / views.half[:, None]
 
@@ -219,9 +225,9 @@ class Places:
         if not self.mirrored:
             return by_n, by_view
         by_u = self.by_sum(by_n)
-        # n' = moved(n, v, V(n')): one more term of the series for V's part in it
-        by_middle = views.vectors_backward(self.middle, by_u)
-        by_u = self.by_sum(by_n + views.middle_backward(self.n, by_middle))
+        for _ in range(views.terms):  # n' = moved(n, v, V(n')): the series for V's part in it
+            by_middle = views.vectors_backward(self.middle, by_u)
+            by_u = self.by_sum(by_n + views.middle_backward(self.n, by_middle))
         n, view = self.given, self.view
         share = 2 * dot(n, by_u) * (self.cosine > LEAST_COSINE)
         return 2 * self.cosine * by_u + share * view, by_view - by_u + share * n
