@@ -5,6 +5,7 @@ time, broad lobes see the light through larger texels, and the picture is checke
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -35,21 +36,17 @@ from learn.methods.cost_model import (
 )
 from learn.methods.planned import Strategy
 
-# times as long as for a distant viewer, whose h and splines belong to the light
-DEARER = 2.4
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
-# of the error of interpolating between so many views: factor × spread^power, by whether maps are
-# read where they mirror the light
-VIEW_ERROR = {
-    False: {1: (0.35, 1.0), 3: (0.1, 2.0), 6: (0.05, 3.0)},
-    True: {1: (0.02, 1.0), 3: (0.1, 2.0), 6: (0.1, 2.5)},
-}
-MORE_VIEWS = {1: 3, 3: 6, 6: 0}
-VIEW_SHARE = 0.4  # of the tolerance
-NOTICED = 1e-3  # XX
-CULL_VIEWS = 30.0  # as CULL_PIXELS; cones of a tile's views widen the bound, not what is left out
+DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
+# of the tolerance, that views are predicted to cost at most, by whether maps are read mirrored: there
+# more views take so much time that too few, which the check finds, are worth trying
+VIEW_SHARE = {False: 0.2, True: 2.5}
+NOTICED = 0.2  # of the tolerance, from which more views are worth more than larger maps
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
 SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
+# as CULL_PIXELS: a tile's views widen the bound, not what is left out
+CULL_VIEWS = 30.0
+MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
 
 
 def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor:
@@ -76,10 +73,8 @@ def planned_sums(
     tolerance: float,
 ) -> planned_views.Sums:
     """Sums of one group that keep the tolerance on the sample."""
-    _, _, material_gradient, light_gradient = gradients
-    scene = planned_views.Scene(
-        n, view, m, light, rotation, tolerance, light_gradient, material_gradient
-    )
+    material_gradient = gradients[2]
+    scene = planned_views.Scene(n, view, m, light, rotation, tolerance, *gradients[1:])
     lobes = (
         block_lists.ALL_LOBES
         if material_gradient
@@ -91,18 +86,23 @@ def planned_sums(
 
 
 def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
-    """A strategy of smaller error: more views and a larger map, more lights, less culling."""
+    """A strategy of smaller error: more views or a larger map, more lights, less culling."""
     culled = max(strategy.culled / 2.5, GUARANTEED)
+    level = strategy.level
+    if level and scene.light_loss(strategy.lobes, level) > LIGHT_SHARE * scene.budget:
+        level -= 1
     if strategy.size:
-        size, views = grown(strategy.size, len(scene.n)), strategy.views
-        factor, power = VIEW_ERROR[strategy.mirrored].get(views, (1.0, 1.0))
-        if strategy.culled < CULL_NODES and factor * scene.views.spread**power > NOTICED:
-            views = MORE_VIEWS[views]
+        size, views = strategy.size, strategy.views
+        lost = max(view_error(scene, s, views, strategy.mirrored) for s in strategy.lobes)
+        if lost > NOTICED * scene.tolerance:
+            views = MORE_VIEWS[views, strategy.mirrored]
+        else:
+            size = grown(size, len(scene.n))
         if not (size and views):
             size, views = 0, 1
         mirrored = strategy.mirrored and size > 0
         strategy = replace(strategy, size=size, views=views, mirrored=mirrored)
-    return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
+    return replace(strategy, level=level, culled=culled)
 
 
 def best_plan(
@@ -112,17 +112,15 @@ def best_plan(
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
-    sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
-    sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
-    share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
+    sharp, share = scene.sharpness, np.clip(3 * scene.shares, 0.1, 1.0)
     sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
-    mirrored = sharp > BROAD
+    mirrored, least = sharp > BROAD, 3 if scene.view_gradient else 1
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
-        count = view_count(scene.views.spread, mirrored[s], VIEW_SHARE * tolerance / share[s])
+        count = view_count(scene, s, bool(mirrored[s]), least)
         if count and size <= reflectance_map.LARGEST:
             by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)
             by_map += count * LOOK_UP * pixels
@@ -143,9 +141,25 @@ def best_plan(
     ]
 
 
-def view_count(spread: float, mirrored: bool, error: float) -> int:
-    """The fewest views that keep a predicted error; 0 if none do."""
-    for count, (factor, power) in VIEW_ERROR[bool(mirrored)].items():
-        if factor * spread**power <= error:
+def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int) -> int:
+    """The fewest views, `least` or more, that keep their part of the tolerance; 0 if none do."""
+    for count in (1, 3) if mirrored else (1, 3, 6):
+        error = view_error(scene, lobe, count, mirrored)
+        if count >= least and error <= VIEW_SHARE[mirrored] * scene.tolerance:
             return count
     return 0
+
+
+def view_error(scene: planned_views.Scene, lobe: int, count: int, mirrored: bool) -> float:
+    """Predicted error of a picture, of reading a lobe from maps of so many views.
+
+    It grows with what normals do not tell of the views. Fitted to 24 lobes under two lights, from
+    two distances (docs/log.md, a view per pixel).
+    """
+    spread, share = scene.views.spread, scene.shares[lobe]
+    if not math.isfinite(spread):
+        return math.inf
+    if not mirrored:
+        sharp = math.sqrt(max(float(scene.sharpness[lobe]), 0.5))
+        return share * {1: 0.08 * sharp * spread, 3: 0.25 * spread**2, 6: 0.1 * spread**2.5}[count]
+    return share * spread * (0.04 + 0.15 * scene.steepness[lobe] if count == 1 else 0.08)

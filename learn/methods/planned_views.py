@@ -17,7 +17,7 @@ import torch
 
 from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
-from learn.methods import coarse, reflectance_map, refusal
+from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
 from learn.methods.planned import Strategy
 from learn.methods.view_places import Chart, Places, Views, dot
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
@@ -38,17 +38,25 @@ class Scene:
         light: np.ndarray,
         rotation: Rotation,
         tolerance: float,
-        light_gradient: bool = True,
+        view_gradient: bool = False,
         material_gradient: bool = False,
+        light_gradient: bool = True,
     ):
         self.n, self.view, self.m, self.light = n, view, m, coarse.Light(light, rotation)
         self.light_gradient, self.material_gradient = light_gradient, material_gradient
+        self.view_gradient, self.tolerance = view_gradient, tolerance
         self.apart = APART * min(math.sqrt(tolerance / 1e-2), 1.0)
         self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
         self.tables: dict[tuple[tuple[int, ...], int], ViewedTables] = {}
         self.places: dict[bool, Places] = {}
         self.charts: dict[bool, Chart] = {}
         self.list_bytes = 0
+        self.pick = np.empty(0, np.int64)  # the sample on which the picture is checked
+        self.truths: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
+        sharpness, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
+        self.sharpness = np.where(sharpness > 0, sharpness, lobe_shapes.sharpness(m, dark=True))
+        self.shares = strength / max(strength.sum(), 1e-300)
+        self.steepness = lobe_shapes.steepness(m)
 
     @property
     def texels(self) -> int:
@@ -88,8 +96,17 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,)."""
-        return self.at(self.n[pick], self.view[pick], lobes).radiance
+        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        self.pick = pick
+        if (len(pick), lobes) not in self.truths:
+            sums = self.at(self.n[pick], self.view[pick], lobes)
+            self.truths[len(pick), lobes] = sums.radiance
+        return self.truths[len(pick), lobes]
+
+    def light_loss(self, lobes: tuple[int, ...], level: int) -> float:
+        """Mean absolute error on the sample of some lobes by a level of the light."""
+        seen = self.at(self.n[self.pick], self.view[self.pick], lobes, level).radiance
+        return float(np.abs(seen - self.truth(self.pick, lobes)).mean())
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
