@@ -46,6 +46,9 @@ BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
 SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
 # as CULL_PIXELS: a tile's views widen the bound, not what is left out
 CULL_VIEWS = 30.0
+# the same, and the maps' share of the tolerance, where a derivative by the view is requested: it is
+# a small difference of large parts in matte materials
+FINER_CULLING, FINER_MAPS = 0.25, 0.1
 MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
 
 
@@ -114,12 +117,15 @@ def best_plan(
     """
     sharp, share = scene.sharpness, np.clip(3 * scene.shares, 0.1, 1.0)
     sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
-    mirrored, least = sharp > BROAD, 3 if scene.view_gradient else 1
+    mirrored, least, map_share = sharp > BROAD, 1, MAP_SHARE
+    culled = np.array([CULL_VIEWS, CULL_NODES])
+    if scene.view_gradient:
+        least, map_share, culled = 3, FINER_MAPS, FINER_CULLING * culled
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
-        size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
+        size = map_size(sharp[s], map_share * tolerance / share[s], detail, scene.light.size[0])
         count = view_count(scene, s, bool(mirrored[s]), least)
         if count and size <= reflectance_map.LARGEST:
             by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)
@@ -136,7 +142,7 @@ def best_plan(
         key = int(sizes[s]), int(levels[s]), int(views[s]), bool(mirrored[s] and sizes[s])
         groups.setdefault(key, []).append(s)
     return [
-        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_VIEWS, count, mirrors)
+        Strategy(tuple(lobes), size, level, culled[int(size > 0)], count, mirrors)
         for (size, level, count, mirrors), lobes in groups.items()
     ]
 

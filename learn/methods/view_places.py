@@ -23,6 +23,7 @@ import numpy as np
 
 from learn.methods import directional
 
+LEAST_DEPTH = 0.5  # of a view along their mean, 60° off it: beyond, no maps are made
 LEAST_HALF = 0.05  # of the offsets: polynomials over less lose digits
 LEAST_COSINE = 0.2  # n·v below which a highlight is no longer moved in full
 FITTED = 1024  # pixels to which V is fitted
@@ -67,6 +68,8 @@ class Views:
     slopes  (2, P) of the pixels' views
     fit     (2, 6) coefficients of V's slopes
     half    (2,) half the width of the offsets, as if they were spread evenly
+    spread  the larger half width, as it is; infinite where no maps should be made
+    terms   of the series that `Places.backward` needs
     """
 
     def __init__(self, n: np.ndarray, view: np.ndarray):
@@ -76,16 +79,16 @@ class Views:
         e1 /= np.linalg.norm(e1)
         self.frame = np.stack([e1, np.cross(axis, e1), axis]).astype(np.float32)
         a, b, depth = (along(view, row) for row in self.frame)
-        self.depth = np.maximum(depth, np.float32(0.1))
+        self.depth = np.maximum(depth, np.float32(LEAST_DEPTH))
         self.slopes = np.stack([a / self.depth, b / self.depth])
-        self.widest = float(np.arccos(np.clip(depth.min(), -1.0, 1.0)))
         pick = directional.spread_over(len(n), FITTED)
         self.fit = fitted(n[pick], self.slopes[:, pick])
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
         steepness = 0.5 * float(np.abs(self.fit[:, 1:3]).max()) + 1e-9
         self.terms = int(np.clip(math.ceil(math.log(LEFT) / math.log(min(steepness, 0.7))), 1, 6))
-        self.spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
+        spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
+        self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf
 
     def middle(self, n: np.ndarray) -> np.ndarray:
         """Slopes (2, P) of V."""
