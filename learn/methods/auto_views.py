@@ -38,17 +38,19 @@ from learn.methods.planned import Strategy
 
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
 DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
+# as CULL_PIXELS: a tile's views widen the bound, not what is left out
+CULL_VIEWS = 30.0
 # of the tolerance, that views are predicted to cost at most, by whether maps are read mirrored: there
 # more views take so much time that too few, which the check finds, are worth trying
 VIEW_SHARE = {False: 0.2, True: 2.5}
-NOTICED = 0.2  # of the tolerance, from which more views are worth more than larger maps
-BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
-SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
-# as CULL_PIXELS: a tile's views widen the bound, not what is left out
-CULL_VIEWS = 30.0
 # the same, and the maps' share of the tolerance, where a derivative by the view is requested: it is
 # a small difference of large parts in matte materials
 FINER_CULLING, FINER_MAPS = 0.25, 0.1
+# what is tried where the check fails: more views if these are predicted to cost this part of the
+# tolerance, or where a map has been made larger before; sums at the pixels from this share of nodes
+NOTICED, WORTHWHILE = 0.2, 0.7
+BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
+SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
 MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
 
 
@@ -95,17 +97,23 @@ def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
     if level and scene.light_loss(strategy.lobes, level) > LIGHT_SHARE * scene.budget:
         level -= 1
     if strategy.size:
-        size, views = strategy.size, strategy.views
+        size, views, pixels = strategy.size, strategy.views, len(scene.n)
         lost = max(view_error(scene, s, views, strategy.mirrored) for s in strategy.lobes)
-        if lost > NOTICED * scene.tolerance:
+        again = strategy.culled < 0.99 * culling(scene)[1]
+        if again or lost > NOTICED * scene.tolerance:
             views = MORE_VIEWS[views, strategy.mirrored]
         else:
-            size = grown(size, len(scene.n))
-        if not (size and views):
-            size, views = 0, 1
-        mirrored = strategy.mirrored and size > 0
-        strategy = replace(strategy, size=size, views=views, mirrored=mirrored)
+            size = grown(size, pixels)
+        if not size or not views or views * node_count(size) > WORTHWHILE * pixels:
+            return Strategy(strategy.lobes, 0, level, culling(scene)[0] / 2.5)
+        strategy = replace(strategy, size=size, views=views)
     return replace(strategy, level=level, culled=culled)
+
+
+def culling(scene: planned_views.Scene) -> tuple[float, float]:
+    """`Strategy.culled` at pixels and at nodes, before the check."""
+    factor = FINER_CULLING if scene.view_gradient else 1.0
+    return factor * CULL_VIEWS, factor * CULL_NODES
 
 
 def best_plan(
@@ -117,10 +125,8 @@ def best_plan(
     """
     sharp, share = scene.sharpness, np.clip(3 * scene.shares, 0.1, 1.0)
     sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
-    mirrored, least, map_share = sharp > BROAD, 1, MAP_SHARE
-    culled = np.array([CULL_VIEWS, CULL_NODES])
-    if scene.view_gradient:
-        least, map_share, culled = 3, FINER_MAPS, FINER_CULLING * culled
+    mirrored, culled = sharp > BROAD, culling(scene)
+    least, map_share = (3, FINER_MAPS) if scene.view_gradient else (1, MAP_SHARE)
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
