@@ -61,8 +61,8 @@ CUTS = 4
 CUT_REACH = 3
 
 # The same for a view per pixel (learn.engines.culled_views): of each lobe also the least γ and the
-# largest κ log2 e, then the place of θ_d in the table of these, and the half angle of the cone about
-# a pixel's h. An entry's cuts hold the axis of the cone about w besides.
+# largest κ log2 e, then the place of θ_d in the table of these, and the half angle of the cone
+# about a pixel's h. An entry's cuts hold the axis of the cone about w besides.
 SELECT_GAMMA, SELECT_KAPPA, SELECT_THETA = 6, 9, 12
 SELECT_H_COS, SELECT_H_SIN = 13, 14
 SELECT_VIEW_ROWS = 15
@@ -106,12 +106,12 @@ SAMPLE_CHUNKS = 8  # of pixels; each has a map of its own for the derivative by 
 # Scratch, in floats: for the sums of one tile and, in the backward passes, of one chunk.
 DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
 GENERAL_SCRATCH = 2 * ENERGY_STRIDE * GENERAL_TILE + LANES * VALUES  # by n, by v, by m
-CULLED_NORMALS = ENERGY_STRIDE * CULLED_TILE  # sums, then normals (3, tile)
+CULLED_NORMALS = ENERGY_STRIDE * CULLED_TILE  # behind the sums: normals (3, tile)
 CULLED_SCRATCH = CULLED_NORMALS + 3 * CULLED_TILE
-# The same for a view per pixel, from where a tile's or a chunk's part begins: sums by n, normals
-# (3, tile), each view less that of its run and the square of that (4, tile), the views of runs (3,
-# tile), views (3, tile), sums by v; then for one run and block the lobes and their slopes, the spline's basis and its
-# slopes, and sums by the lobes and by their slopes.
+# The same for a view per pixel (learn.engines.view_runs). Behind a tile's sums and normals: its
+# views less those of their runs, and the squares of these (4, tile); the views of runs, and all
+# views (3, tile each); sums by v. For one run and block: the lobes and their slopes, the spline's
+# basis and its slopes, and sums by the lobes and by their slopes.
 VIEW_OFFSETS = CULLED_SCRATCH
 VIEW_CENTRES = VIEW_OFFSETS + 4 * CULLED_TILE
 VIEW_VIEWS = VIEW_CENTRES + 3 * CULLED_TILE

@@ -16,9 +16,9 @@ A run's part of the scratch is described in learn.engines.layout (VIEW_…).
 """
 
 import numpy as np
-from numba import types
 
 from learn.engines.compilation import inlined
+from learn.engines.culled import single
 from learn.engines.distant import peak_cosine, w_of
 from learn.engines.exponentials import angle
 from learn.engines.general import LEAST_SQUARE, shortfall, square, two_sum
@@ -73,7 +73,7 @@ def make_runs(
     """
     run = LANES
     while run > 1:
-        widest = types.float32(0.0)
+        widest = single(0.0)
         for first in range(0, count, run):
             widest = max(widest, write_run(v, start, first, min(run, count - first), scratch, a))
         if widest <= limit * limit:
@@ -89,7 +89,7 @@ def write_run(
     v: np.ndarray, start: int, first: int, length: int, scratch: np.ndarray, a: int
 ) -> float:
     """Write a run's view and its pixels' offsets; returns the largest ‖d‖²."""
-    x, y, z, widest = 0.0, 0.0, 0.0, types.float32(0.0)
+    x, y, z, widest = 0.0, 0.0, 0.0, single(0.0)
     for p in range(start + first, start + first + length):
         x, y, z = x + v[3 * p], y + v[3 * p + 1], z + v[3 * p + 2]
     c, o = a + VIEW_CENTRES + first, a + VIEW_OFFSETS + first
@@ -111,10 +111,10 @@ def write_run(
 @inlined
 def distance(scratch: np.ndarray, a: int, first: int, length: int) -> float:
     """The largest ‖d‖ of a run."""
-    widest = types.float32(LEAST_DISTANCE * LEAST_DISTANCE)
+    widest = single(LEAST_DISTANCE * LEAST_DISTANCE)
     for j in range(first, first + length):
         widest = max(widest, scratch[a + VIEW_OFFSETS + 3 * CULLED_TILE + j])
-    return types.float32(widest**0.5)
+    return single(widest**0.5)
 
 
 @inlined

@@ -102,7 +102,8 @@ def _rendered(
     view = leaves[3] if len(leaves) > 3 else view
     by_picture = torch.ones_like(n)
     start = time.thread_time()
-    picture = render(*leaves[:3], view=view, tolerance=TOLERANCE, method=method)
+    n, m, L = leaves[:3]
+    picture = render(n, m, L, view=view, tolerance=TOLERANCE, method=method)
     gradients = torch.autograd.grad(picture, leaves, by_picture)
     return time.thread_time() - start, picture.detach(), list(gradients)
 
@@ -147,13 +148,14 @@ def _kept(case: int, labels: list[np.ndarray], size: int, seed: int) -> list[dic
     label, light = random_scenes.random_label(rng, labels), random_scenes.random_light(rng)
     fov, depth = rng.uniform(20, 90), max(rng.uniform(-0.1, 0.25), 0.0)
     n, view = near_shapes.near(size, np.radians(fov), depth, case)
-    leaves = [n, torch.as_tensor(np.exp(label)).float().reshape(1, 108)]
-    leaves = [x.requires_grad_() for x in (*leaves, torch.as_tensor(light).float()[None])]
+    m = torch.as_tensor(np.exp(label)).float().reshape(1, 108).requires_grad_()
+    L = torch.as_tensor(light).float()[None].requires_grad_()
+    n.requires_grad_()
     with torch.no_grad():
-        truth = render(*leaves, view=view, method="exact")
+        truth = render(n, m, L, view=view, method="exact")
     rows = []
     for tolerance in TOLERANCES:
-        picture = render(*leaves, view=view, tolerance=tolerance).detach()
+        picture = render(n, m, L, view=view, tolerance=tolerance).detach()
         error = ((picture - truth).abs().mean() / truth.mean()).item()
         rows.append({"case": case, "fov": fov, "depth": depth, "tolerance": tolerance})
         rows[-1] |= {"error": error, "kept": error <= tolerance}

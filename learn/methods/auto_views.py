@@ -40,11 +40,11 @@ LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
 DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
 # as CULL_PIXELS: a tile's views widen the bound, not what is left out
 CULL_VIEWS = 30.0
-# of the tolerance, that views are predicted to cost at most, by whether maps are read mirrored: there
-# more views take so much time that too few, which the check finds, are worth trying
-VIEW_SHARE = {False: 0.2, True: 2.5}
-# the same, and the maps' share of the tolerance, where a derivative by the view is requested: it is
-# a small difference of large parts in matte materials
+# of the tolerance, that one view may be predicted to cost, by whether maps are read mirrored, and
+# that more may. Where they are, one view is worth trying: the check finds where it is too few
+ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
+# the factor of culling and the maps' share of the tolerance where a derivative by the view is
+# requested: it is a small difference of large parts in matte materials
 FINER_CULLING, FINER_MAPS = 0.25, 0.1
 # what is tried where the check fails: more views if these are predicted to cost this part of the
 # tolerance, or where a map has been made larger before; sums at the pixels from this share of nodes
@@ -156,8 +156,8 @@ def best_plan(
 def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int) -> int:
     """The fewest views, `least` or more, that keep their part of the tolerance; 0 if none do."""
     for count in (1, 3) if mirrored else (1, 3, 6):
-        error = view_error(scene, lobe, count, mirrored)
-        if count >= least and error <= VIEW_SHARE[mirrored] * scene.tolerance:
+        share = ONE_VIEW[mirrored] if count == 1 else MORE
+        if count >= least and view_error(scene, lobe, count, mirrored) <= share * scene.tolerance:
             return count
     return 0
 

@@ -182,8 +182,9 @@ class ViewedListing:
             )
             by_m += self.tables.material_gradient(m_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
-        by_view = put_back(by_view, self.order) if with_view else None
-        return put_back(by_n, self.order), by_view, by_m, by_E
+        if not with_view:
+            return put_back(by_n, self.order), None, by_m, by_E
+        return put_back(by_n, self.order), put_back(by_view, self.order), by_m, by_E
 
 
 def select(
