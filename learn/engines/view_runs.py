@@ -183,7 +183,9 @@ def make_lobes(
     scratch: np.ndarray,
     a: int,
 ) -> None:
-    """Write a run's lobes and their slopes, and the basis; slopes are 0 for a pixel alone.
+    """Write a run's lobes and their slopes, and the basis.
+
+    alone  whether there is one pixel, and no derivative by its view: slopes are 0
 
     A slope is held where the first order would take a value below 0 or a κ beyond exp2m1.
     """

@@ -266,7 +266,7 @@ def backward(
                                     o,
                                     same,
                                     furthest,
-                                    run == 1,
+                                    run == 1 and not with_view,
                                     many,
                                     values,
                                     scratch,

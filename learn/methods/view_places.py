@@ -25,7 +25,9 @@ from learn.methods import directional
 
 LEAST_DEPTH = 0.5  # of a view along their mean, 60° off it: beyond, no maps are made
 LEAST_HALF = 0.05  # of the offsets: polynomials over less lose digits
-LEAST_COSINE = 0.2  # n·v below which a highlight is no longer moved in full
+# n·v below which a highlight is no longer moved in full; larger where V is so steep that a step
+# towards a place would not bring it nearer by this factor
+LEAST_COSINE, CONTRACTION = 0.2, 0.7
 FITTED = 1024  # pixels to which V is fitted
 STEPS, SETTLED = 8, 2e-4  # at most, to find a place, and the mean change at which it is found
 LEFT = 0.02  # of a derivative, that the series for V's part in a place may leave out
@@ -69,7 +71,7 @@ class Views:
     fit     (2, 6) coefficients of V's slopes
     half    (2,) half the width of the offsets, as if they were spread evenly
     spread  the larger half width, as it is; infinite where no maps should be made
-    terms   of the series that `Places.backward` needs
+    least_cosine, terms  LEAST_COSINE for this fit, and terms of the series in `Places.backward`
     """
 
     def __init__(self, n: np.ndarray, view: np.ndarray):
@@ -86,7 +88,9 @@ class Views:
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
         steepness = 0.5 * float(np.abs(self.fit[:, 1:3]).max()) + 1e-9
-        self.terms = int(np.clip(math.ceil(math.log(LEFT) / math.log(min(steepness, 0.7))), 1, 6))
+        self.least_cosine = max(LEAST_COSINE, steepness / CONTRACTION)
+        contraction = min(steepness / LEAST_COSINE, CONTRACTION)
+        self.terms = max(math.ceil(math.log(LEFT) / math.log(contraction)), 1)
         spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
         self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf
 
@@ -141,7 +145,8 @@ class Views:
             self.vectors((middle + half * np.array(o, np.float32)[:, None]).astype(np.float32))
             for o in OFFSETS[count]
         ]
-        normals = [moved(n, view, other)[0] if mirrored else n for other in views]
+        least = self.least_cosine
+        normals = [moved(n, view, other, least)[0] if mirrored else n for other in views]
         return np.stack(normals), np.stack(views)
 
 
@@ -155,15 +160,15 @@ def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def moved(
-    n: np.ndarray, view: np.ndarray, other: np.ndarray
+    n: np.ndarray, view: np.ndarray, other: np.ndarray, least_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
 
-    With r = 2 (n·v) n − v it is (r + other)/‖r + other‖. Where n·v < LEAST_COSINE, it moves as if
+    With r = 2 (n·v) n − v it is (r + other)/‖r + other‖. Where n·v < least_cosine, it moves as if
     n·v were that.
-    Returns  the normal, ‖r + other‖ (P, 1), and n·v or LEAST_COSINE (P, 1)
+    Returns  the normal, ‖r + other‖ (P, 1), and n·v or least_cosine (P, 1)
     """
-    cosine = np.maximum(dot(n, view), np.float32(LEAST_COSINE))
+    cosine = np.maximum(dot(n, view), np.float32(least_cosine))
     u = 2 * cosine * n + (other - view)
     length = np.sqrt(dot(u, u))
     return u / length, length, cosine
@@ -182,7 +187,8 @@ class Places:
         if mirrored:
             for _ in range(STEPS):  # V belongs to the place that is sought
                 before, self.middle = self.n, views.middle(self.n)
-                self.n, self.length, self.cosine = moved(n, view, views.vectors(self.middle))
+                other = views.vectors(self.middle)
+                self.n, self.length, self.cosine = moved(n, view, other, views.least_cosine)
                 if np.abs(self.n - before).mean() < SETTLED:
                     break
         self.middle = views.middle(self.n)
@@ -232,7 +238,7 @@ class Places:
             by_middle = views.vectors_backward(self.middle, by_u)
             by_u = self.by_sum(by_n + views.middle_backward(self.n, by_middle))
         n, view = self.given, self.view
-        share = 2 * dot(n, by_u) * (self.cosine > LEAST_COSINE)
+        share = 2 * dot(n, by_u) * (self.cosine > np.float32(views.least_cosine))
         return 2 * self.cosine * by_u + share * view, by_view - by_u + share * n
 
     def by_sum(self, by_n: np.ndarray) -> np.ndarray:
