@@ -26,66 +26,47 @@ from learn.engines.culled import (
     cut_at,
     least_cosine,
     nearest_cosine,
-    unpack,
 )
 from learn.engines.distant import (
-    LN2,
-    add_to,
     clear,
-    peak_cosine,
     w_of,
-    write_sums,
 )
 from learn.engines.exponentials import angle, exp2, exp2m1, log2
 from learn.engines.general import (
     LEAST_SQUARE,
-    add_by_view,
-    lobe,
-    lobe_backward,
-    offset,
-    shortfall,
     square,
-    w_plus_v,
 )
 from learn.engines.layout import (
-    CHANNEL_VALUES,
     CONE_ENERGY,
     CONE_STRIDE,
     CONE_W_COS,
     CONE_W_SIN,
     CONE_W_X,
+    CULLED_NORMALS,
     CULLED_TILE,
     CUT_AXIS,
     CUT_REACH,
-    ENERGY_STRIDE,
-    GENERAL_STRIDE,
     LANES,
-    LOBE_VALUES,
     SELECT_BOUND,
     SELECT_GAMMA,
     SELECT_H_COS,
     SELECT_H_SIN,
-    SELECT_H_X,
     SELECT_KAPPA,
     SELECT_REACH,
     SELECT_THETA,
     SELECT_VIEW_STRIDE,
     SELECT_WEIGHT,
     THETA_BINS,
-    VALUES,
     VIEW_CUTS,
-    VIEW_SCRATCH,
+    VIEW_VIEWS,
 )
-from learn.engines.splines import basis, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
     anywhere,
     bits,
     fma,
-    lane_max,
     lane_sum,
     load,
-    lowest_bit,
     maximum,
     minimum,
     splat,
@@ -120,13 +101,26 @@ def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -
 def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
     """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
 
-    o  offset of their normals
+    o  offset of their normals; their views are VIEW_VIEWS − CULLED_NORMALS behind
     """
     x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
-    a = VIEW_CUTS * entry + CUT_AXIS
-    along = fma(x, cuts[a], fma(y, cuts[a + 1], z * cuts[a + 2]))
-    near = along > cuts[VIEW_CUTS * entry + CUT_REACH]
+    a, v = VIEW_CUTS * entry + CUT_AXIS, o + VIEW_VIEWS - CULLED_NORMALS
+    sx = cuts[a] + load(scratch, v)
+    sy = cuts[a + 1] + load(scratch, v + CULLED_TILE)
+    sz = cuts[a + 2] + load(scratch, v + 2 * CULLED_TILE)
+    along = fma(x, sx, fma(y, sy, z * sz))
+    near = along > sqrt(square(sx, sy, sz)) * cuts[VIEW_CUTS * entry + CUT_REACH]
     return bits(near) & ((1 << min(LANES, count)) - 1)
+
+
+@inlined
+def unpack_views(v: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
+    """Write a tile's views as three rows at offset o."""
+    for j in range(CULLED_TILE):
+        for i in range(3):
+            scratch[o + CULLED_TILE * i + j] = (
+                v[3 * (start + j) + i] if j < count else types.float32(0.0)
+            )
 
 
 def select(
@@ -175,11 +169,13 @@ def select(
             theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
             store(scratch, b + LANES * SELECT_THETA, theta_d * BINS_PER_RADIAN)
             look_up_ranges(scratch, b, many, ranges)
-            store(scratch, b + LANES * SELECT_H_X, hx)
-            store(scratch, b + LANES * (SELECT_H_X + 1), hy)
-            store(scratch, b + LANES * (SELECT_H_X + 2), hz)
-            store(scratch, b + LANES * SELECT_H_COS, cos_h)
-            store(scratch, b + LANES * SELECT_H_SIN, sin_h)
+            # for one pixel's view the cone is narrower, and about another axis
+            alone = sqrt(2.0 * maximum(1.0 - cos_w, 0.0))
+            alone = alone / maximum(1.0 / inverse - gap, 1e-6) + 1e-6
+            beyond = alone > WHOLE_SPHERE
+            cos_1 = choose(beyond, -1.0, sqrt(maximum(1.0 - alone * alone, 0.0)))
+            store(scratch, b + LANES * SELECT_H_COS, cos_1)
+            store(scratch, b + LANES * SELECT_H_SIN, choose(beyond, 0.0, alone))
             axis = fma(hx, nx, fma(hy, ny, hz * nz))
             c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
             log_c = log2(c, 1.0 - c)
@@ -237,203 +233,7 @@ def select(
                         cuts[to + s] = scratch[q + LANES * s]
                     cuts[to + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
                     for i in range(3):
-                        cuts[to + CUT_AXIS + i] = scratch[b + LANES * (SELECT_H_X + i) + lane]
+                        axis_at = CONE_STRIDE * wide_block + LANES * (CONE_W_X + i) + lane
+                        cuts[to + CUT_AXIS + i] = cones[axis_at]
                     length += 1
         lengths[tile] = length
-
-
-def forward(
-    first: int,
-    last: int,
-    pixels: int,
-    size: int,
-    room: int,
-    many: int,
-    n: np.ndarray,
-    v: np.ndarray,
-    geometry: np.ndarray,
-    energy: np.ndarray,
-    values: np.ndarray,
-    scratch: np.ndarray,
-    radiance: np.ndarray,
-    cuts: np.ndarray,
-    lengths: np.ndarray,
-    entries: np.ndarray,
-) -> None:
-    """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds VIEW_SCRATCH floats."""
-    for tile in range(first, last):
-        start = tile * size
-        count = min(size, pixels - start)
-        clear(scratch, 0, 3 * count)
-        unpack(n, start, count, scratch, 0)
-        for i in range(room * tile, room * tile + lengths[tile]):
-            o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
-            wx, wy, wz = w_of(geometry, o)
-            for group in range(0, count, LANES):
-                normals = ENERGY_STRIDE * CULLED_TILE + group
-                near = pixels_near(scratch, normals, count - group, cuts, i)
-                while near:
-                    j = group + lowest_bit(near)
-                    near &= near - 1
-                    p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-                    if not anywhere(n_w > 0.0):
-                        continue
-                    vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
-                    v_short = shortfall(v[p], v[p + 1], v[p + 2])
-                    sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
-                    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-                    inverse = 1.0 / sqrt(s_square)
-                    x = offset(sx, rx, splat(nx), inverse)
-                    y = offset(sy, ry, splat(ny), inverse)
-                    z = offset(sz, rz, splat(nz), inverse)
-                    log_c = peak_cosine(x, y, z)[1]
-                    nearest, highest = lane_max(log_c), NEVER
-                    for s in range(many):
-                        highest = min(highest, cuts[VIEW_CUTS * i + s])
-                    if not (nearest > highest):
-                        continue
-                    b = basis(angle(square(wx - vx, wy - vy, wz - vz), s_square))
-                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                    for s in range(many):
-                        if nearest > cuts[VIEW_CUTS * i + s]:
-                            t = LOBE_VALUES * s
-                            f0 = f0 + lobe(values, t, log_c, b)
-                            f1 = f1 + lobe(values, t + CHANNEL_VALUES, log_c, b)
-                            f2 = f2 + lobe(values, t + 2 * CHANNEL_VALUES, log_c, b)
-                    n_w = maximum(n_w, 0.0)
-                    a = ENERGY_STRIDE * j
-                    add_to(scratch, a, f0 * n_w * load(energy, e))
-                    add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
-                    add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
-        write_sums(scratch, 0, 3 * count, radiance, 3 * start)
-
-
-def backward(
-    first: int,
-    last: int,
-    pixels: int,
-    size: int,
-    tiles: int,
-    blocks: int,
-    room: int,
-    many: int,
-    chunks: int,
-    with_view: int,
-    n: np.ndarray,
-    v: np.ndarray,
-    geometry: np.ndarray,
-    energy: np.ndarray,
-    values: np.ndarray,
-    steps: np.ndarray,
-    scratch: np.ndarray,
-    g: np.ndarray,
-    by_n: np.ndarray,
-    by_v: np.ndarray,
-    energy_sums: np.ndarray,
-    m_sums: np.ndarray,
-    cuts: np.ndarray,
-    lengths: np.ndarray,
-    entries: np.ndarray,
-) -> None:
-    """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1.
-
-    scratch      (chunks, VIEW_SCRATCH)
-    with_view    0: by_v is not written
-    by_n, by_v   (P, 3) out, tangential up to a radial part
-    energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
-    m_sums       (chunks, 108, 16) out, like values: derivatives by γ ln² 2 and by κ, in lanes
-    """
-    for chunk in range(first, last):
-        base_e, by_m = ENERGY_STRIDE * blocks * chunk, LANES * VALUES * chunk
-        n_sums = VIEW_SCRATCH * chunk
-        normals_at = n_sums + ENERGY_STRIDE * CULLED_TILE
-        v_sums = normals_at + 3 * CULLED_TILE
-        clear(energy_sums, base_e, 3 * blocks)
-        clear(m_sums, by_m, VALUES)
-        for tile in range(chunk * tiles // chunks, (chunk + 1) * tiles // chunks):
-            start = tile * size
-            count = min(size, pixels - start)
-            clear(scratch, n_sums, 3 * count)
-            clear(scratch, v_sums, 3 * count)
-            unpack(n, start, count, scratch, n_sums)
-            for i in range(room * tile, room * tile + lengths[tile]):
-                o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
-                wx, wy, wz = w_of(geometry, o)
-                for group in range(0, count, LANES):
-                    near = pixels_near(scratch, normals_at + group, count - group, cuts, i)
-                    while near:
-                        j = group + lowest_bit(near)
-                        near &= near - 1
-                        p = 3 * (start + j)
-                        nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                        n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-                        visible = n_w > 0.0
-                        if not anywhere(visible):
-                            continue
-                        vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
-                        v_short = shortfall(v[p], v[p + 1], v[p + 2])
-                        sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
-                        s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-                        inverse = 1.0 / sqrt(s_square)
-                        x = offset(sx, rx, splat(nx), inverse)
-                        y = offset(sy, ry, splat(ny), inverse)
-                        z = offset(sz, rz, splat(nz), inverse)
-                        c, log_c = peak_cosine(x, y, z)
-                        nearest, highest = lane_max(log_c), NEVER
-                        for s in range(many):
-                            highest = min(highest, cuts[VIEW_CUTS * i + s])
-                        if not (nearest > highest):
-                            continue
-                        tx, ty, tz = wx - vx, wy - vy, wz - vz
-                        t_square = square(tx, ty, tz)
-                        theta_d = angle(t_square, s_square)
-                        b, tent = basis(theta_d), tents(theta_d)
-                        n_w = maximum(n_w, 0.0)
-                        by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
-                        for k in range(3):
-                            energy_k = load(energy, e + LANES * k)
-                            weight = n_w * g[p + k] * energy_k
-                            f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
-                            for s in range(many):
-                                if nearest > cuts[VIEW_CUTS * i + s]:
-                                    lobe_f, lobe_c, lobe_x = lobe_backward(
-                                        values,
-                                        steps,
-                                        LOBE_VALUES * s + CHANNEL_VALUES * k,
-                                        log_c,
-                                        b,
-                                        tent,
-                                        weight,
-                                        m_sums,
-                                        by_m,
-                                        with_view,
-                                    )
-                                    f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
-                            add_to(energy_sums, base_e + e + LANES * k, f * n_w * g[p + k])
-                            by_w = fma(f * g[p + k], energy_k, by_w)
-                            by_c = fma(d_c, weight, by_c)
-                            by_x = fma(d_x, weight, by_x)
-                        by_w = choose(visible, by_w, 0.0)
-                        by_c = by_c * LN2 / c
-                        a = n_sums + ENERGY_STRIDE * j
-                        add_to(scratch, a, fma(by_w, wx, by_c * x))
-                        add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
-                        add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
-                        if with_view:
-                            add_by_view(
-                                scratch,
-                                v_sums + ENERGY_STRIDE * j,
-                                (x, y, z),
-                                (x + nx, y + ny, z + nz),
-                                (tx, ty, tz),
-                                (sx, sy, sz),
-                                t_square,
-                                s_square,
-                                inverse,
-                                by_c,
-                                by_x,
-                            )
-            write_sums(scratch, n_sums, 3 * count, by_n, 3 * start)
-            write_sums(scratch, v_sums, 3 * count * with_view, by_v, 3 * start)

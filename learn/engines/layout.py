@@ -61,15 +61,21 @@ CUTS = 4
 CUT_REACH = 3
 
 # The same for a view per pixel (learn.engines.culled_views): of each lobe also the least γ and the
-# largest κ log2 e, then the place of θ_d in the table of these, and the cone about h. An entry's
-# cuts hold the axis of that cone besides.
+# largest κ log2 e, then the place of θ_d in the table of these, and the half angle of the cone
+# about a pixel's h. An entry's cuts hold the axis of the cone about w besides.
 SELECT_GAMMA, SELECT_KAPPA, SELECT_THETA = 6, 9, 12
-SELECT_H_X, SELECT_H_COS, SELECT_H_SIN = 13, 16, 17
-SELECT_VIEW_ROWS = 18
+SELECT_H_COS, SELECT_H_SIN = 13, 14
+SELECT_VIEW_ROWS = 15
 SELECT_VIEW_STRIDE = LANES * SELECT_VIEW_ROWS
 CUT_AXIS = 4
 VIEW_CUTS = 8
 THETA_BINS = 64  # of θ_d from 0 to π/2
+
+# A lobe and channel of one run of pixels (learn.engines.view_runs): γ and its slope by the spline's
+# x, κ log2 e and its slope; the sums have the same rows.
+RUN_GAMMA, RUN_GAMMA_SLOPE, RUN_KAPPA, RUN_KAPPA_SLOPE = range(4)
+RUN_CHANNEL_STRIDE = LANES * 4
+RUN_LOBE_STRIDE = 3 * RUN_CHANNEL_STRIDE
 
 # Samples of the quadrature about the z axis: half vector, log2 cos θ, solid angle.
 SAMPLE_X, SAMPLE_Y, SAMPLE_Z, SAMPLE_LOG_COSINE, SAMPLE_SOLID_ANGLE = range(5)
@@ -100,8 +106,20 @@ SAMPLE_CHUNKS = 8  # of pixels; each has a map of its own for the derivative by 
 # Scratch, in floats: for the sums of one tile and, in the backward passes, of one chunk.
 DISTANT_SCRATCH = ENERGY_STRIDE * DISTANT_TILE
 GENERAL_SCRATCH = 2 * ENERGY_STRIDE * GENERAL_TILE + LANES * VALUES  # by n, by v, by m
-CULLED_SCRATCH = ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # sums, then normals (3, tile)
-VIEW_SCRATCH = 2 * ENERGY_STRIDE * CULLED_TILE + 3 * CULLED_TILE  # by n, normals, by v
+CULLED_NORMALS = ENERGY_STRIDE * CULLED_TILE  # behind the sums: normals (3, tile)
+CULLED_SCRATCH = CULLED_NORMALS + 3 * CULLED_TILE
+# The same for a view per pixel (learn.engines.view_runs). Behind a tile's sums and normals: its
+# views less those of their runs, and the squares of these (4, tile); the views of runs, and all
+# views (3, tile each); sums by v. For one run and block: the lobes and their slopes, the spline's
+# basis and its slopes, and sums by the lobes and by their slopes.
+VIEW_OFFSETS = CULLED_SCRATCH
+VIEW_CENTRES = VIEW_OFFSETS + 4 * CULLED_TILE
+VIEW_VIEWS = VIEW_CENTRES + 3 * CULLED_TILE
+VIEW_V_SUMS = VIEW_VIEWS + 3 * CULLED_TILE
+VIEW_LOBES = VIEW_V_SUMS + ENERGY_STRIDE * CULLED_TILE
+VIEW_BASIS = VIEW_LOBES + 2 * LOBES_STRIDE
+VIEW_LOBE_SUMS = VIEW_BASIS + 2 * BASIS_STRIDE
+VIEW_SCRATCH = VIEW_LOBE_SUMS + 2 * LOBES_STRIDE
 # Second derivatives: rows of a pixel's sums (by n, by g; by n, by v, by g), and those by m.
 DISTANT_SECOND_ROWS = 6
 GENERAL_SECOND_ROWS = 9

@@ -12,6 +12,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "tolerance-check": 'count how often method="auto" keeps its tolerance in random scenes',
         "quadrature-accuracy": 'compare method="quadrature" with the converged integral',
         "latency": 'time method="auto" on every measured material',
+        "view-per-pixel": 'time method="auto" in perspective against a distant viewer',
         "calibrate-auto": 'fit the constants by which method="auto" plans',
     },
     "The rendering layer's engine": {

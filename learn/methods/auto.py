@@ -9,10 +9,10 @@ the part with the largest error is computed again: with more lights, with a larg
 pixels where a map is no faster, and with less culling. Where the compiled kernels do not apply
 (float64, numba missing, CUDA) the sum is exact.
 
-View per pixel: likewise, with a map for each of a few views (learn/methods/auto_views.py). Where
-the kernels do not apply, the light is cut into few lights for all lobes, or for the broad ones
-(learn/methods/hybrid.py); if the derivative by light is requested too, which a cut light gives
-coarsely, the sum is exact.
+View per pixel: likewise, with maps whose nodes have views of their own
+(learn/methods/auto_views.py). Where the kernels do not apply, the light is cut into few lights for
+all lobes, or for the broad ones (learn/methods/hybrid.py); if the derivative by light is requested
+too, which a cut light gives coarsely, the sum is exact.
 
 The error is the mean absolute difference over the mean radiance, both over pixels and channels, of
 each material and light. learn/methods/cost_model.py predicts errors and times.

@@ -25,7 +25,6 @@ from learn.methods import (
 from learn.methods.checked_plan import CHEAP, checked_sums
 from learn.methods.cost_model import (
     CULL_NODES,
-    CULL_PIXELS,
     GUARANTEED,
     LIGHT_SHARE,
     MAP_SHARE,
@@ -37,18 +36,22 @@ from learn.methods.cost_model import (
 )
 from learn.methods.planned import Strategy
 
-# times as long as for a distant viewer, whose h and splines belong to the light
-DEARER = 2.4
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
-# of the error of interpolating between `across` views: factor × spread^power, by whether maps are
-# read where they mirror the light
-VIEW_ERROR = {
-    False: {1: (0.35, 1.0), 2: (0.08, 2.0), 3: (0.03, 3.0)},
-    True: {1: (0.1, 1.0), 2: (0.1, 2.0), 3: (0.1, 2.5)},
-}
+DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
+# as CULL_PIXELS: a tile's views widen the bound, not what is left out
+CULL_VIEWS = 30.0
+# of the tolerance, that one view may be predicted to cost, by whether maps are read mirrored, and
+# that more may. Where they are, one view is worth trying: the check finds where it is too few
+ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
+# the factor of culling and the maps' share of the tolerance where a derivative by the view is
+# requested: it is a small difference of large parts in matte materials
+FINER_CULLING, FINER_MAPS = 0.25, 0.1
+# what is tried where the check fails: more views if these are predicted to cost this part of the
+# tolerance, or where a map has been made larger before; sums at the pixels from this share of nodes
+NOTICED, WORTHWHILE = 0.2, 0.7
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
-SIMILAR = 1.7  # times the size of the largest map: maps above it take its size
-VIEW_SHARE = 0.4  # of the tolerance
+SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
+MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
 
 
 def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor:
@@ -75,8 +78,8 @@ def planned_sums(
     tolerance: float,
 ) -> planned_views.Sums:
     """Sums of one group that keep the tolerance on the sample."""
-    _, _, material_gradient, light_gradient = gradients
-    scene = planned_views.Scene(n, view, m, light, rotation, light_gradient, material_gradient)
+    material_gradient = gradients[2]
+    scene = planned_views.Scene(n, view, m, light, rotation, tolerance, *gradients[1:])
     lobes = (
         block_lists.ALL_LOBES
         if material_gradient
@@ -88,14 +91,29 @@ def planned_sums(
 
 
 def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
-    """A strategy of smaller error: more views and a larger map, more lights, less culling."""
+    """A strategy of smaller error: more views or a larger map, more lights, less culling."""
     culled = max(strategy.culled / 2.5, GUARANTEED)
+    level = strategy.level
+    if level and scene.light_loss(strategy.lobes, level) > LIGHT_SHARE * scene.budget:
+        level -= 1
     if strategy.size:
-        across = strategy.across + 1
-        size = grown(strategy.size, len(scene.n)) if across <= 3 else 0
-        strategy = replace(strategy, size=size, across=across if size else 1)
-        strategy = replace(strategy, mirrored=strategy.mirrored and size > 0)
-    return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
+        size, views, pixels = strategy.size, strategy.views, len(scene.n)
+        lost = max(view_error(scene, s, views, strategy.mirrored) for s in strategy.lobes)
+        again = strategy.culled < 0.99 * culling(scene)[1]
+        if again or lost > NOTICED * scene.tolerance:
+            views = MORE_VIEWS[views, strategy.mirrored]
+        else:
+            size = grown(size, pixels)
+        if not size or not views or views * node_count(size) > WORTHWHILE * pixels:
+            return Strategy(strategy.lobes, 0, level, culling(scene)[0] / 2.5)
+        strategy = replace(strategy, size=size, views=views)
+    return replace(strategy, level=level, culled=culled)
+
+
+def culling(scene: planned_views.Scene) -> tuple[float, float]:
+    """`Strategy.culled` at pixels and at nodes, before the check."""
+    factor = FINER_CULLING if scene.view_gradient else 1.0
+    return factor * CULL_VIEWS, factor * CULL_NODES
 
 
 def best_plan(
@@ -105,49 +123,55 @@ def best_plan(
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
-    sharp, strength = lobe_shapes.sharpness(scene.m), lobe_shapes.strength(scene.m)
-    sharp = np.where(sharp > 0, sharp, lobe_shapes.sharpness(scene.m, dark=True))
-    share = np.clip(3 * strength / max(strength.sum(), 1e-300), 0.1, 1.0)
-    sizes, levels, across = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
-    mirrored = sharp > BROAD
+    sharp, share = scene.sharpness, np.clip(3 * scene.shares, 0.1, 1.0)
+    sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
+    mirrored, culled = sharp > BROAD, culling(scene)
+    least, map_share = (3, FINER_MAPS) if scene.view_gradient else (1, MAP_SHARE)
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
-        size = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
-        views = views_across(scene.spread, bool(mirrored[s]), VIEW_SHARE * tolerance / share[s])
-        if views and size <= reflectance_map.LARGEST and (mirrored[s] or covers(scene.n, size)):
-            nodes = views**2 * node_count(size)
-            by_map = DEARER * sum_seconds(sharp[s], nodes, lights, tolerance)
-            by_map += LOOK_UP * pixels * views**2
+        size = map_size(sharp[s], map_share * tolerance / share[s], detail, scene.light.size[0])
+        count = view_count(scene, s, bool(mirrored[s]), least)
+        if count and size <= reflectance_map.LARGEST:
+            by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)
+            by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
-                sizes[s], across[s] = size, views
-    for kind in (mirrored, ~mirrored):  # lobes of similar width share their maps' look-ups
+                sizes[s], views[s] = size, count
+    for kind in (mirrored, ~mirrored):  # lobes of similar width share their maps' geometry
         alike = kind & (sizes > 0)
         alike &= SIMILAR * sizes > sizes.max(where=alike, initial=0)
-        sizes[alike], levels[alike], across[alike] = (
-            sizes.max(where=alike, initial=0),
-            levels.min(where=alike, initial=9),
-            across.max(where=alike, initial=1),
-        )
+        sizes[alike] = sizes.max(where=alike, initial=0)
+        views[alike] = views.max(where=alike, initial=1)
     groups: dict[tuple[int, int, int, bool], list[int]] = {}
     for s in lobes:
-        key = int(sizes[s]), int(levels[s]), int(across[s]), bool(mirrored[s] and sizes[s])
+        key = int(sizes[s]), int(levels[s]), int(views[s]), bool(mirrored[s] and sizes[s])
         groups.setdefault(key, []).append(s)
     return [
-        Strategy(tuple(lobes), size, level, CULL_NODES if size else CULL_PIXELS, views, mirrors)
-        for (size, level, views, mirrors), lobes in groups.items()
+        Strategy(tuple(lobes), size, level, culled[int(size > 0)], count, mirrors)
+        for (size, level, count, mirrors), lobes in groups.items()
     ]
 
 
-def views_across(spread: float, mirrored: bool, error: float) -> int:
-    """The fewest views along a side of the grid that keep a predicted error; 0 if none do."""
-    for across, (factor, power) in VIEW_ERROR[mirrored].items():
-        if factor * spread**power <= error:
-            return across
+def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int) -> int:
+    """The fewest views, `least` or more, that keep their part of the tolerance; 0 if none do."""
+    for count in (1, 3) if mirrored else (1, 3, 6):
+        share = ONE_VIEW[mirrored] if count == 1 else MORE
+        if count >= least and view_error(scene, lobe, count, mirrored) <= share * scene.tolerance:
+            return count
     return 0
 
 
-def covers(n: np.ndarray, size: int) -> bool:
-    """Whether a map of some size reaches all normals (P, 3), those beyond the disk included."""
-    return math.sqrt(1 - min(float(n[:, 2].min()), 0.0)) < 1 + 2 / (size - 5)
+def view_error(scene: planned_views.Scene, lobe: int, count: int, mirrored: bool) -> float:
+    """Predicted error of a picture, of reading a lobe from maps of so many views.
+
+    It grows with what normals do not tell of the views. Fitted to 24 lobes under two lights, from
+    two distances (docs/log.md, a view per pixel).
+    """
+    spread, share = scene.views.spread, scene.shares[lobe]
+    if not math.isfinite(spread):
+        return math.inf
+    if not mirrored:
+        sharp = math.sqrt(max(float(scene.sharpness[lobe]), 0.5))
+        return share * {1: 0.08 * sharp * spread, 3: 0.25 * spread**2, 6: 0.1 * spread**2.5}[count]
+    return share * spread * (0.04 + 0.15 * scene.steepness[lobe] if count == 1 else 0.08)

@@ -21,7 +21,7 @@ VIEWER = np.array([0.0, 0.0, 1.0])
 SLACK = 1e-5  # radians by which cones are widened against rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lights:
     """Directions of lights in blocks of 16 neighbours; the last light pads the last block.
 
@@ -55,10 +55,13 @@ def padded(w: np.ndarray) -> np.ndarray:
     return np.concatenate([w, np.broadcast_to(w[-1], (-len(w) % LANES, 3))])
 
 
-def lights_at(w: np.ndarray) -> Lights:
-    """The `Lights` of directions (T, 3); neighbours in order should be neighbours on the sphere."""
+def lights_at(w: np.ndarray, viewer: np.ndarray = VIEWER) -> Lights:
+    """The `Lights` of directions (T, 3), as a distant viewer sees them from direction `viewer`.
+
+    Neighbours in order should be neighbours on the sphere.
+    """
     filled = padded(w)
-    h, theta_d = half_angles(filled, VIEWER)
+    h, theta_d = half_angles(filled, viewer)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
     rows = np.zeros((CONE_ROWS, len(cones) + -len(cones) % LANES))

@@ -25,9 +25,23 @@ def strength(m: torch.Tensor | np.ndarray) -> np.ndarray:
 
     It is the mean over channels and control values.
     """
+    return strengths(m).mean((0, 2))
+
+
+def strengths(m: torch.Tensor | np.ndarray) -> np.ndarray:
+    """As `strength`, of each channel, lobe and control value (3, 3, 6)."""
     kappa, gamma = controls(m)
     width = np.minimum(8 * np.pi / np.maximum(lobe_sharpness(kappa, gamma), 1e-9), np.pi)
-    return (np.expm1(kappa) * width).mean((0, 2))
+    return np.expm1(kappa) * width
+
+
+def steepness(m: torch.Tensor | np.ndarray) -> np.ndarray:
+    """How fast each lobe's strength (3,) changes with θ_d: mean change of its logarithm per knot.
+
+    The last control value, at grazing θ_d, does not count.
+    """
+    logarithm = np.log(strengths(m).mean(0) + 1e-12)
+    return np.abs(np.diff(logarithm, axis=-1))[:, :4].mean(-1)
 
 
 def controls(m: torch.Tensor | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

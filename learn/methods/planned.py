@@ -28,15 +28,15 @@ class Strategy:
     size    nodes along a side of their reflectance map, 0 where they are summed at the pixels
     level   of the light's detail (learn/methods/coarse.py)
     culled  radiance that a pixel's list may leave out, in tolerances
-    across, mirrored  with a view per pixel (learn/methods/planned_views.py): views along a side of
-            the grid for which maps are made, and whether maps are read where they mirror the light
+    views, mirrored  with a view per pixel (learn/methods/planned_views.py): the number of views for
+            which maps are made, and whether these are read where they mirror the same light
     """
 
     lobes: tuple[int, ...]
     size: int
     level: int
     culled: float
-    across: int = 1
+    views: int = 1
     mirrored: bool = False
 
 

@@ -1,15 +1,8 @@
 """Radiance for a view per pixel as `auto` plans it: each group of lobes by a strategy of its own.
 
-Lobes whose highlights are narrower than the map's nodes could follow are summed at the pixels
-(learn/methods/viewed_lists.py). Others vary slowly with the view, so that a few reflectance maps
-serve: one for each view of a small grid about the picture's own views. A pixel reads them all, and
-interpolates between views:
-
-    I(n, v) ≈ Σ_k ℓ_k(v) M_k(n_k),   M_k(n) = I(n, v_k)
-
-n_k is the pixel's normal, or for sharp lobes the one that mirrors the same light (`ViewMap`).
-ℓ_k are products of Lagrange polynomials over the Gauss points of the interval that the views take
-up in each of two directions.
+Lobes whose highlights are narrower than a map's nodes could follow are summed at the pixels
+(learn/methods/viewed_lists.py). The others are summed at the nodes of one to six reflectance maps,
+of which learn/methods/view_places.py tells where the pixels read them.
 
 n, view (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at
 hand.
@@ -17,109 +10,21 @@ hand.
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 
 from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
-from learn.methods import coarse, reflectance_map, refusal
+from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
 from learn.methods.planned import Strategy
+from learn.methods.view_places import Chart, Places, Views, dot
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
-GAUSS_POINTS = {across: np.polynomial.legendre.leggauss(across)[0] for across in (1, 2, 3)}
-LEAST_SPREAD = 0.02  # of the views in a direction: polynomials over less lose digits
-
-
-class ViewGrid:
-    """Views v_k about a picture's views, and the weights by which a pixel interpolates.
-
-    across   views along a side, 1 to 3
-    views    (K, 3) float32 unit vectors
-    weights  (K, P) float32
-    """
-
-    def __init__(self, view: np.ndarray, across: int):
-        plane = Plane(view)
-        nodes = GAUSS_POINTS[across]
-        self.plane, self.nodes = plane, nodes
-        x, y = (axis.ravel() for axis in np.meshgrid(nodes, nodes, indexing="ij"))
-        self.views = plane.at(x, y).astype(np.float32)
-        (wx, self.dx), (wy, self.dy) = (lagrange(nodes, c) for c in plane.coordinates)
-        self.wx, self.wy = wx, wy
-        self.weights = product(wx, wy)
-
-    def backward(self, by_weights: np.ndarray) -> np.ndarray:
-        """The derivative by view (P, 3), from the one by the weights (K, P)."""
-        by_x = (by_weights * product(self.dx, self.wy)).sum(0)
-        by_y = (by_weights * product(self.wx, self.dy)).sum(0)
-        return self.plane.backward(by_x, by_y)
-
-
-class Plane:
-    """Views in the tangent plane of their mean: coordinates (P,) from −1 to 1 in two directions."""
-
-    def __init__(self, view: np.ndarray):
-        axis = view.sum(0, dtype=np.float64)
-        axis /= np.linalg.norm(axis)
-        e1 = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0], axis)
-        e1 /= np.linalg.norm(e1)
-        self.frame = np.stack([e1, np.cross(axis, e1), axis]).astype(np.float32)
-        a, b, self.depth = (along(view, row) for row in self.frame)
-        self.slopes = a / self.depth, b / self.depth
-        ends = [(float(s.min()), float(s.max())) for s in self.slopes]
-        self.middle = [0.5 * (low + high) for low, high in ends]
-        self.half = [max(0.5 * (high - low), LEAST_SPREAD) for low, high in ends]
-        self.coordinates = [
-            (s - np.float32(c)) / np.float32(h)
-            for s, c, h in zip(self.slopes, self.middle, self.half, strict=True)
-        ]
-
-    def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Unit vectors (K, 3) at coordinates (K,)."""
-        a, b = x * self.half[0] + self.middle[0], y * self.half[1] + self.middle[1]
-        result = np.stack([a, b, np.ones_like(a)], -1) @ self.frame.astype(np.float64)
-        return result / np.linalg.norm(result, axis=-1, keepdims=True)
-
-    def backward(self, by_x: np.ndarray, by_y: np.ndarray) -> np.ndarray:
-        """The derivative by view (P, 3), from those by the coordinates (P,)."""
-        by_a, by_b = by_x / self.half[0] / self.depth, by_y / self.half[1] / self.depth
-        by_depth = -(by_a * self.slopes[0] + by_b * self.slopes[1])
-        e1, e2, axis = self.frame
-        return by_a[:, None] * e1 + by_b[:, None] * e2 + by_depth[:, None] * axis
-
-
-def along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
-    return vectors[:, 0] * axis[0] + vectors[:, 1] * axis[1] + vectors[:, 2] * axis[2]
-
-
-def spread(view: np.ndarray) -> float:
-    """Half the width (tangent) of the interval that views (P, 3) take up; inf beyond 70° apart."""
-    plane = Plane(view)
-    return max(plane.half) if float(plane.depth.min()) > 0.5 else math.inf
-
-
-def lagrange(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lagrange polynomials (K, P) of K nodes at x (P,), and their derivatives."""
-    values, slopes = [], []
-    for i, node in enumerate(nodes):
-        others = [other for j, other in enumerate(nodes) if j != i]
-        scale = np.float32(1.0 / math.prod(node - other for other in others))
-        factors = [x - np.float32(other) for other in others]
-        values.append(scale * functools.reduce(np.multiply, factors, np.ones_like(x)))
-        slope = np.zeros_like(x)
-        for j in range(len(factors)):
-            rest = factors[:j] + factors[j + 1 :]
-            slope += functools.reduce(np.multiply, rest, np.ones_like(x))
-        slopes.append(scale * slope)
-    return np.stack(values), np.stack(slopes)
-
-
-def product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Products (K², P) of weights (K, P) in two directions."""
-    return (x[:, None] * y[None]).reshape(-1, x.shape[-1])
+# longest difference of a view from that of the run that it shares, at a tolerance of 1e-2; the
+# error is of second order in it
+APART = 0.15
 
 
 class Scene:
@@ -132,14 +37,26 @@ class Scene:
         m: np.ndarray,
         light: np.ndarray,
         rotation: Rotation,
-        light_gradient: bool = True,
+        tolerance: float,
+        view_gradient: bool = False,
         material_gradient: bool = False,
+        light_gradient: bool = True,
     ):
         self.n, self.view, self.m, self.light = n, view, m, coarse.Light(light, rotation)
         self.light_gradient, self.material_gradient = light_gradient, material_gradient
+        self.view_gradient, self.tolerance = view_gradient, tolerance
+        self.apart = APART * min(math.sqrt(tolerance / 1e-2), 1.0)
         self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
         self.tables: dict[tuple[tuple[int, ...], int], ViewedTables] = {}
+        self.places: dict[bool, Places] = {}
+        self.charts: dict[bool, Chart] = {}
         self.list_bytes = 0
+        self.pick = np.empty(0, np.int64)  # the sample on which the picture is checked
+        self.truths: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
+        sharpness, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
+        self.sharpness = np.where(sharpness > 0, sharpness, lobe_shapes.sharpness(m, dark=True))
+        self.shares = strength / max(strength.sum(), 1e-300)
+        self.steepness = lobe_shapes.steepness(m)
 
     @property
     def texels(self) -> int:
@@ -147,14 +64,16 @@ class Scene:
         return self.light.height * self.light.width
 
     @functools.cached_property
-    def spread(self) -> float:
-        """How far apart the views are (`spread`)."""
-        return spread(self.view)
+    def views(self) -> Views:
+        """The views and their fit."""
+        return Views(self.n, self.view)
 
-    @functools.lru_cache(maxsize=3)  # noqa: B019, a scene lives as long as one picture
-    def grid(self, across: int) -> ViewGrid:
-        """The grid of views."""
-        return ViewGrid(self.view, across)
+    def where(self, mirrored: bool) -> tuple[Places, Chart]:
+        """Where maps are read."""
+        if mirrored not in self.places:
+            self.places[mirrored] = Places(self.n, self.view, self.views, mirrored)
+            self.charts[mirrored] = Chart(self.places[mirrored].n, self.views.frame)
+        return self.places[mirrored], self.charts[mirrored]
 
     def at(
         self,
@@ -163,6 +82,7 @@ class Scene:
         lobes: tuple[int, ...],
         level: int = 0,
         left_out: float = 0.0,
+        apart: float = 0.0,
     ) -> ViewedListing:
         """The `ViewedListing` of some lobes at normals and views (N, 3)."""
         if (lobes, level) not in self.tables:
@@ -170,83 +90,27 @@ class Scene:
             self.tables[lobes, level] = ViewedTables(
                 self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
             )
-        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, self.list_bytes)
+        stored = self.list_bytes
+        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, stored, apart)
         self.list_bytes += listing.list_bytes
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,)."""
-        return self.at(self.n[pick], self.view[pick], lobes).radiance
+        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        self.pick = pick
+        if (len(pick), lobes) not in self.truths:
+            sums = self.at(self.n[pick], self.view[pick], lobes)
+            self.truths[len(pick), lobes] = sums.radiance
+        return self.truths[len(pick), lobes]
+
+    def light_loss(self, lobes: tuple[int, ...], level: int) -> float:
+        """Mean absolute error on the sample of some lobes by a level of the light."""
+        seen = self.at(self.n[self.pick], self.view[self.pick], lobes, level).radiance
+        return float(np.abs(seen - self.truth(self.pick, lobes)).mean())
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
         return Sums(self, strategies, known)
-
-
-class ViewMap:
-    """Where the pixels read the map of one view, and the derivatives of that.
-
-    places  (P, 3) unit normals in the map's own frame, in which its view is (0, 0, 1)
-
-    A broad lobe keeps its normal. A sharp one is read at the normal that mirrors the map's view
-    into the same light as the pixel's own normal mirrors the pixel's own view, so that highlights
-    stay where they are:
-
-        r = 2 (n·v) n − v,   u = r + v_k,   n_k = u/‖u‖
-    """
-
-    def __init__(self, scene: Scene, view: np.ndarray, size: int, mirrored: bool):
-        self.scene, self.view, self.mirrored, self.size = scene, view, mirrored, size
-        self.frame = frame_of(view) if mirrored else np.eye(3, dtype=np.float32)
-        n = scene.n
-        if mirrored:
-            self.cosine = dot(n, scene.view)
-            u = 2 * self.cosine * n - scene.view + view
-            self.length = np.sqrt(dot(u, u))
-            self.normal = u / self.length
-            n = turned(self.normal, self.frame)
-        self.places = n
-        self.nodes = reflectance_map.nodes_for(n, size)
-        normals = reflectance_map.normals(self.nodes, size)
-        self.normals = turned(normals, self.frame.T).astype(np.float32)
-
-    def read(self, table: np.ndarray) -> np.ndarray:
-        """Values (P, 3) at the pixels."""
-        return reflectance_map.read(self.places, table, self.size)
-
-    def read_backward(
-        self, table: np.ndarray, g: np.ndarray, with_view: bool
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-        """Derivatives of Σ g·values by n, by view or None, and by the values at the nodes."""
-        by_place, by_values = reflectance_map.read_backward(
-            self.places, table, self.size, g, self.nodes
-        )
-        if not self.mirrored:
-            return by_place, None, by_values
-        by_u = turned(by_place, self.frame.T)
-        by_u = (by_u - dot(by_u, self.normal) * self.normal) / self.length
-        n = self.scene.n
-        share = 2 * dot(n, by_u)
-        by_n = share * self.scene.view + 2 * self.cosine * by_u
-        return by_n, share * n - by_u if with_view else None, by_values
-
-
-def frame_of(axis: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3) float32 that takes a unit vector near (0, 0, 1) to it."""
-    x, y, z = (float(value) for value in axis)
-    a = 1 / (1 + z)
-    rows = [[1 - x * x * a, -x * y * a, -x], [-x * y * a, 1 - y * y * a, -y], [x, y, z]]
-    return np.array(rows, np.float32)
-
-
-def turned(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Vectors (P, 3) rotated, without BLAS, whose threads spin."""
-    return np.stack([along(vectors, row) for row in rotation], -1)
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a·b, (P, 1)."""
-    return (a * b).sum(-1, keepdims=True)
 
 
 class Sum:
@@ -254,61 +118,35 @@ class Sum:
 
     def __init__(self, scene: Scene, strategy: Strategy):
         self.scene, self.strategy = scene, strategy
-        budget = strategy.culled * scene.budget
+        budget, count = strategy.culled * scene.budget, strategy.views
         lobes, level, size = strategy.lobes, strategy.level, strategy.size
         if not size:
-            self.listing = scene.at(scene.n, scene.view, lobes, level, budget)
-            self.values = self.listing.radiance
-            return
-        self.grid = scene.grid(strategy.across)
-        self.maps = [ViewMap(scene, view, size, strategy.mirrored) for view in self.grid.views]
-        counts = [len(each.nodes) for each in self.maps]
-        self.ends = np.cumsum(counts)[:-1]
-        self.listing = scene.at(
-            np.concatenate([each.normals for each in self.maps]),
-            np.repeat(self.grid.views, counts, 0),
-            lobes,
-            level,
-            budget,
-        )
-        self.tables = [
-            reflectance_map.table(values, each.nodes, size)
-            for values, each in zip(
-                np.split(self.listing.radiance, self.ends), self.maps, strict=True
+            normals, views = scene.n, scene.view
+        else:
+            places, chart = scene.where(strategy.mirrored)
+            self.nodes = reflectance_map.nodes_for(chart.drawn, size)
+            drawn = reflectance_map.normals(self.nodes, size)
+            normals, views = (
+                np.ascontiguousarray(a.reshape(-1, 3))
+                for a in scene.views.beside(chart.normals(drawn), count, strategy.mirrored)
             )
-        ]
-        self.values = np.zeros_like(scene.n)
-        for each, table, weight in self.parts():
-            self.values += weight * each.read(table)
-
-    def parts(self) -> Iterator[tuple[ViewMap, np.ndarray, np.ndarray]]:
-        """Each view's map, its table, and its weight (P, 1) at the pixels."""
-        yield from zip(self.maps, self.tables, self.grid.weights[:, :, None], strict=True)
+        self.listing = scene.at(normals, views, lobes, level, budget, scene.apart)
+        self.values = self.listing.radiance
+        if size:
+            self.maps = [
+                reflectance_map.table(values, self.nodes, size)
+                for values in self.values.reshape(count, -1, 3)
+            ]
+            self.read = [reflectance_map.read(chart.drawn, table, size) for table in self.maps]
+            self.weights = places.weights(count)[:, :, None] if count > 1 else np.ones((1, 1, 1))
+            self.values = functools.reduce(
+                np.add,
+                (w.astype(np.float32) * r for w, r in zip(self.weights, self.read, strict=True)),
+            )
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.values[pick] - truth).mean())
-
-    def backward(
-        self, g: np.ndarray, with_view: bool
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·values, as those of `ViewedListing`."""
-        if not self.strategy.size:
-            return self.listing.backward(g, with_view)
-        by_n, by_values, by_weights = np.zeros_like(g), [], []
-        by_view = np.zeros_like(g)
-        for each, table, weight in self.parts():
-            by_part_n, by_part_view, by_nodes = each.read_backward(table, weight * g, with_view)
-            by_n += by_part_n
-            by_values.append(by_nodes)
-            if with_view:
-                by_weights.append((each.read(table) * g).sum(-1))
-                if by_part_view is not None:
-                    by_view += by_part_view
-        _, _, by_m, by_E = self.listing.backward(np.concatenate(by_values), False)
-        if with_view:
-            by_view += self.grid.backward(np.stack(by_weights))
-        return by_n, by_view if with_view else None, by_m, by_E
 
 
 class Sums:
@@ -342,14 +180,45 @@ class Sums:
         """Derivatives of Σ g·radiance by n, view, m and light."""
         by_n, by_view = np.zeros_like(self.scene.n), np.zeros_like(self.scene.n)
         by_m, by_light = np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
+        by_place: dict[bool, tuple[np.ndarray, np.ndarray]] = {}
         for part in self.all:
-            by_part_n, by_part_view, by_part_m, by_E = part.backward(g, with_view)
-            by_n += by_part_n
+            strategy = part.strategy
+            if strategy.size:
+                drawn, slopes, values = self.read_backward(part, g)
+                before = by_place.get(strategy.mirrored)
+                by_place[strategy.mirrored] = (
+                    (drawn, slopes) if before is None else (before[0] + drawn, before[1] + slopes)
+                )
+                _, _, by_part_m, by_E = part.listing.backward(values, False)
+            else:
+                by_part_n, by_part_view, by_part_m, by_E = part.listing.backward(g, with_view)
+                by_n += by_part_n
+                if by_part_view is not None:
+                    by_view += by_part_view
             by_m += by_part_m
-            by_light += self.scene.light.gradient(by_E, part.strategy.level)
-            if by_part_view is not None:
-                by_view += by_part_view
+            by_light += self.scene.light.gradient(by_E, strategy.level)
+        for mirrored, (drawn, slopes) in by_place.items():
+            places, chart = self.scene.where(mirrored)
+            by_part_n, by_part_view = places.backward(chart.backward(drawn), slopes)
+            by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
+
+    def read_backward(self, part: Sum, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives by the drawn places, by the offsets (2, P), and by the nodes' values."""
+        places, chart = self.scene.where(part.strategy.mirrored)
+        by_drawn, by_values, by_weights = np.zeros_like(g), [], []
+        for weight, table, read in zip(part.weights, part.maps, part.read, strict=True):
+            seen = np.ascontiguousarray(weight * g, np.float32)
+            by_part, by_nodes = reflectance_map.read_backward(
+                chart.drawn, table, part.strategy.size, seen, part.nodes
+            )
+            by_drawn += by_part
+            by_values.append(by_nodes)
+            by_weights.append(dot(read, g)[:, 0])
+        if len(by_weights) == 1:
+            return by_drawn, np.zeros((2, 1), np.float32), by_values[0]
+        by_offsets = places.weights_backward(np.stack(by_weights))
+        return by_drawn, by_offsets, np.concatenate(by_values)
 
 
 # (n, view, m, light, gradients) → `Sums`, all arrays; gradients: which derivatives are requested,

@@ -40,13 +40,14 @@ LISTED = 2.5e-8  # seconds to sum a listed block for a pixel of its tile
 FINE = 4  # angles per bin at which a material's curves are looked up
 ANGLES = np.linspace(0.0, np.pi / 2, FINE * THETA_BINS + 1)
 BASIS = basis(ANGLES)  # (angles, 6)
+GRAZING = 1.35  # θ_d from which a lobe's height is not compared with others': few pixels have it
 
 
 class ViewedTables:
     """Some lobes of a material under some lights, as learn.engines.culled_views reads them.
 
     m         (3, 3, 2, 6); energy: (blocks, 3, 16)
-    values    (many, 3, 2, 6) and steps (many, 3, 2, 5), float32: the lobes' splines
+    values    (many, 3, 2, 6) float32: control values of the lobes' splines
     curves    (many, 2, angles) float64: the least γ and the largest κ log2 e over channels
     """
 
@@ -61,9 +62,7 @@ class ViewedTables:
     ):
         self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
         self.geometry = lights.general_geometry()
-        tables = general_tables(m)
-        self.values = tables.values.reshape(3, 3, 2, 6)[self.numbers].copy()
-        self.steps = tables.steps.reshape(3, 3, 2, 5)[self.numbers].copy()
+        self.values = general_tables(m).values.reshape(3, 3, 2, 6)[self.numbers].copy()
         self.cones = lights.cones.copy()
         brightest = np.zeros(len(self.cones) * LANES, np.float32)
         # a light gathered from others may be negative
@@ -74,8 +73,9 @@ class ViewedTables:
         self.cones[:, CONE_ENERGY] = brightest.reshape(-1, LANES)
         curves = self.values.astype(np.float64) @ BASIS.T
         self.curves = np.stack([curves[:, :, 0].min(1), curves[:, :, 1].max(1)], 1)
-        least_height = DIM * self.curves[:, 1].max()
-        self.dims_lobes = material_gradient and bool((self.curves[:, 1] < least_height).any())
+        common = self.curves[:, 1, : np.searchsorted(ANGLES, GRAZING)]
+        least_height = DIM * common.max()
+        self.dims_lobes = material_gradient and bool((common < least_height).any())
         self.least_height = least_height
 
     def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
@@ -127,6 +127,7 @@ class ViewedListing:
     n, view       (P, 3)
     left_out      radiance that may be missing from a pixel in a channel
     stored_bytes  as in block_lists.Listing
+    apart         the longest difference of a view from that of the run that it shares
     radiance      (P, 3)
     list_bytes    lists that this object stores
     """
@@ -138,7 +139,9 @@ class ViewedListing:
         tables: ViewedTables,
         left_out: float,
         stored_bytes: int = 0,
+        apart: float = 0.0,
     ):
+        self.limit = np.array([apart], np.float32)
         self.tables, self.left_out, self.order = tables, left_out, by_place(n)
         self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
         self.list_bytes, self.lists = 0, dict[int, Lists]()
@@ -146,7 +149,7 @@ class ViewedListing:
         for start in range(0, len(n), PASS):
             part = slice(start, start + PASS)
             lists = select(self.n[part], self.view[part], tables, left_out)
-            run_forward(self.n[part], self.view[part], tables, lists, out[part])
+            run_forward(self.n[part], self.view[part], tables, lists, self.limit, out[part])
             if stored_bytes + self.list_bytes < CACHE_BYTES and not tables.dims_lobes:
                 self.lists[start] = lists
                 self.list_bytes += sum(array.nbytes for array in lists)
@@ -167,12 +170,21 @@ class ViewedListing:
             n, view = self.n[part], self.view[part]
             lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
             energy_sums, m_sums = run_backward(
-                n, view, self.tables, lists, g[part], by_n[part], by_view[part], with_view
+                n,
+                view,
+                self.tables,
+                lists,
+                self.limit,
+                g[part],
+                by_n[part],
+                by_view[part],
+                with_view,
             )
             by_m += self.tables.material_gradient(m_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
-        ordered = put_back(by_view, self.order) if with_view else None
-        return put_back(by_n, self.order), ordered, by_m, by_E
+        if not with_view:
+            return put_back(by_n, self.order), None, by_m, by_E
+        return put_back(by_n, self.order), put_back(by_view, self.order), by_m, by_E
 
 
 def select(
@@ -211,15 +223,20 @@ def workers_for(lists: Lists, pixels: int) -> int:
 
 
 def run_forward(
-    n: np.ndarray, view: np.ndarray, tables: ViewedTables, lists: Lists, out: np.ndarray
+    n: np.ndarray,
+    view: np.ndarray,
+    tables: ViewedTables,
+    lists: Lists,
+    limit: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Write radiance (P, 3) into out."""
+    """Write radiance (P, 3) into out; limit: as in learn.engines.viewed_sums."""
 
     def kernel(first: int, last: int) -> None:
         scratch = np.empty(VIEW_SCRATCH, np.float32)
         sizes = first, last, len(n), tile_size(len(n)), lists.entries.shape[1], tables.many
-        arrays = n, view, tables.geometry, tables.energy, tables.values, scratch, out
-        machine_code.call("culled_views.forward", *sizes, *arrays, *lists)
+        arrays = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, out
+        machine_code.call("viewed_sums.forward", *sizes, *arrays, *lists)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(len(lists.lengths), 2 * workers), workers)
@@ -230,6 +247,7 @@ def run_backward(
     view: np.ndarray,
     tables: ViewedTables,
     lists: Lists,
+    limit: np.ndarray,
     g: np.ndarray,
     by_n: np.ndarray,
     by_view: np.ndarray,
@@ -249,10 +267,10 @@ def run_backward(
 
     def kernel(first: int, last: int) -> None:
         sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, tables.many, chunks
-        inputs = n, view, tables.geometry, tables.energy, tables.values, tables.steps, scratch, g
+        inputs = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, g
         outputs = by_n, by_view, energy_sums, m_sums
         arrays = *inputs, *outputs, *lists
-        machine_code.call("culled_views.backward", first, last, *sizes, int(with_view), *arrays)
+        machine_code.call("viewed_sums.backward", first, last, *sizes, int(with_view), *arrays)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)

@@ -120,6 +120,7 @@ BASES = {
     "learn.experiments work-precision": "--out {out}",
     "learn.experiments tolerance-check": "--out {out}",
     "learn.experiments latency": "--out {out}",
+    "learn.experiments view-per-pixel": "--out {out}",
     "learn.experiments cold-start": "--out {out}",
     "learn.experiments quadrature-accuracy": "--out {out}",
 }
@@ -128,6 +129,7 @@ LONG = (  # minutes, if not refused
     "learn.experiments work-precision",
     "learn.experiments tolerance-check",
     "learn.experiments latency",
+    "learn.experiments view-per-pixel",
     "learn.experiments cold-start",
     "learn.experiments quadrature-accuracy",
 )

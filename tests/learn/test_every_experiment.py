@@ -52,6 +52,14 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         "--every 100 --tolerance 0.1 --threads 1",
         lambda r: r["tolerances"]["0.1"]["materials"] == len(r["tolerances"]["0.1"]["rows"]) == 1,
     ),
+    "view-per-pixel": (
+        "--every 100 --cases 1 --size 24",
+        lambda r: (
+            {row["shape"] for row in r["times"]} == {"sphere", "dented sphere"}
+            and all(row["pixels"] > 3500 and row["error"] < 1e-2 for row in r["times"])
+            and [row["tolerance"] for row in r["cases"]] == [5e-2, 1e-2, 1e-3]
+        ),
+    ),
     "calibrate-auto": (
         "--size 24",
         lambda r: all(x > 0 for x in r["calibration"]["map_error"].values()),

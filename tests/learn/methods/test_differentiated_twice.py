@@ -164,9 +164,7 @@ def has_second(name, dtype, perspective, lobes, constant):
         return False
     if name in CUT and not constant:
         return False
-    if dtype == torch.float64 or name in PLAIN | {"spherical_gaussians", "monte_carlo_light"}:
-        return True
-    return name == "auto" and perspective and not constant
+    return dtype == torch.float64 or name in PLAIN | {"spherical_gaussians", "monte_carlo_light"}
 
 
 def label(value):
