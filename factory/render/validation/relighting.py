@@ -15,8 +15,8 @@ ratios    the closed form of each light's direct light, times the ratio of two s
 error     display L2 over the mask against a reference, of SHOWN lights of each scene
 seconds   of a processor in one thread: once for the basis, and for each picture with its light. The
           closed form counts without maps of earlier pictures, which another light does not have
-result    it pays from 12 to 26 pictures of a view and material at errors above 20, on matte scenes,
-          to 70, on others, and never at smaller ones: so no estimator was made of it
+result    it pays from 12 to 26 pictures of a view and material, at errors above 20 on a matte white
+          and above 70 on other materials, and never at smaller ones: no estimator was made of it
 speed     by how much faster a basis makes N pictures than the fastest of path tracing, denoiser and
           ratio makes them at its error (speed_accuracy.at_error)
 """
