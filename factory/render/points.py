@@ -56,7 +56,7 @@ def other(centre: Seen, around: Sequence[Seen]) -> tuple[np.ndarray, Seen]:
     Returns  share (height, width) float32, 0 outside the centre's mask; the nearest other surface
     """
     count = np.zeros(centre.mask.shape, np.float32)
-    found = Seen(*(np.zeros_like(values) for values in centre))
+    second = Seen(*(np.zeros_like(values) for values in centre))
     for each in around:
         differs = centre.mask & ~(
             (centre.segments == each.segments)
@@ -64,7 +64,7 @@ def other(centre: Seen, around: Sequence[Seen]) -> tuple[np.ndarray, Seen]:
             & (np.einsum("hwi,hwi->hw", centre.facets, each.facets) > SAME_FACET)
         )
         first = differs & (count == 0)
-        for values, theirs in zip(found, each, strict=True):
+        for values, theirs in zip(second, each, strict=True):
             values[first] = theirs[first]
         count += differs
-    return count / len(around), found
+    return count / len(around), second

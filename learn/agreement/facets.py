@@ -143,7 +143,7 @@ def figures(
     def net(D: np.ndarray) -> np.ndarray:
         return squared_net_of_noise(C - D)
 
-    def apart(values: np.ndarray) -> float:
+    def without_edges(values: np.ndarray) -> float:
         return float(values[~beside].sum() / len(values))
 
     return {
@@ -152,11 +152,11 @@ def figures(
         "half_vectors": float(squared_difference(F, H).mean()),
         "second_surface": float(squared_difference(H, P).mean()),
         "predicted": float(net(P).mean()),
-        "predicted_points": apart(net(P)),
+        "predicted_points": without_edges(net(P)),
         "predicted_low": float((net(P) * low)[~beside].sum() / len(low)),
         "node_fit": float(squared_difference(P, M).mean()),
         "nodes": float(net(M).mean()),
-        "nodes_points": apart(net(M)),
+        "nodes_points": without_edges(net(M)),
         "beside": float(beside.mean()),
         "away": float(forms.away[mask].mean()),
     }

@@ -24,7 +24,7 @@ from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
 # longest difference of a view from that of the run that it shares, at a tolerance of 1e-2; the
 # error is of second order in it
-APART = 0.15
+VIEW_GAP = 0.15
 
 
 class Scene:
@@ -45,7 +45,7 @@ class Scene:
         self.n, self.view, self.m, self.light = n, view, m, coarse.Light(light, rotation)
         self.light_gradient, self.material_gradient = light_gradient, material_gradient
         self.view_gradient, self.tolerance = view_gradient, tolerance
-        self.apart = APART * min(math.sqrt(tolerance / 1e-2), 1.0)
+        self.view_gap = VIEW_GAP * min(math.sqrt(tolerance / 1e-2), 1.0)
         self.budget = 0.0  # tolerance × mean radiance: the unit of a strategy's `culled`
         self.tables: dict[tuple[tuple[int, ...], int], ViewedTables] = {}
         self.places: dict[bool, Places] = {}
@@ -82,7 +82,7 @@ class Scene:
         lobes: tuple[int, ...],
         level: int = 0,
         left_out: float = 0.0,
-        apart: float = 0.0,
+        view_gap: float = 0.0,
     ) -> ViewedListing:
         """The `ViewedListing` of some lobes at normals and views (N, 3)."""
         if (lobes, level) not in self.tables:
@@ -91,7 +91,9 @@ class Scene:
                 self.m, energy, lights, self.light_gradient, lobes, self.material_gradient
             )
         stored = self.list_bytes
-        listing = ViewedListing(normals, view, self.tables[lobes, level], left_out, stored, apart)
+        listing = ViewedListing(
+            normals, view, self.tables[lobes, level], left_out, stored, view_gap
+        )
         self.list_bytes += listing.list_bytes
         return listing
 
@@ -130,7 +132,7 @@ class Sum:
                 np.ascontiguousarray(a.reshape(-1, 3))
                 for a in scene.views.beside(chart.normals(drawn), count, strategy.mirrored)
             )
-        self.listing = scene.at(normals, views, lobes, level, budget, scene.apart)
+        self.listing = scene.at(normals, views, lobes, level, budget, scene.view_gap)
         self.values = self.listing.radiance
         if size:
             self.maps = [

@@ -127,7 +127,7 @@ class ViewedListing:
     n, view       (P, 3)
     left_out      radiance that may be missing from a pixel in a channel
     stored_bytes  as in block_lists.Listing
-    apart         the longest difference of a view from that of the run that it shares
+    view_gap      the longest difference of a view from that of the run that it shares
     radiance      (P, 3)
     list_bytes    lists that this object stores
     """
@@ -139,9 +139,9 @@ class ViewedListing:
         tables: ViewedTables,
         left_out: float,
         stored_bytes: int = 0,
-        apart: float = 0.0,
+        view_gap: float = 0.0,
     ):
-        self.limit = np.array([apart], np.float32)
+        self.limit = np.array([view_gap], np.float32)
         self.tables, self.left_out, self.order = tables, left_out, by_place(n)
         self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
         self.list_bytes, self.lists = 0, dict[int, Lists]()

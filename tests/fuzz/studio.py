@@ -40,5 +40,9 @@ class Studio(FakeStudio):
         segments = np.where(self._mask, self._sectors, 0).astype(np.uint8)
         depth = np.where(self._mask, -self._radius * self._normals[..., 2], 0).astype(np.float32)
         return SimpleNamespace(
-            normals=self._normals, mask=self._mask, depth=depth, segments=segments
+            normals=self._normals,
+            mask=self._mask,
+            depth=depth,
+            segments=segments,
+            facets=None,
         )

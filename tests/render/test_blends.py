@@ -6,7 +6,7 @@ import pytest
 from factory.render.estimators import blends, choice, closed_form
 from factory.render.estimators.halves import Halves, Shown
 from shaders import tone
-from tests.render.test_error_estimates import MASK, Known, Shaded, error, shown
+from tests.support.known_pictures import MASK, Known, Shaded, error, shown
 
 
 def squared_bias(pair, known):

@@ -5,7 +5,6 @@ import pytest
 
 from factory.render.estimators import choice, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
-    DirectPicture,
     Estimate,
     Halves,
     Portion,
@@ -14,85 +13,7 @@ from factory.render.estimators.halves import (
     mean_over,
 )
 from shaders import tone
-
-SIZE = 48
-MASK = np.hypot(*(np.mgrid[:SIZE, :SIZE] - SIZE / 2 + 0.5)) < 0.45 * SIZE
-
-
-class Known:
-    """A renderer of a ramp with normal noise: `noise` at one sample, in linear radiance.
-
-    Its denoiser leaves a share of the noise, and adds `bias` where the columns are even.
-    """
-
-    def __init__(self, noise=0.3, left=0.3, bias=0.0):
-        self.noise, self.left, self.bias, self.requested = noise, left, bias, []
-        ramp = np.linspace(0.25, 0.9, SIZE, dtype=np.float32)
-        self.truth = np.broadcast_to(ramp[:, None, None], (SIZE, SIZE, 3)).copy()
-
-    def portion(self, first, count, seed, tier, denoise=False):
-        self.requested.append((first, count, seed, denoise))
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
-        noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
-        alpha = MASK.astype(np.float32)
-        noisy = (self.truth + noise).astype(np.float32)
-        if not denoise:
-            return Portion(noisy, alpha)
-        smooth = (self.truth + self.left * noise).astype(np.float32)
-        smooth[:, ::2] += self.bias
-        return Portion(noisy, alpha, smooth)
-
-    def may_shade_itself(self):
-        return True
-
-    def direct_light_samples(self):
-        return None
-
-    def direct_light(self):
-        return None
-
-
-class Shaded(Known):
-    """A ramp of unblocked light, of which a share arrives: steps from column to column.
-
-    Both tiers' noise is that of the unblocked light. The denoiser blurs the steps. `closed` is what
-    the closed form is off by, as a factor.
-    """
-
-    def __init__(self, noise=0.6, deepest=0.4, closed=1.0, blur=True):
-        super().__init__(noise, left=0.1)
-        self.unblocked, self.closed, self.blur = self.truth, closed, blur
-        steps = (np.arange(SIZE) % 8 < 4).astype(np.float32)
-        self.share = (deepest + (1 - deepest) * steps)[None, :, None]
-        self.truth = self.unblocked * self.share
-
-    def portion(self, first, count, seed, tier, denoise=False):
-        self.requested.append((first, count, seed, denoise))
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
-        noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
-        share = self.share if tier != "direct" else 1
-        noisy = np.float32(share * (self.unblocked + noise))
-        if not denoise:
-            return Portion(noisy, MASK.astype(np.float32))
-        # what the noise hides is blurred in both pictures alike
-        smooth = self.unblocked + self.left * noise
-        ripple = 1 + (0.3 * np.sin(np.arange(SIZE))[None, :, None] if self.blur else 0)
-        return Portion(noisy, MASK.astype(np.float32), np.float32(share * smooth * ripple))
-
-    def direct_light_samples(self):
-        return 0
-
-    def direct_light(self):
-        return DirectPicture(np.float32(self.unblocked * self.closed), MASK.astype(np.float32))
-
-
-def error(picture, known):
-    exposure = tone.auto_exposure(known.truth, MASK)
-    return tone.display_l2(picture, known.truth, exposure, MASK)
-
-
-def shown(known, seed=5):
-    return Shown(known, seed, "full", MASK)
+from tests.support.known_pictures import MASK, Known, Shaded, error, shown
 
 
 def mean_ratio(known, samples, denoise):
