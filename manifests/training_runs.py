@@ -166,7 +166,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     start            weights to begin with, as a path from where the command is run
     heads            weights of a compact network whose heads of material and light are begun with
     revive           whether hidden units of fully connected layers that no picture of the first
-                     batches activates are drawn anew before the first step
+                     batches activates are reinitialised before the first step
     stages           what is trained first, for example each part alone before all together
     mixed_precision  whether networks compute in bfloat16; the layer and the losses always compute
                      in float32

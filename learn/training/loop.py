@@ -193,7 +193,7 @@ class Training:
         self.average = _copies(self.network)
 
     def _revive(self) -> None:
-        """Draw hidden units anew that the first batches never activate; print how many."""
+        """Reinitialise hidden units that the first batches never activate; print how many."""
         source = self._source()
         batches = [source[k].to(self.device) for k in range(revival.BATCHES)]
         rng = torch.Generator().manual_seed(self.run.seed)
@@ -202,7 +202,7 @@ class Training:
         )
         if self.rank == 0:
             counts = [f"{count} of {total} in {name}" for name, (count, total) in drawn.items()]
-            print("units that no picture activated, drawn again: " + ", ".join(counts))
+            print("units that no picture activated, reinitialised: " + ", ".join(counts))
 
     def _new_network(self, ranges: Ranges) -> Coded:
         network = weights.NETWORKS[self.run.network](ranges)

@@ -1,8 +1,8 @@
-"""Units of fully connected layers that have died: finding them, and drawing them anew.
+"""Units of fully connected layers that have died: finding and reinitialising them.
 
 A unit behind ReLU that no picture activates has no gradient and learns nothing any more. Where the
 learning rate is high for a layer of many inputs, most units of a head can die, and the head is then
-much narrower than its layers say. A unit that is drawn anew gets weights as of a new layer, and
+much narrower than its layers say. A reinitialised unit gets weights as of a new layer, and
 none towards the next layer, so that the network computes what it did before and learns from there.
 """
 
@@ -43,10 +43,10 @@ def hidden_layers(network: nn.Module) -> Iterator[tuple[str, nn.Linear, nn.ReLU,
 def revive(
     network: nn.Module, run: Callable[[nn.Module], Any], rng: torch.Generator
 ) -> dict[str, tuple[int, int]]:
-    """Draw the dead units of all hidden layers anew, in place.
+    """Reinitialise the dead units of all hidden layers, in place.
 
     run      passes pictures through the network, by which units are judged; it is in eval mode
-    Returns  {name: (units drawn anew, units)} of each hidden layer
+    Returns  {name: (units reinitialised, units)} of each hidden layer
     """
     layers = list(hidden_layers(network))
     alive: dict[str, torch.Tensor] = {}

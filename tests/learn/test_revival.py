@@ -1,4 +1,4 @@
-"""Dead units: they are found, drawn anew without a change of what is computed, and learn again."""
+"""Dead units: they are found, reinitialised without a change of what is computed, and learn again."""
 
 import msgspec
 import pytest
