@@ -1,4 +1,4 @@
-"""Dead units: they are found, reinitialised without a change of what is computed, and learn again."""
+"""Dead units: they are found, reinitialised without a change of the output, and learn again."""
 
 import msgspec
 import pytest
