@@ -2,7 +2,7 @@
 
 The process that asks is the only one that writes results, and it hears of a piece through the
 worker that has it in hand, once. What a lost worker had in hand is given to another one; what the
-lost one may still do, behind a broken network, reaches nobody. Nothing is therefore lost, and
+lost one may still do, behind a broken network, is never read. Nothing is therefore lost, and
 nothing is written twice. (Renderers write files themselves, and need factory.execution.ray_pool.)
 
 Messages are JSON. A worker is an actor of Ray that runs the pieces in its own process.

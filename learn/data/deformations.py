@@ -145,7 +145,7 @@ def height(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray
 def smooth(
     rng: np.random.Generator, shape: tuple[int, ...], nodes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a smooth random field (H, W) and its gradient (H, W, 2), whose mean square is 1.
+    """Return a smooth random field (H, W) and its gradient (H, W, 2) of mean square 1.
 
     nodes  least and largest number of random values along a side
     """

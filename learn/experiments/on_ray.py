@@ -1,7 +1,7 @@
 """The rows of an experiment, measured on a Ray cluster.
 
 A worker runs the experiment itself, from its options, up to that call of runner.resume whose rows
-are asked for; from there on it measures the rows that it is told. Calls before that one find all
+are asked for; from there on it measures the rows that it is given. Calls before that one find all
 their rows in the folder, which the nodes share. An experiment therefore needs no code of its own:
 it says ON_RAY = True if its rows depend neither on each other nor on a clock, and if what comes
 before runner.resume may be done by every worker.
@@ -125,7 +125,7 @@ def reached(
     measure: Callable[[Any], dict[str, Any]],
     missing: int,
 ) -> None:
-    """Do nothing, except in a worker: end the experiment where its rows are wanted.
+    """Do nothing, except in a worker: end the experiment where its rows are requested.
 
     missing  number of rows that the file does not have
     Raises   InputError if an earlier file, which is complete, does not look so from here

@@ -5,7 +5,7 @@ held out, with shadows, and taken by the camera model of training at an unknown 
 (learn.data.camera_model). Pictures are made without Cycles, so that hundreds of shapes take
 minutes; the ladder (`python -m learn evaluate-ladder`) shows fewer shapes in Cycles' pictures. All
 weights see the same pictures. The report has mean angles of each data set and of each family, with
-intervals over shapes, materials and lights, beside normals that all face the viewer. rows.jsonl
+intervals over shapes and materials, beside normals that all face the viewer. rows.jsonl
 keeps a line per picture: the same command continues.
 """
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows": [{"picture", "data", "shape", "family", "material", "light", angles}]}.
+    """Return {"rows": [{"picture", "data", "shape", "family", "material", angles}]}.
 
     angles  {name of the weights, or FACING: mean angle over the mask, degrees}
     """

@@ -1,4 +1,4 @@
-"""The whole mask: what Cycles does at facets and beside edges is predicted, and told apart."""
+"""The whole mask: what Cycles does at facets and beside edges is predicted, cause by cause."""
 
 from types import SimpleNamespace
 
