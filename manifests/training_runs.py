@@ -58,6 +58,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        patterns together, each its own
     deformations       share of relit training pictures whose geometry is deformed: bent, stretched
                        and embossed at random, with normals that follow (learn.data.deformations)
+    mirrored           whether each batch is shown a second time, mirrored left to right, so that a
+                       run relights half as much (learn.training.mirroring)
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -81,6 +83,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     principled_materials: Annotated[int, Meta(ge=1, le=8192)] = 512
     patterns: Share = 0.0
     deformations: Share = 0.0
+    mirrored: bool = False
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

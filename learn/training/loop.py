@@ -5,6 +5,7 @@ last checkpoint to bitwise the same weights, unless its schedule ends by the clo
 (`schedule.seconds`).
 """
 
+import functools
 import json
 import math
 import os
@@ -30,6 +31,7 @@ from learn.networks.pretrained import CompactPretrained, encoder_weights
 from learn.training import (
     checkpoints,
     losses,
+    mirroring,
     montage,
     processes,
     revival,
@@ -239,9 +241,13 @@ class Training:
 
     def _batches(self) -> Iterator[ExampleBatch]:
         order = range(self.step, schedule.steps(self.run))
-        return processes.batches(
-            self._source(), order, self.workers, pin_memory=self.device.type == "cuda"
+        made = functools.partial(
+            processes.batches,
+            self._source(),
+            workers=self.workers,
+            pin_memory=self.device.type == "cuda",
         )
+        return mirroring.batches(order, made) if self.run.data.mirrored else made(order)
 
     def _one_step(self, batch: ExampleBatch) -> dict[str, Any]:
         """Make one step; return its figures."""

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -42,7 +42,7 @@ def only_writer(out: str | Path) -> Iterator[None]:
 
 
 def batches(
-    source: BatchSource, order: range, workers: int, pin_memory: bool
+    source: BatchSource, order: Sequence[int], workers: int, pin_memory: bool
 ) -> Iterator[ExampleBatch]:
     """Yield the batches of a source in the given order, made by `workers` processes.
 
