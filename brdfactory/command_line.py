@@ -23,7 +23,15 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         ("materials", "shapes", "lights"), "factory"
     ),
     "train, and compare the two renderers": dict.fromkeys(
-        ("train", "train-baselines", "evaluate", "evaluate-network", "evaluate-ladder", "agree"),
+        (
+            "train",
+            "train-baselines",
+            "join-weights",
+            "evaluate",
+            "evaluate-network",
+            "evaluate-ladder",
+            "agree",
+        ),
         "learn",
     ),
     "this program": {"completion": "brdfactory"},

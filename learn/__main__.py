@@ -15,6 +15,7 @@ COMMANDS = (
     "evaluate-network",
     "evaluate-ladder",
     "train-baselines",
+    "join-weights",
 )
 MOVED = {  # earlier names of commands, and what to type now
     "baselines": "python -m learn train-baselines",

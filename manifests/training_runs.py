@@ -180,7 +180,13 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     name: str
     about: str = ""
     network: Literal[
-        "compact", "compact-wrapped", "compact-pretrained", "paper", "separate", "encoder-decoder"
+        "compact",
+        "compact-wrapped",
+        "compact-pretrained",
+        "two-encoders",
+        "paper",
+        "separate",
+        "encoder-decoder",
     ] = "compact"
     size: Size = 128
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")

@@ -109,6 +109,10 @@ class CompactPretrained(CompactWrapped):
         self.normals = nn.Conv2d(DECODED[0], 12, 3, 1, 1)
 
     def _encoded(self, x):
+        features = self._features(x)
+        return features, F.relu(self.narrow(features[-1]))
+
+    def _features(self, x):
         fine = self.fine(F.pixel_unshuffle(x, 2))
         # the encoder's pictures lay in −1 … 1; the fourth channel, the mask, is new
         x = self.stem(2 * x)
@@ -118,7 +122,7 @@ class CompactPretrained(CompactWrapped):
             if index in FEATURES:
                 features.append(x)
         features[0] = torch.cat([features[0], fine], 1)
-        return features, F.relu(self.narrow(x))
+        return features
 
     def take_encoder(self, stored: dict[str, torch.Tensor]) -> None:
         """Give the encoder the tensors of `encoder_weights`; the mask's channel begins at 0."""

@@ -27,6 +27,7 @@ from learn.networks.paper import Paper
 from learn.networks.prediction import Coded, ThreeNetworks
 from learn.networks.pretrained import CompactPretrained
 from learn.networks.separate import Separate
+from learn.networks.two_encoders import TwoEncoders
 from manifests.errors import InputError
 from manifests.reading import decode
 from manifests.training_runs import Part, Size
@@ -34,7 +35,15 @@ from shaders.dsbrdf import SHAPE, SIZE
 
 NETWORKS: dict[str, type[Coded]] = {
     network.name: network
-    for network in (Compact, CompactWrapped, CompactPretrained, Paper, Separate, EncoderDecoder)
+    for network in (
+        Compact,
+        CompactWrapped,
+        CompactPretrained,
+        TwoEncoders,
+        Paper,
+        Separate,
+        EncoderDecoder,
+    )
 }
 PARTS: tuple[Part, ...] = ("normals", "material", "light")
 FORMAT = "brdfactory weights 1"
@@ -53,7 +62,13 @@ class About(msgspec.Struct, frozen=True):
     """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
 
     network: Literal[
-        "compact", "compact-wrapped", "compact-pretrained", "paper", "separate", "encoder-decoder"
+        "compact",
+        "compact-wrapped",
+        "compact-pretrained",
+        "two-encoders",
+        "paper",
+        "separate",
+        "encoder-decoder",
     ]
     size: Size
     step: Natural | None = None

@@ -28,6 +28,7 @@ from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded, Prediction
 from learn.networks.pretrained import CompactPretrained, encoder_weights
+from learn.networks.two_encoders import TwoEncoders
 from learn.training import (
     checkpoints,
     losses,
@@ -186,6 +187,8 @@ class Training:
                 self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.start))
         elif isinstance(self.network, CompactPretrained):
             self.network.take_encoder(encoder_weights())
+        elif isinstance(self.network, TwoEncoders):
+            self.network.of_normals.take_encoder(encoder_weights())
         if self.run.heads is not None:
             with tensor_file.opened(self.run.heads) as stored:
                 weights.fill_heads(self.network, stored)

@@ -51,7 +51,7 @@ def batches(
 
 
 def mirrored(batch: ExampleBatch) -> ExampleBatch:
-    """Return a batch as a mirror shows it: left and right of pictures, normals and light swapped."""
+    """Return a batch as a mirror shows it: left and right of pictures and light swapped."""
     n = batch.n.flip(-1)
     others = {
         name: picture.flip(-1)

@@ -112,6 +112,10 @@ BASES = {
     "learn evaluate-ladder": (
         "--data {seeds}/data --weights {seeds}/weights.safetensors --out {out}"
     ),
+    "learn join-weights": (
+        "--normals {seeds}/weights.safetensors --others {seeds}/weights.safetensors"
+        " --out {out}/joined.safetensors"
+    ),
     "learn.experiments upsampling": "--data {seeds}/nothing --out {out}",
     "learn train-baselines": "--data {seeds}/nothing --out {out}",
     "learn.experiments layer-ablation": "--data {seeds}/nothing --out {out}",

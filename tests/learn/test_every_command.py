@@ -50,6 +50,7 @@ ELSEWHERE = {  # command: (file, what stands there)
     "learn evaluate": ("tests/learn/test_full_disk_learn.py", '"evaluate"'),
     "learn evaluate-ladder": ("tests/learn/test_ladder.py", '"evaluate-ladder"'),
     "learn train-baselines": ("tests/learn/test_full_disk_learn.py", '"baselines"'),
+    "learn join-weights": ("tests/learn/test_two_encoders.py", '"join-weights"'),
     "learn.experiments": ("tests/learn/test_every_experiment.py", "sorted(SMALLEST)"),
 }
 

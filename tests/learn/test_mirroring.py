@@ -1,4 +1,4 @@
-"""Batches that are shown a second time, mirrored: which ones, when, and that they are still true."""
+"""Batches that are shown a second time, mirrored: which ones, when, and that they are true."""
 
 import msgspec
 import numpy as np

@@ -1,0 +1,47 @@
+"""`learn join-weights`: weights of two networks in one file, normals by one, the rest by another."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def register(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command's parser."""
+    parser = subparsers.add_parser(
+        "join-weights",
+        help="join weights that predict normals with others that predict material and light",
+        description=(
+            "Writes weights that predict normals by a network of type compact-pretrained, and"
+            " material and light by one of type compact-wrapped. Example: python -m learn"
+            " join-weights --normals normals/weights.safetensors --others run/weights.safetensors"
+            " --out joined.safetensors"
+        ),
+    )
+    parser.add_argument(
+        "--normals", type=Path, required=True, metavar="FILE", help="weights that predict normals"
+    )
+    parser.add_argument(
+        "--others",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="weights that predict material and light",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the new weights; a file of that name is replaced",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the joined weights."""
+    from learn.networks import joining
+
+    joining.join(arguments.normals, arguments.others, arguments.out)
+    print(f"See {arguments.out}")
+    return 0
