@@ -1,4 +1,4 @@
-"""`learn join-weights`: weights of two networks in one file, normals by one, the rest by another."""
+"""`learn join-weights`: one file of two weights, normals by one and the rest by the other."""
 
 from __future__ import annotations
 
