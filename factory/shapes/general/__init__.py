@@ -1,4 +1,4 @@
-"""General shapes: seventeen families of forms that are neither furniture nor cars, any number of
+"""General shapes: nineteen families of forms that are neither furniture nor cars, any number of
 seeds.
 
 They exist so that a network learns normals of forms rather than of four kinds of objects. Whole
@@ -23,4 +23,6 @@ FAMILIES = {  # name: (module of this package, key of its random numbers)
     "table": ("household", 115),
     "tool": ("household", 116),
     "toy": ("household", 117),
+    "block": ("boxes", 118),
+    "cabinet": ("boxes", 119),
 }
