@@ -1,4 +1,4 @@
-"""`learn join-weights`: one file of two weights, normals by one and the rest by the other."""
+"""`learn join-weights`: one file of two weights, whose normals are averaged."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the command's parser."""
     parser = subparsers.add_parser(
         "join-weights",
-        help="join weights that predict normals with others that predict material and light",
+        help="join weights that predict normals with others that predict all parts",
         description=(
-            "Writes weights that predict normals by a network of type compact-pretrained, and"
-            " material and light by one of type compact-wrapped. Example: python -m learn"
+            "Writes weights whose normals are the mean of those of a network of type"
+            " compact-pretrained and of one of type compact-wrapped, which predicts material and"
+            " light as well. Example: python -m learn"
             " join-weights --normals normals/weights.safetensors --others run/weights.safetensors"
             " --out joined.safetensors"
         ),

@@ -1,4 +1,4 @@
-"""Join the weights of two networks: normals of one, material and light of the other."""
+"""Join the weights of two networks: normals of both, material and light of one."""
 
 import json
 from pathlib import Path
@@ -17,10 +17,11 @@ RUN_OF_NORMALS = "run of normals"  # in the metadata, beside the run of material
 
 
 def join(normals: Path, others: Path, out: Path) -> None:
-    """Write the weights of a network whose normals are one file's, the rest the other's.
+    """Write the weights of a network whose normals are the mean of both files'.
 
-    normals  weights of a compact-pretrained network; others: of a compact-wrapped one, of pictures
-             of the same size. What the new file says it saw is what either saw
+    normals  weights of a compact-pretrained network, of which nothing but normals is kept
+    others   weights of a compact-wrapped network, for pictures of the same size; material and light
+             are its own. What the new file says it saw is what either saw
     Raises   InputError: other networks, other tensors, numbers that are not finite
     """
     network = TwoEncoders(Ranges(torch.zeros(108), torch.ones(108)))

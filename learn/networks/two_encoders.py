@@ -1,23 +1,27 @@
-"""Normals by a network of their own, material and light by the compact one.
+"""Normals that are the mean of two networks', material and light by one of them.
 
-A network that learns normals alone gives them all of its weights, and its encoder may be another
-one: EfficientNet-Lite0, which has seen photographs (learn.networks.pretrained). Material and light
-are read as by learn.networks.compact: from the picture, and from its pixels binned by the
-predicted normals. Each network is trained by itself; learn.networks.joining makes one file of both.
+Networks with other encoders err in other places, so that the mean of their normals is better than
+those of either. One is the compact network. The other learns normals alone, and its encoder is
+EfficientNet-Lite0, which has seen photographs (learn.networks.pretrained). Material and light are
+the compact network's. Each network is trained by itself; learn.networks.joining makes one file of
+both.
 
 B pictures, H, W multiples of 32.
 """
 
-import torch
+from collections.abc import Sequence
 
-from learn.networks.coding import Ranges
+import torch
+from torch.nn import functional as F
+
+from learn.networks.coding import Ranges, picture_code
 from learn.networks.compact import CompactWrapped
+from learn.networks.prediction import Prediction
 from learn.networks.pretrained import CompactPretrained
 
-OF_NORMALS = "of_normals"  # the module that predicts normals
+OF_NORMALS = "of_normals"  # the module that predicts normals alone
+# modules of CompactPretrained that normals do not need
 NOT_OF_NORMALS = ("reflectance", "material", "illumination", "widen", "light", "narrow")
-# modules of CompactPretrained that normals do not need; those of CompactWrapped that only they need
-ONLY_OF_NORMALS = ("up", "normals")
 
 
 class NormalsPretrained(CompactPretrained):
@@ -35,18 +39,29 @@ class NormalsPretrained(CompactPretrained):
 
 
 class TwoEncoders(CompactWrapped):
-    """The compact network with another network's normals; see Prediction."""
+    """The compact network, whose normals are averaged with another network's; see Prediction.
+
+    Material and light are read by the compact network's own normals, with which it learned to.
+    """
 
     name = "two-encoders"
 
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)
-        for name in ONLY_OF_NORMALS:
-            delattr(self, name)
         self.of_normals = NormalsPretrained(ranges)
 
-    def _encoded(self, x):
-        return x, super()._encoded(x)[1]
-
-    def _normals(self, features):
-        return self.of_normals.of(features)
+    def forward(
+        self,
+        image: torch.Tensor,
+        mask: torch.Tensor,
+        segments: torch.Tensor | None = None,
+        parts: Sequence[str] = ("normals", "material", "light"),
+        n: torch.Tensor | None = None,
+        regions: int | None = None,
+    ) -> Prediction:
+        """Return a Prediction of the requested parts; arguments as of Compact."""
+        result = super().forward(image, mask, segments, parts, n, regions)
+        if result.n is None:
+            return result
+        other = self.of_normals.of(picture_code(image, mask))
+        return result._replace(n=F.normalize(result.n + other, dim=1))
