@@ -139,7 +139,7 @@ def test_a_closed_form_that_is_off_is_seen(closed):
 
 
 def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
-    known = Shaded(noise=0.8)
+    known = Shaded(noise=0.8, deepest=0.8)
     made = choice.picture(shown(known), 20.0)
     assert made.estimator == ratio.NAME and error(made.radiance, known) <= 20
     plain = choice.picture(shown(known), 20.0, ("path-tracing", "denoised"))
@@ -168,12 +168,14 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
 
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
-    pilot = Estimate(300.0, 6.0)
-    few, many = (ratio.needed(pilot, 4, limit) for limit in (40.0, 6.0))
+    closed, now = Estimate(100.0, 10.0), Estimate(300.0, 6.0)
+    few, many = (ratio.needed(closed, now, 4, limit) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
-    bound = ratio.predicted(pilot, 4, many) + closed_form.TYPICAL
-    assert bound + 1.645 * ratio.UNCERTAINTY * 6 * 4 / many <= 6
-    assert ratio.needed(pilot, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's error
+    bound = ratio.predicted(closed, many) + closed_form.TYPICAL
+    direct = closed_form.weighed(Estimate(closed_form.TYPICAL, 2 * 6 * 4 / many)).standard_error
+    mine = ratio.UNCERTAINTY * ratio.predicted(closed, many)
+    assert bound + 1.645 * np.hypot(mine, direct) <= 6
+    assert ratio.needed(closed, now, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's
     tried = Estimate(30.0, 0.0)
     assert ratio.needed_after(tried, 8, 10.0) > 8
 
