@@ -95,7 +95,7 @@ def test_bias_is_at_most_a_third_of_the_limit(monkeypatch):
 def test_a_closed_form_that_is_a_little_off_is_blended_or_left():
     limit = 20.0
     for closed, alone in ((1.01, True), (1.045, False)):
-        known = Shaded(noise=0.15, deepest=1.0, closed=closed)
+        known = Shaded(noise=0.4, deepest=1.0, closed=closed)
         made = choice.picture(Shown(known, 5, "direct", MASK), limit)
         exact = np.float32(known.unblocked * closed)
         assert error(made.radiance, known) <= limit

@@ -228,3 +228,41 @@ def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
             patch.setattr(module, name, value)
             assert json.dumps(choice.identity()) != before, name
     assert json.dumps(choice.identity()) == before
+
+
+def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
+    known = Shaded(noise=0.6, closed=1.1)
+    direct = known.direct_light().radiance
+    exposure = tone.auto_exposure(direct, MASK)
+    values = [tone.display(each[MASK], exposure) for each in (direct, known.unblocked)]
+    truth = float(tone.squared_difference(*values).mean())
+    measured = []
+    for seed in range(40):
+        pair = [known.portion(0, 4, 2 * seed + half, "direct").noisy for half in (0, 1)]
+        measured.append(closed_form.measured(direct, pair, MASK))
+    mean, spread = (f([each.error for each in measured]) for f in (np.mean, np.std))
+    assert mean == pytest.approx(truth, rel=0.15)
+    assert 0.5 * spread < np.mean([each.standard_error for each in measured]) < 2 * spread
+
+
+def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
+    vague, sharp = (closed_form.weighed(Estimate(6.0, s)) for s in (100.0, 0.1))
+    assert vague.error == pytest.approx(closed_form.TYPICAL, abs=0.01)
+    assert vague.standard_error == pytest.approx(closed_form.SPREAD, abs=0.01)
+    assert (sharp.error, sharp.standard_error) == pytest.approx((6.0, 0.1), abs=0.01)
+    assert closed_form.weighed(Estimate(300.0, 100.0)) == Estimate(300.0, 100.0)
+
+
+def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
+    estimates = []
+    for closed in (1.0, 1.03):
+        known = Shaded(noise=0.1, deepest=0.8, closed=closed)
+        attempt = choice._Attempt(shown(known), 60.0, choice.ALL)
+        assert attempt.closed() is None or closed
+        attempt.direct = known.direct_light()
+        attempt.closed_alone = Estimate(50.0, 1.0)
+        made = attempt.run(choice._Plan(0.0, ratio.NAME, 64))
+        assert made is not None and made.estimator == ratio.NAME
+        estimates.append(made.estimated.error)
+    off = error(known.truth * np.float32(1.03), known)
+    assert estimates[1] - estimates[0] == pytest.approx(off, rel=0.4)
