@@ -291,14 +291,14 @@ class DirectLight:
             energy = light.reshape(-1, 3)[lit].astype(np.float64)
             energy *= solid_angle.reshape(-1)[lit][:, None]
             lights = self._lit(w.reshape(-1, 3)[lit][None], energy[None])[0]
-            starts = np.nonzero(np.diff(numbers.ravel()[lit], prepend=-1))[0]
-            firsts = np.append(starts, len(lit))
+            first = np.nonzero(np.diff(numbers.ravel()[lit], prepend=-1))[0]
+            firsts = np.append(first, len(lit))
             counts = np.diff(firsts)
             at = lights[:3].T.astype(np.float64)
-            centres = np.add.reduceat(at, starts, axis=0) if len(lit) else np.zeros((0, 3))
+            centres = np.add.reduceat(at, first, axis=0) if len(lit) else np.zeros((0, 3))
             centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
             cosines = (at * centres.repeat(counts, axis=0)).sum(1)
-            nearest = np.minimum.reduceat(cosines, starts) if len(lit) else np.zeros(0)
+            nearest = np.minimum.reduceat(cosines, first) if len(lit) else np.zeros(0)
             sines = np.sqrt(np.clip(1 - np.clip(nearest, 0, 1) ** 2, 0, 1)) + 1e-4  # rounding
             self._texels[parts] = (
                 lights,
