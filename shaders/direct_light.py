@@ -89,7 +89,7 @@ class DirectLight:
         self.camera_from_light = camera_from_light
         self._lights: dict[int, np.ndarray] = {}
         self._detail: dict[int, tuple[Any, ...]] = {}
-        self._texels: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._texels: dict[int, tuple[np.ndarray, ...]] = {}
         self._least = np.exp(mixture.log_alpha.min(0))
         self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
         self._misdirected: _Map | None = None
@@ -116,6 +116,7 @@ class DirectLight:
         samples: int = SAMPLES,
         facets: np.ndarray | None = None,
         misdirected: bool = True,
+        cells: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return radiance (P, 3) float32 at normals (P, 3), of which some may face away.
 
@@ -124,6 +125,9 @@ class DirectLight:
         facets       (P, 3) normals of the surface itself: of light below it Cycles loses a part
                      (direct_light_kernels.add_leaning). None: the normals
         misdirected  False: without the light that Cycles finds by mistake
+        cells        (P,) integers, equal for normals that are neighbours in a picture: what facets
+                     take away, and what takes a sum of its own near the horizon, is computed once
+                     for each cell. None: for each normal
         """
         given = np.ascontiguousarray(n, np.float32)
         n = _facing(given)
@@ -131,24 +135,27 @@ class DirectLight:
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
-                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance)
+                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance, cells)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
         (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
         if len(leaning):
-            radiance[leaning] -= self._leaning(n[leaning], facets[leaning], away=False)
+            first, each = _distinct(leaning, cells)
+            radiance[leaning] -= self._leaning(n[first], facets[first], away=False)[each]
             np.maximum(radiance, 0, out=radiance)
         (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
             radiance[away] = self._leaning(given[away], facets[away], away=True)
-        return radiance + self.mistaken(given, facets) if misdirected else radiance
+        return radiance + self.mistaken(given, facets, cells) if misdirected else radiance
 
-    def mistaken(self, n: np.ndarray, facets: np.ndarray) -> np.ndarray:
-        """Return the light (P, 3) that Cycles finds by mistake at normals and facets as of `at`."""
+    def mistaken(
+        self, n: np.ndarray, facets: np.ndarray, cells: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the light (P, 3) that Cycles finds by mistake; arguments as `at` takes them."""
         radiance = np.zeros_like(n)
         if self._misdirected is None:
             return radiance
-        self._look_up(self._misdirected, self.misdirected, None, _facing(n), radiance)
+        self._look_up(self._misdirected, self.misdirected, None, _facing(n), radiance, cells)
         (away,) = np.nonzero(n[:, 2] < FACING)
         if len(away):
             radiance[away] = self.misdirected(n[away], facets[away])
@@ -165,7 +172,6 @@ class DirectLight:
             np.tan(EXTENT / 2) if self._is_narrow(k) and not away else 0
             for k in range(len(self._least))
         ]
-        lights, density = self.texels(parts)
         radiance = np.zeros_like(n)
         direct_light_kernels.add_leaning(
             np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
@@ -173,8 +179,7 @@ class DirectLight:
             facets,
             np.stack(self._tables),
             np.array(extents, np.float32),
-            lights,
-            density,
+            *self.texels(parts),
             away,
             radiance,
         )
@@ -201,6 +206,7 @@ class DirectLight:
         k: int | None,
         n: np.ndarray,
         out: np.ndarray,
+        cells: np.ndarray | None = None,
     ) -> None:
         """Add to out (P, 3) the radiance at normals (P, 3) of closure k, or of what has no weight.
 
@@ -220,7 +226,8 @@ class DirectLight:
         out[~low] += radiance
         if low.any():
             weights = table_look_up(table[:, 2:], 1 - n[low, 2])
-            out[low] += compute(np.ascontiguousarray(n[low])) * weights
+            first, each = _distinct(np.nonzero(low)[0], cells)
+            out[low] += compute(np.ascontiguousarray(n[first]))[each] * weights
 
     def _horizon(self, at: _Map, k: int | None) -> float:
         """Return n·v below which a map is not looked up: two nodes from where closure k ends.
@@ -263,10 +270,12 @@ class DirectLight:
         drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
         return (drawn / (max(drawn.sum(), 1e-30) * solid_angle)).astype(np.float32)
 
-    def texels(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return texels that are not black, divided into parts × parts, as lights.
+    def texels(self, parts: int) -> tuple[np.ndarray, ...]:
+        """Return texels that are not black, divided into parts × parts, as lights in blocks.
 
-        Returns  (9, T), as direct_light_kernels.add_lights takes them, and their density (T,)
+        Returns  (9, T), as direct_light_kernels.add_lights takes them, their density (T,), and of
+                 the blocks: firsts (B + 1,), centres (B, 3) and sines of radii (B,), as
+                 direct_light_kernels.add_leaning takes them
         """
         if parts not in self._texels:
             height, width = self.light.shape[:2]
@@ -274,9 +283,30 @@ class DirectLight:
             light, density = (
                 each.repeat(parts, 0).repeat(parts, 1) for each in (self.light, self.density)
             )
-            lit = light.any(-1)
-            energy = light[lit].astype(np.float64) * solid_angle[lit][:, None]
-            self._texels[parts] = self._lit(w[lit][None], energy[None])[0], density[lit]
+            across = BLOCK * parts
+            rows, columns = np.indices(light.shape[:2]) // across
+            numbers = rows * -(-width // BLOCK) + columns
+            lit = np.nonzero(light.any(-1).ravel())[0]
+            lit = lit[np.argsort(numbers.ravel()[lit], kind="stable")]
+            energy = light.reshape(-1, 3)[lit].astype(np.float64)
+            energy *= solid_angle.reshape(-1)[lit][:, None]
+            lights = self._lit(w.reshape(-1, 3)[lit][None], energy[None])[0]
+            first = np.nonzero(np.diff(numbers.ravel()[lit], prepend=-1))[0]
+            firsts = np.append(first, len(lit))
+            counts = np.diff(firsts)
+            at = lights[:3].T.astype(np.float64)
+            centres = np.add.reduceat(at, first, axis=0) if len(lit) else np.zeros((0, 3))
+            centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
+            cosines = (at * centres.repeat(counts, axis=0)).sum(1)
+            nearest = np.minimum.reduceat(cosines, first) if len(lit) else np.zeros(0)
+            sines = np.sqrt(np.clip(1 - np.clip(nearest, 0, 1) ** 2, 0, 1)) + 1e-4  # rounding
+            self._texels[parts] = (
+                lights,
+                density.ravel()[lit],
+                firsts,
+                centres.astype(np.float32),
+                sines.astype(np.float32),
+            )
         return self._texels[parts]
 
     def lights(self, rows: int) -> np.ndarray:
@@ -424,6 +454,16 @@ class _Map:
     @classmethod
     def empty(cls, size: int) -> _Map:
         return cls(np.zeros((size, size, 3), np.float32), np.zeros((size, size), np.uint8))
+
+
+def _distinct(
+    indices: np.ndarray, cells: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | slice]:
+    """Return one of the indices (N,) for each cell, and which of them stands for each index."""
+    if cells is None:
+        return indices, slice(None)
+    _, first, each = np.unique(cells[indices], return_index=True, return_inverse=True)
+    return indices[first], each
 
 
 def _facing(n: np.ndarray) -> np.ndarray:

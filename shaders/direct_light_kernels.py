@@ -20,6 +20,7 @@ LEAST_EXTENT = np.float32(3)  # in units of tan θ_h / α
 SHORT_TAILED = np.float32(25)  # t at which exponential lobes have ended
 ONE = np.float32(1)
 HALF = np.float32(0.5)
+ENDED = np.float32(20)  # of the exponent of a lobe that reflects nothing more
 LEAST_WEIGHT = np.float32(1e-5)  # of a closure that Cycles keeps
 LEAST_SHARE = np.float32(0.125)  # of the samples that follow a closure, before normalisation
 LEAST = np.float32(1e-4)  # cosine; shaders.closures.MIN_COS
@@ -526,6 +527,16 @@ def _lobe(kind, alpha, o, i, ch, cd):
 
 
 @_inlined
+def _has_ended(kind, alpha, ch):
+    """Whether an exponential lobe is below e^−20 of its peak, which saves its exponential."""
+    if kind == BECKMANN:
+        return ONE - ch * ch > ENDED * ch * ch * alpha * alpha
+    if kind == ASHIKHMIN_SHIRLEY:
+        return (np.float32(2) / (alpha * alpha) - np.float32(2)) * (ONE - ch) > ENDED
+    return False
+
+
+@_inlined
 def _picked(v, counts, shares):
     """Set shares (K,) to the chances with which Cycles draws by each closure.
 
@@ -559,6 +570,9 @@ def add_leaning(
     extents: np.ndarray,
     lights: np.ndarray,
     density: np.ndarray,
+    firsts: np.ndarray,
+    centres: np.ndarray,
+    sines: np.ndarray,
     away: bool,
     out: np.ndarray,
 ) -> None:
@@ -572,6 +586,8 @@ def add_leaning(
     facets   (N, 3) unit normals
     extents  (K,) as of `add_samples`, whose share is left out; 0: nothing is
     lights   (9, T) as of `add_lights`; density (T,) by which Cycles draws them, in 1/sr
+    firsts   (B + 1,) where each block of neighbouring lights begins, and T
+    centres  (B, 3) of the blocks; sines (B,) of the angles within which their lights lie
     away     False: what is lost. True: what is reflected at normals that face away. Diffuse
              closures reflect there as elsewhere, others where their tilted normal faces the viewer
     """
@@ -588,38 +604,48 @@ def add_leaning(
             axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
             ends[k] = _end(v[k, 0], extents[k])
         _picked(v, counts, picked)
-        for j in range(lights.shape[1]):
-            wx, wy, wz = lights[0, j], lights[1, j], lights[2, j]
-            below = facets[i, 0] * wx + facets[i, 1] * wy + facets[i, 2] * wz < 0
-            if not (below or away) or nx * wx + ny * wy + co * wz <= LEAST:
-                continue
-            hx, hy, hz = lights[3, j], lights[4, j], lights[5, j]
-            fr = fg = fb = p = np.float32(0)
-            for k in range(closures):
-                o = axes[k, 2]
-                ci = axes[k, 0] * wx + axes[k, 1] * wy + o * wz
-                ch = axes[k, 0] * hx + axes[k, 1] * hy + o * hz
-                if ci <= LEAST or (kinds[k] != DIFFUSE and (o <= LEAST or ch <= LEAST)):
+        for b in range(len(sines)):
+            cx, cy, cz = centres[b, 0], centres[b, 1], centres[b, 2]
+            if nx * cx + ny * cy + co * cz <= -sines[b]:
+                continue  # all of it is below the horizon
+            if not away and facets[i, 0] * cx + facets[i, 1] * cy + facets[i, 2] * cz > sines[b]:
+                continue  # all of it is above the facet
+            for j in range(firsts[b], firsts[b + 1]):
+                wx, wy, wz = lights[0, j], lights[1, j], lights[2, j]
+                below = facets[i, 0] * wx + facets[i, 1] * wy + facets[i, 2] * wz < 0
+                if not (below or away) or nx * wx + ny * wy + co * wz <= LEAST:
                     continue
-                ch = min(ch, ONE)
-                f, q = _lobe(
-                    kinds[k], v[k, 0], min(o, ONE), min(ci, ONE), ch, max(hz, np.float32(1e-6))
-                )
-                p += q * picked[k]
-                if ends[k] > 0:
-                    t = (ONE - ch * ch) / (ch * ch * v[k, 0] * v[k, 0])
-                    f *= ONE - _share(t, ends[k])
-                fr += f * v[k, 2]
-                fg += f * v[k, 3]
-                fb += f * v[k, 4]
-            share = ONE
-            if below:
-                share = p * p / max(p * p + density[j] * density[j], np.float32(1e-30))
-                if away:
-                    share = ONE - share
-            out[i, 0] += share * fr * lights[6, j]
-            out[i, 1] += share * fg * lights[7, j]
-            out[i, 2] += share * fb * lights[8, j]
+                hx, hy, hz = lights[3, j], lights[4, j], lights[5, j]
+                fr = fg = fb = p = np.float32(0)
+                for k in range(closures):
+                    if picked[k] <= 0:
+                        continue  # Cycles drops it
+                    o = axes[k, 2]
+                    ci = axes[k, 0] * wx + axes[k, 1] * wy + o * wz
+                    ch = axes[k, 0] * hx + axes[k, 1] * hy + o * hz
+                    if ci <= LEAST or (kinds[k] != DIFFUSE and (o <= LEAST or ch <= LEAST)):
+                        continue
+                    ch = min(ch, ONE)
+                    if _has_ended(kinds[k], v[k, 0], ch):
+                        continue
+                    f, q = _lobe(
+                        kinds[k], v[k, 0], min(o, ONE), min(ci, ONE), ch, max(hz, np.float32(1e-6))
+                    )
+                    p += q * picked[k]
+                    if ends[k] > 0:
+                        t = (ONE - ch * ch) / (ch * ch * v[k, 0] * v[k, 0])
+                        f *= ONE - _share(t, ends[k])
+                    fr += f * v[k, 2]
+                    fg += f * v[k, 3]
+                    fb += f * v[k, 4]
+                share = ONE
+                if below:
+                    share = p * p / max(p * p + density[j] * density[j], np.float32(1e-30))
+                    if away:
+                        share = ONE - share
+                out[i, 0] += share * fr * lights[6, j]
+                out[i, 1] += share * fg * lights[7, j]
+                out[i, 2] += share * fb * lights[8, j]
 
 
 @_compiled

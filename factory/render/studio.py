@@ -62,6 +62,8 @@ Purpose = Literal["picture", "geometry"]
 # normals across a pixel at which direct light is computed, with how many samples of a narrow lobe
 # each; mirror-like materials need more, for in a pixel normals turn by more than their lobes
 SUBPIXELS = {"glossy": (4, 12), "mirror-like": (8, 4)}
+# cells across a pixel; in each of them light that wide lobes lose at facets is computed once
+CELLS = 2
 MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_POINTS = 1 << 22  # of a picture, some 150 MB
 MOST_DIRECT = 64  # maps of direct light in memory
@@ -480,9 +482,12 @@ class Studio:
         finally:
             self.set_camera(lens)
         values = np.zeros_like(fine.normals)
+        rows, columns = (place // max(across // CELLS, 1) for place in np.nonzero(fine.mask))
+        cells = rows * fine.mask.shape[1] + columns
         for number, each in enumerate(direct, 1):
             here = fine.segments == number
-            values[here] = each.at(fine.normals[here], samples, fine.facets[here])
+            of = fine.normals[here], samples, fine.facets[here]
+            values[here] = each.at(*of, cells=cells[here])
         radiance = np.zeros((*fine.mask.shape, 3), np.float32)
         radiance[fine.mask] = values
         blocks = (height, across, width, across)

@@ -112,10 +112,11 @@ def test_a_mean_over_few_bright_pixels_is_less_certain():
     assert sparse.standard_error > 20 * even.standard_error
 
 
-def test_the_models_take_noise_in_proportion_to_samples():
+def test_the_models_ask_for_the_samples_that_they_say_suffice():
     pilot = Estimate(100.0, 0.0)
-    assert path_tracing.predicted(pilot, 4, 40) == pytest.approx(10)
-    assert path_tracing.needed(pilot, 4, 10.0) == 42
+    assert path_tracing.predicted(pilot, 4, 40) == pytest.approx(10**0.8)
+    many = path_tracing.needed(pilot, 4, 10.0)
+    assert path_tracing.predicted(pilot, 4, many) <= 10 < path_tracing.predicted(pilot, 4, many - 2)
     m = denoised.needed(pilot, 4, 10.0)
     assert denoised.predicted(pilot, 4, m) <= 10 < denoised.predicted(pilot, 4, m - 1)
 
@@ -139,7 +140,7 @@ def test_a_closed_form_that_is_off_is_seen(closed):
 
 
 def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
-    known = Shaded(noise=0.8)
+    known = Shaded(noise=0.8, deepest=0.8)
     made = choice.picture(shown(known), 20.0)
     assert made.estimator == ratio.NAME and error(made.radiance, known) <= 20
     plain = choice.picture(shown(known), 20.0, ("path-tracing", "denoised"))
@@ -168,12 +169,14 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
 
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
-    pilot = Estimate(300.0, 6.0)
-    few, many = (ratio.needed(pilot, 4, limit) for limit in (40.0, 6.0))
+    closed, now = Estimate(100.0, 10.0), Estimate(300.0, 6.0)
+    few, many = (ratio.needed(closed, now, 4, limit) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
-    bound = ratio.predicted(pilot, 4, many) + closed_form.TYPICAL
-    assert bound + 1.645 * ratio.UNCERTAINTY * 6 * 4 / many <= 6
-    assert ratio.needed(pilot, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's error
+    bound = ratio.predicted(closed, many) + closed_form.TYPICAL
+    direct = closed_form.weighed(Estimate(closed_form.TYPICAL, 2 * 6 * 4 / many)).standard_error
+    mine = ratio.UNCERTAINTY * ratio.predicted(closed, many)
+    assert bound + 1.645 * np.hypot(mine, direct) <= 6
+    assert ratio.needed(closed, now, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's
     tried = Estimate(30.0, 0.0)
     assert ratio.needed_after(tried, 8, 10.0) > 8
 
@@ -226,3 +229,41 @@ def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
             patch.setattr(module, name, value)
             assert json.dumps(choice.identity()) != before, name
     assert json.dumps(choice.identity()) == before
+
+
+def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
+    known = Shaded(noise=0.6, closed=1.1)
+    direct = known.direct_light().radiance
+    exposure = tone.auto_exposure(direct, MASK)
+    values = [tone.display(each[MASK], exposure) for each in (direct, known.unblocked)]
+    truth = float(tone.squared_difference(*values).mean())
+    measured = []
+    for seed in range(40):
+        pair = [known.portion(0, 4, 2 * seed + half, "direct").noisy for half in (0, 1)]
+        measured.append(closed_form.measured(direct, pair, MASK))
+    mean, spread = (f([each.error for each in measured]) for f in (np.mean, np.std))
+    assert mean == pytest.approx(truth, rel=0.15)
+    assert 0.5 * spread < np.mean([each.standard_error for each in measured]) < 2 * spread
+
+
+def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
+    vague, sharp = (closed_form.weighed(Estimate(6.0, s)) for s in (100.0, 0.1))
+    assert vague.error == pytest.approx(closed_form.TYPICAL, abs=0.01)
+    assert vague.standard_error == pytest.approx(closed_form.SPREAD, abs=0.01)
+    assert (sharp.error, sharp.standard_error) == pytest.approx((6.0, 0.1), abs=0.01)
+    assert closed_form.weighed(Estimate(300.0, 100.0)) == Estimate(300.0, 100.0)
+
+
+def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
+    estimates = []
+    for closed in (1.0, 1.03):
+        known = Shaded(noise=0.1, deepest=0.8, closed=closed)
+        attempt = choice._Attempt(shown(known), 60.0, choice.ALL)
+        assert attempt.closed() is None or closed
+        attempt.direct = known.direct_light()
+        attempt.closed_alone = Estimate(50.0, 1.0)
+        made = attempt.run(choice._Plan(0.0, ratio.NAME, 64))
+        assert made is not None and made.estimator == ratio.NAME
+        estimates.append(made.estimated.error)
+    off = error(known.truth * np.float32(1.03), known)
+    assert estimates[1] - estimates[0] == pytest.approx(off, rel=0.4)

@@ -2,13 +2,15 @@
 
 import subprocess
 import sys
+from argparse import Namespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
 from factory.render.estimators.halves import Shown
-from factory.render.validation import error_target, speed_accuracy
+from factory.render.validation import error_target, speed_accuracy, speed_accuracy_report
+from manifests.errors import InputError
 from manifests.schema import Camera
 from shaders.mixture import Mixture
 
@@ -33,13 +35,13 @@ LIMITS = [row(LIMIT, "5", 4.0, 8.0), row(LIMIT, "20", 16.0, 2.0), row(LIMIT, "60
     ("error", "seconds"), [(4.0, 8.0), (8.0, 4.0), (32.0, 1.0), (2.0, 16.0), (500.0, 0.5)]
 )
 def test_the_time_of_a_limit_is_interpolated_and_continued_by_noise(error, seconds):
-    assert speed_accuracy.at_error(LIMITS, error) == pytest.approx(seconds)
+    assert speed_accuracy_report.at_error(LIMITS, error) == pytest.approx(seconds)
 
 
 def test_a_method_is_compared_at_its_own_error_on_each_scene():
     second = [dict(each, scene=1, seconds=2 * each["seconds"]) for each in LIMITS]
     rows = [*LIMITS, *second, row("other", "a", 16.0, 6.0), row("other", "a", 16.0, 2.0, scene=1)]
-    other = speed_accuracy.summary(rows)[-1]
+    other = speed_accuracy_report.summary(rows)[-1]
     assert other["family"] == "other"
     assert other["speed_mean"] == pytest.approx(np.sqrt(3.0 * 0.5))
     assert other["speed_worst"] == pytest.approx(0.5)
@@ -47,7 +49,7 @@ def test_a_method_is_compared_at_its_own_error_on_each_scene():
 
 
 def test_the_page_and_the_chart_have_every_setting(tmp_path):
-    figures = speed_accuracy.summary([*LIMITS, row("BlenderProc", "defaults", 8.0, 8.0)])
+    figures = speed_accuracy_report.summary([*LIMITS, row("BlenderProc", "defaults", 8.0, 8.0)])
     result = {
         "figures": figures,
         "rows": LIMITS,
@@ -60,10 +62,10 @@ def test_the_page_and_the_chart_have_every_setting(tmp_path):
         "date": "e",
         "machine": "f",
     }
-    page = speed_accuracy.report(result)
+    page = speed_accuracy_report.report(result)
     assert "| BlenderProc | defaults | 8 | 8 | 8.000 | 2.0 | 2.0 |" in page
     assert page.count(LIMIT) >= 3 and "1024 samples" in page
-    speed_accuracy.chart(figures, tmp_path / "chart.png")
+    speed_accuracy_report.chart(figures, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -96,7 +98,7 @@ def test_direct_light_is_compared_with_the_time_of_path_tracing_at_its_error():
         slower = row("ratio", "64 samples", error, 2 * seconds, number)
         return [dict(each, shape="s", material="m") for each in (traced, few, closed, slower)]
 
-    lines = speed_accuracy.against_path_tracing([*scene(0, 0.5, 2.0), *scene(1, 0.001, 4.0)])
+    lines = speed_accuracy_report.against_path_tracing([*scene(0, 0.5, 2.0), *scene(1, 0.001, 4.0)])
     assert lines[-3:] == [
         "| s, m | 0.50 | 2.00 | 20 |",
         "| s, m | 0.00 | 4.00 | 100 |",
@@ -137,3 +139,36 @@ def test_a_saved_scene_is_the_picture_also_after_a_closed_form(studio, tmp_path)
     picture = np.load(words[1])
     np.testing.assert_allclose(picture[mask].mean(0), exact[mask].mean(0), rtol=0.02)
     assert np.abs(picture[mask] - exact[mask]).mean() < 0.1 * exact[mask].mean()
+
+
+def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeypatch):
+    class Unset:
+        materials, studio = ["brass"], None
+
+        def __init__(self, size, threads):
+            pass
+
+    seen = []
+
+    def measured(stage, known, scene, options):
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        seen.append(scene.seed)
+        return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
+
+    monkeypatch.setattr(speed_accuracy, "Stage", Unset)
+    monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
+    options = Namespace(
+        scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
+    )
+    options.no_adaptive = True
+    with pytest.raises(KeyboardInterrupt):
+        speed_accuracy.measure(options)
+    first = list(seen)
+    seen.clear()
+    rows = speed_accuracy.measure(options)
+    assert len(first) == 2 and len(seen) == 1 and not set(seen) & set(first)
+    assert [each["scene"] for each in rows] == [0, 1, 2]
+    options.reference = 16
+    with pytest.raises(InputError, match=r"scenes/0\.json"):
+        speed_accuracy.measure(options)

@@ -280,3 +280,40 @@ def test_where_the_normal_faces_away_only_matte_closures_reflect(light):
     expected = 0.5 / np.pi * np.einsum("yx,yx,yx,yxc->c", found, cosines, solid_angle, light)
     matte = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION).at(n, 12, facet)
     np.testing.assert_allclose(matte[0], expected, rtol=0.01)
+
+
+def at_facets(count):
+    """Normals that turn slowly from one to the next, and the facet that all of them lean from."""
+    degrees = np.radians(np.linspace(40, 46, count))
+    n = np.stack([np.sin(degrees), np.zeros(count), np.cos(degrees)], axis=-1)
+    facet = np.array([np.sin(np.radians(25)), 0.2, np.cos(np.radians(25))])
+    return n.astype(np.float32), np.tile(facet / np.linalg.norm(facet), (count, 1)).astype("f4")
+
+
+def test_no_light_below_a_facet_is_passed_over_with_its_block(light):
+    sparse = np.where(np.random.default_rng(1).random(light.shape[:2]) < 0.2, 1, 0)[..., None]
+    direct = DirectLight(Mixture.constant("ggx", 0.3, [0.5] * 3), light * sparse, ROTATION)
+    n, facets = at_facets(24)
+    lost = direct._leaning(n, facets, away=False)
+    lights, density, *_ = direct.texels(1)
+    firsts, centre = np.array([0, len(density)]), np.array([[0, 0, 1]], np.float32)
+    direct._texels[1] = (lights, density, firsts, centre, np.ones(1, np.float32))  # a single block
+    np.testing.assert_allclose(lost, direct._leaning(n, facets, away=False), rtol=1e-4)
+    assert (lost > 0).all() and len(density) < 0.25 * light[..., 0].size
+
+
+def test_neighbours_share_what_facets_take_away(light, monkeypatch):
+    direct = DirectLight(Mixture.constant("beckmann", 0.3, [0.5] * 3), light, ROTATION)
+    n, facets = at_facets(24)
+    each = direct.at(n, 12, facets)
+    asked = []
+    original = DirectLight._leaning
+    monkeypatch.setattr(
+        DirectLight,
+        "_leaning",
+        lambda self, *a, **k: asked.append(len(a[0])) or original(self, *a, **k),
+    )
+    shared = direct.at(n, 12, facets, cells=np.arange(24) // 4)
+    assert asked == [6]
+    lost = direct.at(n, 12) - each
+    assert 0 < np.abs(shared - each).max() < 0.2 * lost.max()

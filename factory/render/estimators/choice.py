@@ -10,6 +10,7 @@ error alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -28,7 +29,7 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 5  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 6  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -61,13 +62,13 @@ def identity() -> list[object]:
 
     return [
         ["choice", VERSION, PILOT, MOST_SAMPLES],
-        [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
+        [path_tracing.NAME, path_tracing.POWER, path_tracing.AIM, path_tracing.GROWTH],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST],
         [blends.SHARES, blends.MOST_BIAS],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
-        [closed_form.TYPICAL],
+        [closed_form.TYPICAL, closed_form.SPREAD],
         sorted(denoised.COST.items()),
         direct_light.constants(),
         [
@@ -135,6 +136,8 @@ class _Attempt:
 
     tried   {estimator: (its last estimate, samples of each half that it was of)}
     direct  None before it is asked for, and where no closed form holds
+    closed_alone   error of the closed form as the picture, once it is known
+    closed_direct  its error in the tier `direct`, by the last samples without shadows
     """
 
     shown: Shown
@@ -146,6 +149,8 @@ class _Attempt:
     tries: dict[Estimator, int] = field(default_factory=dict)
     tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
     direct: DirectPicture | None = None
+    closed_alone: Estimate | None = None
+    closed_direct: Estimate | None = None
     asked: bool = False
 
     def __post_init__(self) -> None:
@@ -163,10 +168,15 @@ class _Attempt:
         for shares in ((0.0,), blends.SHARES):
             smooth = [self.direct.radiance] * 2
             blend = blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
-            self.tried[closed_form.NAME] = (
-                _with_bias(blend.estimate, blend.bias),
-                self.halves.samples,
-            )
+            if shares == (0.0,):
+                self.closed_alone = blend.estimate
+                if self.shown.tier == "direct":
+                    known = self._error_in_direct_light(self.halves.pictures)
+                    blend = blend._replace(estimate=known, bias=known.error)
+            # in the tier `direct` it is the closed form alone whose error further samples show
+            if self.shown.tier != "direct" or shares == (0.0,):
+                estimate = _with_bias(blend.estimate, blend.bias)
+                self.tried[closed_form.NAME] = (estimate, self.halves.samples)
             if self._is_kept(blend.estimate, blend.bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,
@@ -178,6 +188,13 @@ class _Attempt:
                     traced=self.shown.tier,
                 )
         return None
+
+    def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
+        """Return the closed form's error by both halves' pictures of direct light."""
+        assert self.direct is not None
+        return closed_form.weighed(
+            closed_form.measured(self.direct.radiance, unblocked, self.shown.mask)
+        )
 
     def _is_kept(self, estimate: Estimate, bias: float) -> bool:
         """Whether a picture has an error and a squared bias that the limit allows."""
@@ -210,11 +227,15 @@ class _Attempt:
                 plans.append(_Plan(count + denoiser, denoised.NAME, count))
         if self.direct is None:
             return plans
-        if tier != "direct" and self._may(ratio.NAME, ratio.MOST_TRIES):
+        if (
+            tier != "direct"
+            and self.closed_alone is not None
+            and self._may(ratio.NAME, ratio.MOST_TRIES)
+        ):
             count = (
                 ratio.needed_after(*self.tried[ratio.NAME], error)
                 if ratio.NAME in self.tried
-                else ratio.needed(self.now, samples, error)
+                else ratio.needed(self.closed_alone, self.now, samples, error)
             )
             if count <= most:
                 plans.append(_Plan(2 * (count + denoiser), ratio.NAME, count))
@@ -247,21 +268,24 @@ class _Attempt:
         if name == ratio.NAME:
             assert self.direct is not None
             radiance = self.direct.radiance
-            pairs = list(zip(halves.last, halves.unblocked(plan.samples), strict=True))
+            assert self.closed_alone is not None
+            unblocked = halves.unblocked(plan.samples)
+            pairs = list(zip(halves.last, unblocked, strict=True))
+            self.closed_direct = self._error_in_direct_light([each.noisy for each in unblocked])
             tried.insert(
                 0,
                 _Tried(
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
-                    ratio.predicted(self.pilot, PILOT, plan.samples),
+                    ratio.predicted(self.closed_alone, plan.samples),
                     [ratio.unbiased(radiance, *pair) for pair in pairs],
                 ),
             )
         for each in tried:
             blend = blends.best(halves, each.pair, each.unbiased, self.error)
-            estimate = self._estimate(each.estimator, blend)
-            self.tried[each.estimator] = _with_bias(estimate, blend.bias), plan.samples
-            if self._is_kept(estimate, blend.bias):
+            estimate, bias = self._estimate(each.estimator, blend)
+            self.tried[each.estimator] = _with_bias(estimate, bias), plan.samples
+            if self._is_kept(estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,
                     alpha=halves.alpha,
@@ -273,19 +297,22 @@ class _Attempt:
                 )
         return None
 
-    def _estimate(self, name: Estimator, blend: blends.Blend) -> Estimate:
-        """Return the error of pictures of both halves.
+    def _estimate(self, name: Estimator, blend: blends.Blend) -> tuple[Estimate, float]:
+        """Return the error of pictures of both halves, and the squared bias that is part of it.
 
         What is compared with pictures that contain the closed form cannot show its error: that is
-        added as it is on average, unless the samples as rendered show beyond doubt that it is more.
+        added, unless the samples as rendered show beyond doubt that it is more.
         """
         if name != ratio.NAME:
-            return blend.estimate
+            return blend.estimate, blend.bias
         plain = self.halves.denoised_estimate(blend.pair)
         if closed_form.is_out(plain, self.error):
-            return plain
-        error = max(blend.estimate.error, 0.0) + closed_form.TYPICAL
-        return Estimate(error, blend.estimate.standard_error)
+            return plain, blend.bias
+        known = self.closed_direct
+        assert known is not None
+        uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
+        error = max(blend.estimate.error, 0.0) + known.error
+        return Estimate(error, uncertainty), max(blend.bias, 0.0) + known.error
 
 
 def _with_bias(estimate: Estimate, bias: float) -> Estimate:

@@ -4,20 +4,25 @@ what      shaders.direct_light at the normals inside each pixel
 bias      all light that the object blocks or reflects onto itself: none in the tier `direct`, and
           in the others none where a shape cannot shade itself, as seen from this side
 checked   against the samples of both halves, in every tier: the estimate contains the bias. Where
-          it is above a third of the limit a share of the samples is blended in (`blends`)
+          it is above a third of the limit a share of the samples is blended in (`blends`). In the
+          tier `direct` what is typical of other shots counts too (`weighed`)
 cost      none but its own, for the samples of the pilot are there already
 fails     few: wide lobes on coarse facets, and mirror-like materials under small lamps
 """
 
 import math
+from collections.abc import Sequence
 
-from factory.render.estimators.halves import CONFIDENCE, Estimate
+import numpy as np
+
+from factory.render.estimators.halves import CONFIDENCE, Estimate, mean_over
 from manifests.schema import Estimator
+from shaders import tone
 
 NAME: Estimator = "closed-form"
-# mean error against Cycles in the direct tier: between those of own shapes and of other meshes
-# (docs/rendering.md)
-TYPICAL = 2.0
+# mean error against Cycles in the direct tier, between those of own shapes and of other meshes
+# (docs/rendering.md), and how much it differs between shots
+TYPICAL, SPREAD = 2.0, 3.0
 # samples of each half that take as long: FIXED for the pixels, MAPS / pixels for the map of
 # normals, and SAMPLED for each direction that is sampled per pixel
 FIXED, MAPS, SAMPLED = 4.0, 80_000.0, 0.015
@@ -26,6 +31,37 @@ FIXED, MAPS, SAMPLED = 4.0, 80_000.0, 0.015
 def cost(pixels: int, directions: int) -> float:
     """Return the samples of each half that take as long as the closed form of a picture."""
     return FIXED + MAPS / max(pixels, 1) + SAMPLED * directions
+
+
+def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:
+    """Return the closed form's error by two independent pictures of the tier `direct`.
+
+    Differences are taken of radiance and scaled by the display curve's slope, for the display
+    values of few samples are too dark on average.
+
+    direct     (height, width, 3) by the closed form
+    unblocked  two such pictures of equally many samples
+    """
+    exposure = tone.auto_exposure(direct, mask)
+    exact = direct[mask]
+    step = np.float32(0.01) * exact + np.float32(1e-4 / exposure)
+    slope = (tone.display(exact + step, exposure) - tone.display(exact, exposure)) / step
+    one, other = ((each[mask] - exact) * slope for each in unblocked)
+    return mean_over((one * other).mean(-1))
+
+
+def weighed(measured: Estimate) -> Estimate:
+    """Return the closed form's error in the tier `direct` by a measurement and by what is typical.
+
+    Both count as their certainty: few samples say less than what is known of other shots. What is
+    beyond doubt not typical counts as it was measured.
+    """
+    least = measured.error - CONFIDENCE * measured.standard_error
+    if least > TYPICAL + CONFIDENCE * SPREAD:
+        return measured
+    weight = SPREAD**2 / (SPREAD**2 + measured.standard_error**2)
+    error = TYPICAL + weight * (measured.error - TYPICAL)
+    return Estimate(max(error, 0.0), math.sqrt(weight) * measured.standard_error)
 
 
 def is_out(estimate: Estimate, error: float) -> bool:

@@ -6,30 +6,31 @@ what      closed form · denoised picture / denoised picture without shadows and
           illumination and stochastic shadows")
 bias      of the denoiser, where it treats the two pictures differently: the estimate contains it,
           and a share of `unbiased` beside it keeps it below a third of the limit (`blends`).
-          That of the closed form is added to the estimate as it is on average
+          That of the closed form is added: it is measured by the samples without shadows
 cost      every sample twice, both denoisings, and the closed form
 fails     interreflection in strong highlights, which unoccluded light does not show. The ratio is
           cut off at MOST; where there is no light to divide by, the denoised picture stands
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from factory.render.estimators.closed_form import TYPICAL
+from factory.render.estimators.closed_form import SPREAD, TYPICAL
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
 from manifests.schema import Estimator
 
 NAME: Estimator = "ratio"
 MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
-# error: SCALE · (error of the same samples without denoiser)^POWER
-SCALE, POWER = 0.5, 0.4
-# uncertainty of the estimate, in units of that of the pilot's with the same samples
-UNCERTAINTY = 0.3
+# error: SCALE · (error of the closed form as the picture) / (samples of each half)^POWER. Where
+# little light is blocked or reflected on, little of it can be noisy
+SCALE, POWER = 0.25, 0.75
+UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
-MOST_TRIES = 3
+MOST_TRIES = 2
 
 
 def combined(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
@@ -53,32 +54,41 @@ def unbiased(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarr
     return direct + (shown.noisy - unblocked.noisy)
 
 
-def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
-    """Return the error with `samples` of each half, by the noise of a pilot."""
-    return float(SCALE * (max(pilot.error, 0.0) * pilot_samples / samples) ** POWER)
+def predicted(closed: Estimate, samples: int) -> float:
+    """Return the error with `samples` of each half, by that of the closed form as the picture."""
+    return float(SCALE * max(closed.error, 0.0) / samples**POWER)
 
 
-def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
-    """Return the samples of each half whose estimate is at most an error with 95 % confidence."""
-    uncertainty = UNCERTAINTY * pilot.standard_error * pilot_samples
-    return _least(LEAST, predicted(pilot, pilot_samples, 1), uncertainty, error)
+def needed(closed: Estimate, now: Estimate, samples: int, error: float) -> int:
+    """Return the samples of each half whose estimate is at most an error with 95 % confidence.
+
+    closed  error of the closed form as the picture
+    now     error of the picture of `samples` of each half: its uncertainty is taken for that of
+            direct light's, of which a half alone has twice as much
+    """
+    at_one, noise = predicted(closed, 1), 2 * now.standard_error * samples
+
+    def bound(count: int) -> float:
+        mine = at_one / count**POWER
+        direct = SPREAD / math.hypot(1, SPREAD * count / max(noise, 1e-9))
+        return TYPICAL + mine + CONFIDENCE * math.hypot(UNCERTAINTY * mine, direct)
+
+    return _least(LEAST, bound, error)
 
 
 def needed_after(tried: Estimate, samples: int, error: float) -> int:
     """Return the same number, by the estimate of `samples` of each half that failed."""
     at_one = max(tried.error - TYPICAL, 0.0) * samples**POWER
-    return _least(samples + 1, at_one, tried.standard_error * samples, error)
+
+    def bound(count: int) -> float:
+        uncertain = tried.standard_error * samples / count
+        return TYPICAL + at_one / count**POWER + CONFIDENCE * uncertain
+
+    return _least(samples + 1, bound, error)
 
 
-def _least(samples: int, at_one: float, uncertainty: float, error: float) -> int:
-    """Return the least samples, from `samples` in steps of a tenth, that keep an error.
-
-    at_one       error of one sample of each half, without that of the closed form
-    uncertainty  of the estimate, of one sample
-    """
-    while samples <= MOST_SAMPLES:
-        bound = TYPICAL + at_one / samples**POWER + CONFIDENCE * uncertainty / samples
-        if bound <= error:
-            break
+def _least(samples: int, bound: Callable[[int], float], error: float) -> int:
+    """Return the least samples, from `samples` in steps of a tenth, whose bound is the error."""
+    while samples <= MOST_SAMPLES and bound(samples) > error:
         samples = math.ceil(1.1 * samples)
     return samples

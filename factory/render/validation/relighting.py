@@ -18,7 +18,7 @@ seconds   of a processor in one thread: once for the basis, and for each picture
 result    it pays from 12 to 26 pictures of a view and material, at errors above 20 on a matte white
           and above 70 on other materials, and never at smaller ones: no estimator was made of it
 speed     by how much faster a basis makes N pictures than the fastest of path tracing, denoiser and
-          ratio makes them at its error (speed_accuracy.at_error)
+          ratio makes them at its error (speed_accuracy_report.at_error)
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def light_by_light(studio: Studio, shown: Shown, L: np.ndarray) -> Iterator[tupl
     for family, counts in BASELINES.items():
         for samples in counts:
             method = known[family, f"{samples} samples"]
-            method(replace(shown, seed=shown.seed ^ 2))  # as in speed_accuracy.timed
+            method(replace(shown, seed=shown.seed ^ 2))  # as speed_accuracy.warm does
             studio._direct.clear()
             clock = _Clock()
             studio.set_light(L, 0)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.validation.speed_accuracy import at_error
+from factory.render.validation.speed_accuracy_report import at_error
 from manifests.files import write_bytes
 
 COUNTS = (1, 4, 16, 64)  # pictures of a view and material

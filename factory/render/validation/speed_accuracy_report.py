@@ -1,0 +1,182 @@
+"""The figures, the page and the drawing of factory.render.validation.speed_accuracy.
+
+rows  dictionaries of one scene and setting each, with family, setting, seconds and error
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifests.files import write_bytes
+
+LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
+OURS = ("path tracing", "denoised", "ratio", "limit on the error")
+BIASED = ("denoised", "ratio")
+
+
+def at_error(rows: list[dict[str, Any]], error: float, family: str = "limit on the error") -> float:
+    """Return the seconds that a family of settings takes for a scene at an error.
+
+    Interpolated between the settings' achieved errors and times. Beyond them noise in proportion to
+    1/samples is assumed, which holds for unbiased families only: infinity for the others.
+    """
+    pairs = sorted(
+        (max(row["error"], 1e-3), row["seconds"]) for row in rows if row["family"] == family
+    )
+    if not pairs:
+        return float("inf")
+    x, y = (np.log([pair[k] for pair in pairs]) for k in (0, 1))
+    y = np.minimum.accumulate(y)  # a larger error never needs more time
+    target = np.log(max(error, 1e-3))
+    if target < x[0]:
+        return float(np.exp(y[0] + x[0] - target)) if family not in BIASED else float("inf")
+    return float(np.exp(np.interp(target, x, y)))
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for each family and setting: errors, seconds, and the speed at its error."""
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    by_scene: dict[int, list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["family"], row["setting"]), []).append(row)
+        by_scene.setdefault(row["scene"], []).append(row)
+    result = []
+    for (family, setting), of in groups.items():
+        errors = np.array([row["error"] for row in of])
+        ratios = np.array(
+            [row["seconds"] / at_error(by_scene[row["scene"]], row["error"]) for row in of]
+        )
+        best = np.array(
+            [
+                row["seconds"]
+                / min(at_error(by_scene[row["scene"]], row["error"], each) for each in OURS)
+                for row in of
+            ]
+        )
+        result.append(
+            {
+                "family": family,
+                "setting": setting,
+                "error_mean": float(errors.mean()),
+                "error_worst": float(errors.max()),
+                "seconds": float(np.mean([row["seconds"] for row in of])),
+                "speed_mean": float(np.exp(np.log(ratios).mean())),
+                "speed_worst": float(ratios.min()),
+                "best_mean": float(np.exp(np.log(best).mean())),
+                "best_worst": float(best.min()),
+            }
+        )
+    return result
+
+
+def report(result: dict[str, Any]) -> str:
+    """Return the page of a measurement."""
+    figures = result["figures"]
+    noise = max(row["reference_noise"] for row in result["rows"])
+    lines = [
+        "# Error against time per picture",
+        "",
+        f"    {result['command']}",
+        "",
+        f"Commit {result['commit']}, {result['date']}, {result['machine']}.",
+        f"{result['scenes']} scenes of {result['size']}×{result['size']}, {result['tier']};"
+        f" references of {2 * result['reference']} samples, whose own display error is at most"
+        f" {noise:.2g}.",
+        "Times are processor seconds in one thread; the speed is the time divided by the one that a"
+        " limit on the error takes at the same error, per scene; and by the one of our family of"
+        " settings that is fastest there, as one chooses who knows the errors.",
+        "",
+        "![chart](chart.png)",
+        "",
+        "| method | setting | error: mean | worst | seconds | speed of a limit: mean | worst"
+        " | of our best: mean | worst |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for each in figures:
+        speed = f"{each['speed_mean']:.1f} | {each['speed_worst']:.1f}"
+        if each["family"] == "limit on the error":
+            speed = "– | –"
+        best = "– | –"
+        if each["family"] not in OURS:
+            best = f"{each['best_mean']:.1f} | {each['best_worst']:.1f}"
+        lines.append(
+            f"| {each['family']} | {each['setting']} | {each['error_mean']:.3g}"
+            f" | {each['error_worst']:.3g} | {each['seconds']:.3f} | {speed} | {best} |"
+        )
+    if result["tier"] == "direct":
+        lines += against_path_tracing(result["rows"])
+    return "\n".join(lines) + "\n"
+
+
+def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
+    """Return lines on how much longer path tracing takes to reach the closed form's error.
+
+    In the tier `direct` the ratio is the closed form alone. Path tracing's error is taken to fall
+    in proportion to its time beyond its most samples, and errors below LEAST_ERROR count as that.
+    """
+    lines = [
+        "",
+        "Direct light by the closed form, and the time of path tracing for the same error:",
+        "",
+        "| scene | error | seconds | path tracing, times as long |",
+        "|---|---|---|---|",
+    ]
+    speeds = []
+    for scene in sorted({row["scene"] for row in rows}):
+        of = [row for row in rows if row["scene"] == scene]
+        closed = min((r for r in of if r["family"] == "ratio"), key=lambda row: row["seconds"])
+        traced = max(
+            (r for r in of if r["family"] == "path tracing"), key=lambda row: row["seconds"]
+        )
+        factor = max(traced["error"], LEAST_ERROR) / max(closed["error"], LEAST_ERROR)
+        speeds.append(factor * traced["seconds"] / closed["seconds"])
+        lines.append(
+            f"| {closed['shape']}, {closed['material']} | {closed['error']:.2f}"
+            f" | {closed['seconds']:.2f} | {speeds[-1]:.0f} |"
+        )
+    mean = float(np.exp(np.log(speeds).mean()))
+    return [*lines, f"| geometric mean, worst | | | {mean:.0f}, {min(speeds):.0f} |"]
+
+
+def chart(figures: list[dict[str, Any]], path: Path) -> None:
+    """Draw mean and worst errors over pictures per second."""
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(11, 4.6), layout="constrained")
+    families = list(dict.fromkeys(each["family"] for each in figures))
+    for axes, key, title in zip(
+        drawing.subplots(1, 2, sharey=True),
+        ("error_mean", "error_worst"),
+        ("mean over scenes", "worst scene"),
+        strict=True,
+    ):
+        for family in families:
+            of = sorted(
+                (each for each in figures if each["family"] == family),
+                key=lambda each: each["seconds"],
+            )
+            x = [1 / each["seconds"] for each in of]
+            y = [max(each[key], 1e-2) for each in of]
+            mine = family == "limit on the error"
+            joined = "" if family == "BlenderProc" else "-"
+            axes.plot(x, y, "o" + joined, label=family, lw=2.5 if mine else 1.2, ms=5)
+            if family == "BlenderProc":
+                for each, a, b in zip(of, x, y, strict=True):
+                    axes.annotate(
+                        each["setting"],
+                        (a, b),
+                        xytext=(5, 4),
+                        textcoords="offset points",
+                        fontsize=7,
+                    )
+        axes.set(xscale="log", yscale="log", title=title, xlabel="pictures per second and core")
+        axes.grid(alpha=0.3, which="both")
+    drawing.axes[0].set_ylabel("display L2 over the object")
+    drawing.axes[0].legend(fontsize=8)
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, dpi=110)
+    write_bytes(path, buffer.getvalue())
