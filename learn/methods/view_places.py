@@ -71,6 +71,7 @@ class Views:
     fit     (2, 6) coefficients of V's slopes
     half    (2,) half the width of the offsets, as if they were spread evenly
     spread  the larger half width, as it is; infinite where no maps should be made
+    steepness  half of V's slope by n: how much faster reflected directions turn, as a share
     least_cosine, terms  LEAST_COSINE for this fit, and terms of the series in `Places.backward`
     """
 
@@ -91,9 +92,9 @@ class Views:
         # the next by that over n·v
         by_n = [self.middle_backward(n[pick], one) for one in np.eye(2)[:, :, None]]
         steep = np.sqrt(0.5 * (np.square(by_n[0]).sum(-1) + np.square(by_n[1]).sum(-1)))
-        steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
-        self.least_cosine = max(LEAST_COSINE, steepness / CONTRACTION)
-        contraction = min(2 * steepness, CONTRACTION)
+        self.steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
+        self.least_cosine = max(LEAST_COSINE, self.steepness / CONTRACTION)
+        contraction = min(2 * self.steepness, CONTRACTION)
         self.terms = max(math.ceil(math.log(LEFT) / math.log(contraction)), 1)
         spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
         self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf
