@@ -15,20 +15,20 @@ integral          the same (forward and backward) to the converged integral of t
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from learn.experiments import chart_cases, mitsuba_rival, torch_rival
+from learn.experiments import chart_cases, mitsuba_rival, runner, torch_rival
 from learn.methods import Batch, load
 from learn.methods.directional import sample
-from manifests.progress import tqdm
+from manifests import materials as catalogue
 
 SAMPLE, FINE_PARTS = 192, 4
 
@@ -82,38 +82,40 @@ def relative_error(seen: np.ndarray, truth: np.ndarray) -> float:
 
 
 def measured(
-    cases: Sequence[Case], processes: int = 1, with_torch: bool = True, with_mitsuba: bool = False
+    cases: Sequence[Case], folder: Path, with_torch: bool = True, with_mitsuba: bool = False
 ) -> list[dict[str, Any]]:
     """Return rows of material, light, camera, shape, size, method, knob and the above.
 
-    processes                 cases measured side by side, each on one thread
+    folder        keeps what is measured, so that a stopped measurement continues
     with_torch, with_mitsuba  whether these rivals are measured; Mitsuba on spheres, by all settings
     """
-    rows, truths = [], []
-    with ProcessPoolExecutor(
-        processes,
-        mp_context=get_context("spawn"),
-        initializer=warm_up,
-        initargs=(cases[0], with_torch),
-    ) as pool:
-        for of_case, truth in tqdm(
-            pool.map(one_case, cases, [with_torch] * len(cases)),
-            total=len(cases),
-            desc="chart",
-            unit="case",
-            mininterval=2,
-        ):
-            rows += of_case
-            truths.append(truth)
+    torch.set_num_threads(1)
+    todo = [(case.names() | {"torch": with_torch}, case) for case in cases]
+    kept = runner.resume(
+        folder / "cases.jsonl", todo, lambda case: one_case(case, with_torch), "case"
+    )
+    rows = [row for of_case in kept for row in of_case["rows"]]
     if with_mitsuba:
-        rows += mitsuba_rows(cases, truths)
+        main = [(c, k["truth"]) for c, k in zip(cases, kept, strict=True) if not c.leading]
+        groups = [
+            [pair for pair in main if pair[0].camera == camera]
+            for camera in dict.fromkeys(case.camera for case, _ in main)
+        ]
+        named = [
+            ({"cases": str([list(case.names().values()) for case, _ in group])}, group)
+            for group in groups
+        ]
+        for group in runner.resume(folder / "mitsuba.jsonl", named, mitsuba_rows, "camera"):
+            rows += group["rows"]
     return rows
 
 
-def warm_up(case: Case, with_torch: bool) -> None:
-    """Use one thread, and load and compile everything before it is timed."""
-    torch.set_num_threads(1)
-    small = replace(case, size=12, camera="orthographic")
+@functools.cache
+def warm_up(with_torch: bool) -> None:
+    """Load and compile everything before it is timed."""
+    light = chart_cases.computed_lights()["lamps"]
+    label = catalogue.find(chart_cases.MATERIALS[0]).label
+    small = Case("", label, "", light, "orthographic", 12)
     for setting in chart_cases.settings():
         timed(setting, small, True)
     if with_torch:
@@ -121,8 +123,9 @@ def warm_up(case: Case, with_torch: bool) -> None:
             torch_rival.timed(formula, small.batch()[0])
 
 
-def one_case(case: Case, with_torch: bool) -> tuple[list[dict[str, Any]], Truth]:
-    """Return the rows of every setting on one case, and what they are compared with."""
+def one_case(case: Case, with_torch: bool) -> dict[str, Any]:
+    """Return {"rows": those of every setting on one case, "truth": what they are compared with}."""
+    warm_up(with_torch)
     batch, _ = case.batch()
     truth, rows = truth_at(batch, sample(len(batch.n), SAMPLE)), []
     pixels = {"pixels": len(batch.n)}
@@ -141,7 +144,8 @@ def one_case(case: Case, with_torch: bool) -> tuple[list[dict[str, Any]], Truth]
         clocks = {"seconds": result.seconds, "forward": result.forward}
         errors = truth_at(batch, result.pick).errors(result.radiance.numpy())
         rows.append(case.names() | {"method": name, "knob": "float32"} | clocks | errors | pixels)
-    return rows, truth
+    arrays = {key: value.tolist() for key, value in vars(truth).items()}
+    return {"rows": rows, "truth": arrays}
 
 
 def truth_at(batch: Batch, pick: torch.Tensor) -> Truth:
@@ -151,23 +155,20 @@ def truth_at(batch: Batch, pick: torch.Tensor) -> Truth:
     return Truth(pick.numpy(), paper.numpy(), integral.numpy())
 
 
-def mitsuba_rows(cases: Sequence[Case], truths: Sequence[Truth]) -> list[dict[str, Any]]:
-    """Return the rows of Mitsuba on those cases that are measured by all settings."""
+def mitsuba_rows(group: Sequence[tuple[Case, dict[str, list[Any]]]]) -> dict[str, Any]:
+    """Return {"rows": those of Mitsuba}; group: cases of one camera and size, and their truths."""
+    batch, _ = group[0][0].batch()
+    n, view = batch.n.numpy(), None if batch.view is None else batch.view.numpy()
+    pictures = mitsuba_rival.pictures(n, view, [(case.label, case.light) for case, _ in group])
     rows = []
-    for camera in dict.fromkeys(case.camera for case in cases):
-        chosen = [i for i, c in enumerate(cases) if c.camera == camera and not c.leading]
-        batch, _ = cases[chosen[0]].batch()
-        n, view = batch.n.numpy(), None if batch.view is None else batch.view.numpy()
-        pictures = mitsuba_rival.pictures(
-            n, view, [(cases[i].label, cases[i].light) for i in chosen]
-        )
-        for i, of_samples in zip(chosen, pictures, strict=True):
-            for samples, result in of_samples.items():
-                names = {"method": "mitsuba", "knob": str(samples)}
-                clocks = {"seconds": result.seconds, "forward": result.forward}
-                errors = truths[i].errors(result.radiance[truths[i].pick])
-                rows.append(cases[i].names() | names | clocks | errors | {"pixels": len(n)})
-    return rows
+    for (case, arrays), of_samples in zip(group, pictures, strict=True):
+        truth = Truth(**{key: np.array(value) for key, value in arrays.items()})
+        for samples, result in of_samples.items():
+            names = {"method": "mitsuba", "knob": str(samples)}
+            clocks = {"seconds": result.seconds, "forward": result.forward}
+            errors = truth.errors(result.radiance[truth.pick])
+            rows.append(case.names() | names | clocks | errors | {"pixels": len(n)})
+    return {"rows": rows}
 
 
 def timed(setting: chart_cases.Setting, case: Case, backward: bool) -> tuple[float, torch.Tensor]:

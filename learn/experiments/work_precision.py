@@ -4,7 +4,8 @@ A sphere in materials from matte to mirror under several lights, from far and fr
 by every method at several settings, and by three rivals: the sum in plain torch, as it is and
 compiled by torch.compile, and Mitsuba 3 (--mitsuba). Times are of one thread, forward and backward.
 A setting's time is the median over all materials and lights, their 90th percentile or the worst;
-its error is the median over all cases, or the worst of them. cases.csv has each single case.
+its error is the median over all cases, or the worst of them. cases.csv has each single case;
+cases.jsonl keeps them, so that the same command continues.
 
 Fewer settings, every third of the materials and the first of the lights are measured on shapes with
 few distinct normals, a cube and a cylinder, and on a sphere in a picture of 256².
@@ -18,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +29,7 @@ LARGE = 256  # pixels of the large sphere's side
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the materials, lights and cameras, the size of pictures and the number of processes."""
+    """Add the materials, lights and cameras, the size of pictures, and the rivals."""
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -74,13 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="measure Mitsuba 3 too; needs the extra `witness`, and DRJIT_LIBLLVM_PATH",
     )
-    parser.add_argument(
-        "--processes",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="number of cases measured side by side, on one thread each (default 1)",
-    )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
@@ -116,7 +109,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for camera in arguments.camera
     ]
     rows = chart_measurement.measured(
-        cases, arguments.processes, not arguments.no_torch, arguments.mitsuba
+        cases, arguments.out, not arguments.no_torch, arguments.mitsuba
     )
     _write_cases(arguments.out / "cases.csv", rows)
 

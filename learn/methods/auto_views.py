@@ -47,8 +47,8 @@ ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
 # requested: it is a small difference of large parts in matte materials
 FINER_CULLING, FINER_MAPS = 0.25, 0.1
 # what is tried where the check fails: more views if these are predicted to cost this part of the
-# tolerance (by whether maps are read mirrored, where the prediction is too high), or where a map has
-# been made larger before; sums at the pixels from this share of nodes
+# tolerance (by whether maps are read mirrored, where the prediction is too high), or where a map
+# was made larger before; sums at the pixels from this share of nodes
 NOTICED, WORTHWHILE = {False: 0.2, True: 0.8}, 0.7
 GROWTH = 1.25  # of a map's size where the check fails: most miss by little
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
