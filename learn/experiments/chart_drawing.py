@@ -92,14 +92,14 @@ def panel(
     colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]  # of this map
     camera, error, judge, time = judged
     for method, points in pareto_front.points(settings, camera, error, judge, time=time).items():
-        ordered, number = sorted(points), names.index(method)
+        number = names.index(method)
         colour = "black" if method == pareto_front.OURS else colours[number % 10]
         style: dict[str, Any] = {"lw": 1.3, "ms": 6}
         if method == pareto_front.OURS:
             style = {"lw": 3, "ms": 9, "zorder": 5}
         place.loglog(
-            [point.seconds for point in ordered],
-            [max(point.error, LEAST) for point in ordered],
+            [point.seconds for point in points],
+            [max(point.error, LEAST) for point in points],
             "--" if method in RIVALS else "-",
             marker=MARKERS[number // 10 + number % 3 * 2],
             color=colour,
