@@ -90,17 +90,21 @@ class Views:
         pick = directional.spread_over(len(n), FITTED)
         self.fit = np.ascontiguousarray(fitted(n[pick], self.slopes[:, pick]))
         offsets = self.slopes[:, pick] - self.middle(n[pick])
-        self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
+        wide = np.sqrt(3 * np.square(offsets).mean(1))
+        self.half = np.maximum(wide, np.float32(LEAST_HALF))
         # half of dV/dn, in the mean over directions and most pixels: a step towards a place changes
         # the next by that over n·v
-        by_n = [self.middle_backward(n[pick], one) for one in np.eye(2)[:, :, None]]
-        steep = np.sqrt(0.5 * (np.square(by_n[0]).sum(-1) + np.square(by_n[1]).sum(-1)))
+        (_, a1, a2, a3, a4, a5), (_, b1, b2, b3, b4, b5) = self.fit
+        x, y, z = n[pick].T
+        by_x = np.square(a1 + a4 * z) + np.square(b1 + b4 * z)
+        by_y = np.square(a2 + a5 * z) + np.square(b2 + b5 * z)
+        by_z = np.square(a3 + a4 * x + a5 * y) + np.square(b3 + b4 * x + b5 * y)
+        steep = np.sqrt(0.5 * (by_x + by_y + by_z))
         self.steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
         self.least_cosine = max(LEAST_COSINE, self.steepness / CONTRACTION)
         contraction = min(2 * self.steepness, CONTRACTION)
         self.terms = max(math.ceil(math.log(LEFT) / math.log(contraction)), 1)
-        spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
-        self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf
+        self.spread = float(wide.max()) if float(depth.min()) > LEAST_DEPTH else math.inf
 
     def middle(self, n: np.ndarray) -> np.ndarray:
         """Slopes (2, P) of V."""
@@ -161,8 +165,9 @@ class Views:
 def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Coefficients (2, 6) float32 of V by least squares."""
     terms = np.stack(features(n.astype(np.float64)))
-    gram = np.array([[(a * b).sum() for b in terms] for a in terms])
-    right = np.array([[(a * s).sum() for a in terms] for s in slopes.astype(np.float64)])
+    # einsum, for BLAS has threads that spin
+    gram = np.einsum("ip,jp->ij", terms, terms)
+    right = np.einsum("kp,ip->ki", slopes.astype(np.float64), terms)
     gram[1:, 1:] += RIDGE * len(n) * np.eye(len(terms) - 1)
     return np.linalg.solve(gram, right.T).T.astype(np.float32)
 
