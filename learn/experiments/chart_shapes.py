@@ -53,13 +53,13 @@ def cylinder(size: int) -> np.ndarray:
     ahead = np.array([0.0, -np.sin(RISE), np.cos(RISE)])  # across the axis, towards the viewer
     radius = np.sqrt(COVERED / (4 * TALL * up[1] + np.pi * up[2]))
     x, y = places(size)
-    reach = np.sqrt(np.maximum(radius**2 - x * x, 0))  # along `ahead`, to the side
+    half_depth = np.sqrt(np.maximum(radius**2 - x * x, 0))  # along `ahead`, to the side
     # the ray (x, y, z) is at y·up_y + z·up_z along the axis and y·ahead_y + z·ahead_z across it
-    side, far_side = ((sign * reach - y * ahead[1]) / ahead[2] for sign in (1, -1))
+    side, far_side = ((sign * half_depth - y * ahead[1]) / ahead[2] for sign in (1, -1))
     lid, floor = ((sign * TALL * radius - y * up[1]) / up[2] for sign in (1, -1))
     z = np.minimum(side, lid)
     inside = (np.abs(x) < radius) & (z >= np.maximum(far_side, floor))
-    of_side = np.stack([x, *(reach[..., None] * ahead[1:]).transpose(2, 0, 1)], -1) / radius
+    of_side = np.stack([x, *(half_depth[..., None] * ahead[1:]).transpose(2, 0, 1)], -1) / radius
     n = np.where((lid < side)[..., None], up, of_side)
     return np.where(inside[..., None], n, 0.0)
 
