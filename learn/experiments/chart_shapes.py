@@ -19,7 +19,8 @@ TALL = 1.2  # half the cylinder's height over its radius
 def places(size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return x to the right and y up, (size, size) each, from −1 to 1."""
     x = (np.arange(size) + 0.5) / size * 2 - 1
-    return np.meshgrid(x, -x)
+    x, y = np.meshgrid(x, -x)
+    return x, y
 
 
 def sphere(size: int) -> np.ndarray:

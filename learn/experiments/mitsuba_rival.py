@@ -79,10 +79,9 @@ def _run(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return what the program makes of IN.npz."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / "in.npz", Path(folder) / "out.npz"]
-        np.savez(paths[0], **given)  # type: ignore[arg-type]  # names of arrays
-        program = Path(__file__).with_name("mitsuba_sphere.py")
+        np.savez(paths[0], **given)
         done = subprocess.run(
-            [sys.executable, program, *paths],
+            [sys.executable, "-m", "learn.experiments.mitsuba_sphere", *paths],
             capture_output=True,
             text=True,
             timeout=MOST_SECONDS,

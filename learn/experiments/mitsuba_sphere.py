@@ -1,4 +1,4 @@
-"""Time Mitsuba 3 on spheres: a program, run as mitsuba_sphere.py IN.npz OUT.npz.
+"""Time Mitsuba 3 on spheres: python -m learn.experiments.mitsuba_sphere IN.npz OUT.npz.
 
 It runs in a process of its own, because Mitsuba's LLVM and torch's do not share one. IN.npz and
 OUT.npz are written and read by learn.experiments.mitsuba_rival.
@@ -21,10 +21,7 @@ from typing import Any
 
 import numpy as np
 
-if __package__:
-    from learn.experiments.mitsuba_descent import mitsuba_map
-else:  # run as a program, beside its module
-    from mitsuba_descent import mitsuba_map
+from learn.experiments.mitsuba_descent import mitsuba_map
 
 UP = 4  # Mitsuba's texels along one of the light's: its map is bilinear, the layer's has steps
 DISTANCE = 4.0  # from the sphere's surface to where rays begin

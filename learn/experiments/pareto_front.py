@@ -17,8 +17,8 @@ import numpy as np
 LEVELS = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 OURS = "auto"
 CLOCKS, ERRORS = ("seconds", "forward"), ("error", "integral", "forward_error")
-JUDGES: Mapping[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
-TIMES: Mapping[str, Callable[[list[float]], float]] = JUDGES | {
+JUDGES: dict[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
+TIMES: dict[str, Callable[[list[float]], float]] = JUDGES | {
     "90th percentile": lambda values: float(np.quantile(values, 0.9))
 }
 # the judges of errors and of times that go together: a typical case, and a limit that must hold

@@ -100,8 +100,8 @@ def test_a_cube_shows_three_normals_and_a_cylinder_as_many_as_columns_and_its_li
 
 def test_plain_torch_is_compared_with_the_sum_and_its_time_is_scaled_to_all_pixels(monkeypatch):
     case = chart_measurement.Case(
-        "chrome",
-        catalogue.find("chrome").label,
+        "pink-fabric",
+        catalogue.find("pink-fabric").label,
         "sky",
         chart_cases.computed_lights()["sky"],
         "perspective",
