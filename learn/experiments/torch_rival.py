@@ -11,6 +11,7 @@ import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 
@@ -20,6 +21,7 @@ from learn.methods.directional import sample
 
 CHUNK = 4  # pixels at a time: the fastest of 4, 16 and 64
 PIXELS = 48
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def timed(formula: eager_sum.Formula, batch: Batch) -> Timed:
     return Timed(scale * both, scale * forward, pick, radiance)
 
 
-def _clocked(work: Callable[[], torch.Tensor]) -> tuple[float, torch.Tensor]:
+def _clocked(work: Callable[[], Result]) -> tuple[float, Result]:
     start = time.thread_time()
     result = work()
     return time.thread_time() - start, result
