@@ -227,6 +227,9 @@ WRITERS = {
     ): "what two processes hand each other",
     ("learn/experiments/mitsuba_comparison.py", "….savez"): "the same",
     ("learn/experiments/mitsuba_descent.py", "….savez"): "the same; the process has no manifests",
+    ("learn/experiments/mitsuba_rival.py", "tempfile.TemporaryDirectory"): "as mitsuba_comparison",
+    ("learn/experiments/mitsuba_rival.py", "….savez"): "the same",
+    ("learn/experiments/mitsuba_sphere.py", "….savez"): "as mitsuba_descent",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 # modules of ours whose save() goes through manifests.files

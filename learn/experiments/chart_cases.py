@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from learn import methods
+from learn.experiments import chart_shapes
 from learn.layer.inputs import checked, compact
 from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr
@@ -71,6 +72,13 @@ def settings() -> list[Setting]:
         *by_count("monte_carlo_brdf", lambda b, c: sampling.sampled(b, 0, c), 16),
         *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4, 1e-5),
     ]
+
+
+def leading_settings() -> list[Setting]:
+    """Return the points that come near the front, for the further shapes and sizes."""
+    knobs = {"auto": ("0.05", "0.01", "0.001"), "culled": ("0.01",), "quadrature": ("0.01",)}
+    knobs |= {"reflectance_map": ("32", "64"), "median_cut": ("256", "1024"), "hybrid": ("256",)}
+    return [each for each in settings() if each.knob in knobs.get(each.method, ())]
 
 
 def computed_lights() -> dict[str, np.ndarray]:
@@ -140,20 +148,20 @@ def radiance_of(path: Path) -> np.ndarray:
 
 def sphere(size: int) -> torch.Tensor:
     """Return normals (1, size, size, 3) of a sphere that covers 40 % of the picture."""
-    x = (torch.arange(size, dtype=torch.float64) + 0.5) / size * 2 - 1
-    y, x = torch.meshgrid(-x, x, indexing="ij")
-    xy = torch.stack([x, y], -1) / np.sqrt(1.6 / np.pi)
-    z2 = 1 - (xy * xy).sum(-1, keepdim=True)
-    n = torch.where(z2 > 1e-6, torch.cat([xy, z2.clamp(min=0).sqrt()], -1), 0.0)
-    return n[None].float()
+    return chart_shapes.normals("sphere", size)
 
 
 def batch_of(
-    label: np.ndarray, light: np.ndarray, size: int, camera: str, with_gradients: bool = False
+    label: np.ndarray,
+    light: np.ndarray,
+    size: int,
+    camera: str,
+    with_gradients: bool = False,
+    shape: str = "sphere",
 ) -> tuple[Batch, list[torch.Tensor]]:
-    """Return a batch of one sphere, and its tensors, which require gradients or not."""
+    """Return a batch of one shape, and its tensors, which require gradients or not."""
     n, m = (
-        sphere(size),
+        chart_shapes.normals(shape, size),
         torch.as_tensor(np.exp(np.asarray(label)).reshape(1, 108), dtype=torch.float32),
     )
     L = torch.as_tensor(light, dtype=torch.float32)[None]

@@ -53,9 +53,9 @@ def bilinear(row: np.ndarray, column: np.ndarray, width: int) -> tuple[np.ndarra
     return np.stack(index), np.stack(weight)
 
 
-def mitsuba_map(L: np.ndarray) -> np.ndarray:
-    """Return a map (height, width, 3) in Mitsuba's layout, UP times as fine."""
-    height, width = L.shape[0] * UP, L.shape[1] * UP
+def mitsuba_map(L: np.ndarray, up: int = UP) -> np.ndarray:
+    """Return a map (height, width, 3) in Mitsuba's layout, `up` times as fine."""
+    height, width = L.shape[0] * up, L.shape[1] * up
     row = np.clip((np.arange(height) / (height - 1) * L.shape[0]).astype(int), 0, L.shape[0] - 1)
     column = ((((np.arange(width) + 0.5) / width - 0.25) % 1) * L.shape[1]).astype(int)
     return np.ascontiguousarray(L[row][:, column], dtype=np.float32)

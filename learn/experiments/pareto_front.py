@@ -1,8 +1,8 @@
 """Which setting reaches an error in the least time, over all cases at once: the Pareto front.
 
 A setting (method and knob) is chosen before the case is known, so that it is judged by all of its
-cases: by its median time, and by the median of its errors or the worst of them. An error is
-relative, as in learn.experiments.chart_measurement.
+cases: by the median of its errors or the worst of them, and by its median, 90th-percentile or worst
+time. An error is relative, as in learn.experiments.chart_measurement.
 """
 
 from __future__ import annotations
@@ -12,10 +12,17 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 LEVELS = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 OURS = "auto"
 CLOCKS, ERRORS = ("seconds", "forward"), ("error", "integral", "forward_error")
-JUDGES: Mapping[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
+JUDGES: dict[str, Callable[[list[float]], float]] = {"median": statistics.median, "worst": max}
+TIMES: dict[str, Callable[[list[float]], float]] = JUDGES | {
+    "90th percentile": lambda values: float(np.quantile(values, 0.9))
+}
+# the judges of errors and of times that go together: a typical case, and a limit that must hold
+PAIRS = (("median", "median"), ("worst", "90th percentile"), ("worst", "worst"))
 
 
 class Point(NamedTuple):
@@ -38,17 +45,17 @@ def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a dictionary per camera and setting, with its judged times and errors over all cases.
 
     rows     of learn.experiments.chart_measurement, one per case and setting
-    Returns  [{"camera", "method", "knob", clock: median, error: {judge: value}}]
+    Returns  [{"camera", "method", "knob", clock: {judge: value}, error: {judge: value}}]
     """
     grouped = defaultdict(list)
     for row in rows:
         grouped[row["camera"], row["method"], row["knob"]].append(row)
     return [
         {"camera": camera, "method": method, "knob": knob}
-        | {clock: statistics.median(row[clock] for row in same) for clock in CLOCKS}
         | {
-            error: {name: judge([row[error] for row in same]) for name, judge in JUDGES.items()}
-            for error in ERRORS
+            figure: {name: judge([row[figure] for row in same]) for name, judge in judges.items()}
+            for figures, judges in ((CLOCKS, TIMES), (ERRORS, JUDGES))
+            for figure in figures
         }
         for (camera, method, knob), same in grouped.items()
     ]
@@ -60,12 +67,16 @@ def points(
     error: str,
     judge: str,
     clock: str = "seconds",
+    time: str = "median",
 ) -> dict[str, list[Point]]:
-    """Return {method: its points} of a camera; settings are those of `summary`."""
+    """Return {method: its points} of a camera; settings are those of `summary`.
+
+    judge, time  of JUDGES and TIMES: which of a setting's errors and times counts
+    """
     result = defaultdict(list)
     for row in settings:
         if row["camera"] == camera:
-            result[row["method"]].append(Point(row[clock], row[error][judge], row["knob"]))
+            result[row["method"]].append(Point(row[clock][time], row[error][judge], row["knob"]))
     return dict(result)
 
 
@@ -84,9 +95,10 @@ def front(
     error: str,
     judge: str,
     clock: str = "seconds",
+    time: str = "median",
 ) -> dict[float, Front]:
     """Return {level: fastest setting} of those LEVELS that any setting reaches."""
-    of_methods, result = points(settings, camera, error, judge, clock), {}
+    of_methods, result = points(settings, camera, error, judge, clock, time), {}
     for level in LEVELS:
         if best := cheapest(of_methods, level):
             method = min(best, key=lambda name: best[name])

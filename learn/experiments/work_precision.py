@@ -1,9 +1,14 @@
 """Time every rendering method against the error that it makes: a work-precision chart.
 
 A sphere in materials from matte to mirror under several lights, from far and from near, is rendered
-by every method at several settings. A setting's time is the median over all materials and lights,
-of one thread, forward and backward; its error is the median over all cases, or the worst of them.
-cases.csv has each single case.
+by every method at several settings, and by three rivals: the sum in plain torch, as it is and
+compiled by torch.compile, and Mitsuba 3 (--mitsuba). Times are of one thread, forward and backward.
+A setting's time is the median over all materials and lights, their 90th percentile or the worst;
+its error is the median over all cases, or the worst of them. cases.csv has each single case;
+cases.jsonl keeps them, so that the same command continues.
+
+Fewer settings, every third of the materials and the first of the lights are measured on shapes with
+few distinct normals, a cube and a cylinder, and on a sphere in a picture of 256².
 """
 
 from __future__ import annotations
@@ -14,22 +19,23 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAMERAS = ("orthographic", "perspective")
+FURTHER = ("cube", "cylinder", "large sphere")
+LARGE = 256  # pixels of the large sphere's side
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the materials, lights and cameras, the size of pictures and the number of processes."""
+    """Add the materials, lights and cameras, the size of pictures, and the rivals."""
     parser.add_argument(
         "--quick",
         action="store_true",
         help="three materials, two lights and pictures of 64² at most: two minutes",
     )
-    options.add_size(parser, 256)
+    options.add_size(parser, 96)
     parser.add_argument(
         "--material",
         action="append",
@@ -52,32 +58,79 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--camera", nargs="+", choices=CAMERAS, default=CAMERAS, help="cameras (default: both)"
     )
     parser.add_argument(
-        "--processes",
-        type=positive,
-        default=1,
-        metavar="N",
-        help="number of cases measured side by side, on one thread each (default 1)",
+        "--further",
+        nargs="*",
+        choices=FURTHER,
+        default=FURTHER,
+        help="further shapes and sizes (default: all; without a name: none)",
+    )
+    parser.add_argument(
+        "--no-torch",
+        action="store_true",
+        help="leave plain torch out, whose compilation takes a minute",
+    )
+    parser.add_argument(
+        "--mitsuba",
+        action="store_true",
+        help="measure Mitsuba 3 too; needs the extra `witness`, and DRJIT_LIBLLVM_PATH",
     )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"measured": how much, "settings": learn.experiments.pareto_front.summary}."""
-    from learn.experiments import chart_cases, chart_measurement, pareto_front
+    """Return {"measured": how much, "settings": pareto_front.summary, "further": {scene: same}}."""
+    from learn.experiments import chart_cases, chart_measurement, mitsuba_rival, pareto_front
     from manifests import materials as catalogue
+    from manifests.errors import InputError
 
+    if arguments.mitsuba and not mitsuba_rival.is_installed():
+        raise InputError("--mitsuba", "the package mitsuba", "none", "pip install .[witness]")
     names = arguments.material or chart_cases.MATERIALS
     lights, size = chart_cases.lights(arguments.lights, arguments.light), arguments.size
+    further = [name for name in FURTHER if name in arguments.further]
     if arguments.quick:
         names, lights, size = names[::3], dict(list(lights.items())[:2]), min(size, 64)
+        further = []
     labels = {name: catalogue.find(name).label for name in names}
-    rows = chart_measurement.measured(labels, lights, arguments.camera, size, arguments.processes)
+    cases = [
+        chart_measurement.Case(m, label, L, light, camera, size)
+        for m, label in labels.items()
+        for L, light in lights.items()
+        for camera in arguments.camera
+    ]
+    few, one = dict(list(labels.items())[::3]), dict(list(lights.items())[:1])
+    scenes = {
+        name: ("sphere", LARGE) if name == "large sphere" else (name, size) for name in further
+    }
+    cases += [
+        chart_measurement.Case(m, label, L, light, camera, side, shape, leading=True)
+        for shape, side in scenes.values()
+        for m, label in few.items()
+        for L, light in one.items()
+        for camera in arguments.camera
+    ]
+    rows = chart_measurement.measured(
+        cases, arguments.out, not arguments.no_torch, arguments.mitsuba
+    )
     _write_cases(arguments.out / "cases.csv", rows)
+
+    def of(shape: str, side: int) -> list[dict[str, Any]]:
+        return [row for row in rows if (row["shape"], row["size"]) == (shape, side)]
+
+    main = of("sphere", size)
     measured: dict[str, Any] = {
-        f"{name}s": len({row[name] for row in rows})
+        f"{name}s": len({row[name] for row in main})
         for name in ("method", "material", "light", "camera")
     }
-    measured["pixels"] = max(row["pixels"] for row in rows)
-    return {"measured": measured, "settings": pareto_front.summary(rows)}
+    measured["pixels"] = max(row["pixels"] for row in main)
+    return {
+        "measured": measured,
+        "settings": pareto_front.summary(main),
+        "further": {
+            f"{shape}, {side}²": pareto_front.summary(of(shape, side))
+            for shape, side in scenes.values()
+            if (shape, side) != ("sphere", size)
+        },
+    }
 
 
 def _write_cases(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -103,7 +156,7 @@ def tables(report: runner.Report) -> str:
 
 
 def figure(report: runner.Report) -> Figure:
-    """Return time against error, with a line per method."""
+    """Return panels of time against error, with a line per method."""
     from learn.experiments import chart_drawing
 
     return chart_drawing.chart(report)

@@ -47,8 +47,10 @@ ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
 # requested: it is a small difference of large parts in matte materials
 FINER_CULLING, FINER_MAPS = 0.25, 0.1
 # what is tried where the check fails: more views if these are predicted to cost this part of the
-# tolerance, or where a map has been made larger before; sums at the pixels from this share of nodes
-NOTICED, WORTHWHILE = 0.2, 0.7
+# tolerance (by whether maps are read mirrored, where the prediction is too high), or where a map
+# was made larger before; sums at the pixels from this share of nodes
+NOTICED, WORTHWHILE = {False: 0.2, True: 0.8}, 0.7
+GROWTH = 1.25  # of a map's size where the check fails: most miss by little
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
 SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
 MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
@@ -100,10 +102,10 @@ def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
         size, views, pixels = strategy.size, strategy.views, len(scene.n)
         lost = max(view_error(scene, s, views, strategy.mirrored) for s in strategy.lobes)
         again = strategy.culled < 0.99 * culling(scene)[1]
-        if again or lost > NOTICED * scene.tolerance:
+        if again or lost > NOTICED[strategy.mirrored] * scene.tolerance:
             views = MORE_VIEWS[views, strategy.mirrored]
         else:
-            size = grown(size, pixels)
+            size = grown(size, pixels, GROWTH)
         if not size or not views or views * node_count(size) > WORTHWHILE * pixels:
             return Strategy(strategy.lobes, 0, level, culling(scene)[0] / 2.5)
         strategy = replace(strategy, size=size, views=views)
@@ -132,6 +134,8 @@ def best_plan(
         levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], map_share * tolerance / share[s], detail, scene.light.size[0])
+        if mirrored[s]:  # reflected directions turn faster than a distant viewer's, by V's part
+            size = math.ceil(size * (1 + scene.views.steepness))
         count = view_count(scene, s, bool(mirrored[s]), least)
         if count and size <= reflectance_map.LARGEST:
             by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)

@@ -57,9 +57,9 @@ def good(error: np.ndarray, level: float, tolerance: float) -> bool:
     )
 
 
-def grown(size: int, pixels: int) -> int:
+def grown(size: int, pixels: int, growth: float = GROWTH) -> int:
     """The next larger map; 0 where it would have more nodes than there are pixels."""
-    larger = math.ceil(GROWTH * size)
+    larger = math.ceil(growth * size)
     return 0 if larger > reflectance_map.LARGEST or node_count(larger) > pixels else larger
 
 

@@ -13,7 +13,8 @@ n'   the place where the pixel reads, and n_k the normal of a node's map k. Broa
      the normal itself, n' = n and n_k = n. Sharp ones are read where the node mirrors the same
      light into V(n') as the pixel does into v, so that highlights stay where they are; n_k likewise
 
-n, view (P, 3) float32 unit vectors, camera frame.
+n, view (P, 3) float32 unit vectors, camera frame. Arrays of float64 are computed by numpy, against
+which tests compare the kernels (learn/engines/view_places.py).
 """
 
 import functools
@@ -21,7 +22,8 @@ import math
 
 import numpy as np
 
-from learn.methods import directional
+from learn.engines import machine_code
+from learn.methods import directional, reflectance_map
 
 LEAST_DEPTH = 0.5  # of a view along their mean, 60° off it: beyond, no maps are made
 LEAST_HALF = 0.05  # of the offsets: polynomials over less lose digits
@@ -31,6 +33,7 @@ LEAST_COSINE, CONTRACTION = 0.2, 0.7
 FITTED = 1024  # pixels to which V is fitted
 STEPS, SETTLED = 8, 2e-4  # at most, to find a place, and the mean change at which it is found
 LEFT = 0.02  # of a derivative, that the series for V's part in a place may leave out
+PLACED = 3e-8  # seconds for each pixel
 RIDGE = 1e-3  # holds V where a picture's normals do not tell its terms apart
 
 
@@ -71,6 +74,7 @@ class Views:
     fit     (2, 6) coefficients of V's slopes
     half    (2,) half the width of the offsets, as if they were spread evenly
     spread  the larger half width, as it is; infinite where no maps should be made
+    steepness  half of V's slope by n: how much faster reflected directions turn, as a share
     least_cosine, terms  LEAST_COSINE for this fit, and terms of the series in `Places.backward`
     """
 
@@ -84,19 +88,23 @@ class Views:
         self.depth = np.maximum(depth, np.float32(LEAST_DEPTH))
         self.slopes = np.stack([a / self.depth, b / self.depth])
         pick = directional.spread_over(len(n), FITTED)
-        self.fit = fitted(n[pick], self.slopes[:, pick])
+        self.fit = np.ascontiguousarray(fitted(n[pick], self.slopes[:, pick]))
         offsets = self.slopes[:, pick] - self.middle(n[pick])
-        self.half = np.maximum(np.sqrt(3 * np.square(offsets).mean(1)), np.float32(LEAST_HALF))
+        wide = np.sqrt(3 * np.square(offsets).mean(1))
+        self.half = np.maximum(wide, np.float32(LEAST_HALF))
         # half of dV/dn, in the mean over directions and most pixels: a step towards a place changes
         # the next by that over n·v
-        by_n = [self.middle_backward(n[pick], one) for one in np.eye(2)[:, :, None]]
-        steep = np.sqrt(0.5 * (np.square(by_n[0]).sum(-1) + np.square(by_n[1]).sum(-1)))
-        steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
-        self.least_cosine = max(LEAST_COSINE, steepness / CONTRACTION)
-        contraction = min(2 * steepness, CONTRACTION)
+        (_, a1, a2, a3, a4, a5), (_, b1, b2, b3, b4, b5) = self.fit
+        x, y, z = n[pick].T
+        by_x = np.square(a1 + a4 * z) + np.square(b1 + b4 * z)
+        by_y = np.square(a2 + a5 * z) + np.square(b2 + b5 * z)
+        by_z = np.square(a3 + a4 * x + a5 * y) + np.square(b3 + b4 * x + b5 * y)
+        steep = np.sqrt(0.5 * (by_x + by_y + by_z))
+        self.steepness = 0.5 * float(np.quantile(steep, 0.9)) + 1e-9
+        self.least_cosine = max(LEAST_COSINE, self.steepness / CONTRACTION)
+        contraction = min(2 * self.steepness, CONTRACTION)
         self.terms = max(math.ceil(math.log(LEFT) / math.log(contraction)), 1)
-        spread = float(np.sqrt(3 * np.square(offsets).mean(1)).max())
-        self.spread = spread if float(depth.min()) > LEAST_DEPTH else math.inf
+        self.spread = float(wide.max()) if float(depth.min()) > LEAST_DEPTH else math.inf
 
     def middle(self, n: np.ndarray) -> np.ndarray:
         """Slopes (2, P) of V."""
@@ -157,8 +165,9 @@ class Views:
 def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Coefficients (2, 6) float32 of V by least squares."""
     terms = np.stack(features(n.astype(np.float64)))
-    gram = np.array([[(a * b).sum() for b in terms] for a in terms])
-    right = np.array([[(a * s).sum() for a in terms] for s in slopes.astype(np.float64)])
+    # einsum, for BLAS has threads that spin
+    gram = np.einsum("ip,jp->ij", terms, terms)
+    right = np.einsum("kp,ip->ki", slopes.astype(np.float64), terms)
     gram[1:, 1:] += RIDGE * len(n) * np.eye(len(terms) - 1)
     return np.linalg.solve(gram, right.T).T.astype(np.float32)
 
@@ -187,8 +196,11 @@ class Places:
 
     def __init__(self, n: np.ndarray, view: np.ndarray, views: Views, mirrored: bool):
         self.given, self.view, self.views, self.mirrored = n, view, views, mirrored
-        self.n = n
-        if mirrored:
+        self.n, self.compiled = n, n.dtype == np.float32 and machine_code.is_available()
+        if mirrored and self.compiled:
+            self.n, self.length = np.empty_like(n), np.empty(len(n), np.float32)
+            self.run("forward", STEPS, SETTLED, self.n, self.length)
+        elif mirrored:
             for _ in range(STEPS):  # V belongs to the place that is sought
                 before, self.middle = self.n, views.middle(self.n)
                 other = views.vectors(self.middle)
@@ -226,10 +238,25 @@ class Places:
         dy = self.combined(count, [j * x**i * y ** (j - 1) if j else None for i, j in powers])
         return np.stack([(by_weights * dx).sum(0), (by_weights * dy).sum(0)])
 
+    def run(self, kernel: str, steps: int, limit: float, *arrays: np.ndarray) -> None:
+        """Run a kernel of learn.engines.view_places over all pixels."""
+        views = self.views
+        limits = np.array([views.least_cosine, limit, *views.half], np.float32)
+        given = self.given, self.view, views.frame, views.fit, limits
+        reflectance_map.sliced(
+            len(self.given),
+            PLACED,
+            lambda first, last: machine_code.call(
+                f"view_places.{kernel}", first, last, steps, *given, *arrays
+            ),
+        )
+
     def backward(
         self, by_n: np.ndarray, by_coordinates: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by the pixels' normals and views (P, 3), from those by places and offsets."""
+        if self.compiled:
+            return self.backward_compiled(by_n, by_coordinates)
         views, by_view = self.views, np.zeros_like(by_n)
         if by_coordinates is not None:
             by_slopes = by_coordinates / views.half[:, None]
@@ -244,6 +271,20 @@ class Places:
         n, view = self.given, self.view
         share = 2 * dot(n, by_u) * (self.cosine > np.float32(views.least_cosine))
         return 2 * self.cosine * by_u + share * view, by_view - by_u + share * n
+
+    def backward_compiled(
+        self, by_n: np.ndarray, by_coordinates: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As `backward`, by the kernel."""
+        pixels, terms = len(by_n), self.views.terms if self.mirrored else -1
+        by_offsets = np.zeros((2, pixels), np.float32)
+        if by_coordinates is not None:
+            by_offsets += by_coordinates
+        length = self.length if self.mirrored else by_offsets[0]  # not read
+        result = np.empty((pixels, 3), np.float32), np.empty((pixels, 3), np.float32)
+        by_place = np.ascontiguousarray(by_n, np.float32)
+        self.run("backward", terms, LEAST_DEPTH, self.n, length, by_place, *by_offsets, *result)
+        return result
 
     def by_sum(self, by_n: np.ndarray) -> np.ndarray:
         """The derivative by u of n' = u/‖u‖."""

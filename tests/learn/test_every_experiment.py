@@ -37,7 +37,7 @@ def steps_of_all_parts(report):
 
 SMALLEST = {  # experiment: its words, and what must hold of its report
     "work-precision": (
-        "--size 8 --material chrome --light sky --camera orthographic",
+        "--size 8 --material chrome --light sky --camera orthographic --no-torch --further cube",
         lambda r: next(s for s in r["settings"] if s["method"] == "exact")["error"]["worst"] == 0,
     ),
     "tolerance-check": (

@@ -1,6 +1,18 @@
-"""The chart's front: which setting keeps an error in the least time, judged over all cases."""
+"""The chart: which setting keeps an error in the least time over all cases; shapes and rivals."""
 
-from learn.experiments import chart_drawing, pareto_front
+import numpy as np
+import pytest
+
+from learn.experiments import (
+    chart_cases,
+    chart_drawing,
+    chart_measurement,
+    chart_shapes,
+    eager_sum,
+    pareto_front,
+    torch_rival,
+)
+from manifests import materials as catalogue
 
 
 def rows():
@@ -12,7 +24,9 @@ def rows():
             ("quick", 1.0, error),
             ("rough", 0.1, 0.3),
         ):
-            times = {"seconds": seconds, "forward": 0.3 * seconds}
+            # one case of three takes auto five times as long, and quick twenty times
+            slow = {"auto": 5.0, "quick": 20.0}.get(method, 1.0) if case == 0 else 1.0
+            times = {"seconds": slow * seconds, "forward": 0.3 * seconds}
             errors = {"error": wrong, "integral": wrong, "forward_error": wrong}
             result.append(
                 {
@@ -37,13 +51,65 @@ def test_the_median_forgives_a_failure_and_the_worst_case_does_not():
     assert by_worst[1e-3] == ("auto", 2.0, 2.0)
 
 
+def test_a_limit_on_times_counts_the_slowest_cases():
+    settings = pareto_front.summary(rows())
+    by_median = pareto_front.front(settings, "near", "error", "median")
+    by_worst = pareto_front.front(settings, "near", "error", "median", time="worst")
+    assert by_median[1e-3].method == "quick"
+    assert by_worst[1e-3] == ("auto", 10.0, 10.0)
+    by_ninety = pareto_front.points(settings, "near", "error", "worst", time="90th percentile")
+    assert 2.0 < by_ninety["auto"][0].seconds < 10.0
+
+
 def test_levels_that_nothing_reaches_are_left_out():
     settings = pareto_front.summary(rows())
     assert min(pareto_front.front(settings, "near", "error", "worst")) == 1e-4
 
 
 def test_the_page_says_where_auto_is_not_the_fastest():
-    report = {"measured": {"cases": 3}, "settings": pareto_front.summary(rows())}
+    settings = pareto_front.summary(rows())
+    report = {"measured": {"cases": 3}, "settings": settings, "further": {"cube, 9²": settings}}
     page = chart_drawing.page(report)
-    assert "| 0.001 | quick | 1000.0 | 2000.0 | auto | 2000.0 | **2000.0** |" in page
-    assert len(chart_drawing.chart(report).axes) == 3
+    assert "| 0.001 | quick | 1000.0 | 2000.0 | auto | 8400.0 | **8400.0** |" in page
+    assert "## cube, 9²" in page
+    figure = chart_drawing.chart(report)
+    drawn = [axis for axis in figure.axes if axis.axison]
+    assert len(drawn) == 2 * len(pareto_front.PAIRS) + 1
+    titles = [axis.get_title() for axis in drawn]
+    assert "near: worst error against the converged integral" in titles
+
+
+@pytest.mark.parametrize("shape", chart_shapes.SHAPES)
+def test_shapes_have_unit_normals_that_face_the_viewer_over_two_fifths_of_the_picture(shape):
+    n = chart_shapes.SHAPES[shape](96)
+    inside = (n != 0).any(-1)
+    np.testing.assert_allclose(np.linalg.norm(n[inside], axis=-1), 1, atol=1e-12)
+    assert n[inside][:, 2].min() > 0
+    assert abs(inside.mean() - 0.4) < 0.01
+
+
+def test_a_cube_shows_three_normals_and_a_cylinder_as_many_as_columns_and_its_lid():
+    def distinct(shape):
+        n = chart_shapes.SHAPES[shape](96)
+        return len(np.unique(n[(n != 0).any(-1)].round(9), axis=0))
+
+    assert distinct("cube") == 3
+    columns = (chart_shapes.cylinder(96) != 0).any((0, 2)).sum()
+    assert distinct("cylinder") == columns + 1
+
+
+def test_plain_torch_is_compared_with_the_sum_and_its_time_is_scaled_to_all_pixels(monkeypatch):
+    case = chart_measurement.Case(
+        "pink-fabric",
+        catalogue.find("pink-fabric").label,
+        "sky",
+        chart_cases.computed_lights()["sky"],
+        "perspective",
+        24,
+    )
+    batch, _ = case.batch()
+    monkeypatch.setattr(torch_rival, "_clocked", lambda work: (1.0, work()))
+    timed = torch_rival.timed(eager_sum.tuned, batch)
+    assert timed.seconds == timed.forward == len(batch.n) / len(timed.pick)
+    errors = chart_measurement.truth_at(batch, timed.pick).errors(timed.radiance.numpy())
+    assert errors["error"] < 1e-5 < errors["integral"]

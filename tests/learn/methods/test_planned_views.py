@@ -331,3 +331,21 @@ def test_no_map_is_larger_than_the_largest_and_views_beyond_a_cone_have_none():
     assert all(strategy.size == 0 for strategy in plan)
     near = auto_views.best_plan(scene("matte", fov=40), (0, 1, 2), 1e-2)
     assert 0 < max(strategy.size for strategy in near) <= reflectance_map.LARGEST
+
+
+@pytest.mark.parametrize("mirrored", [False, True], ids=["in place", "mirrored"])
+def test_kernels_place_pixels_as_numpy_does_and_have_its_derivatives(mirrored, monkeypatch):
+    # until places no longer move: numpy stops by the mean over pixels, kernels at each pixel
+    monkeypatch.setattr(view_places, "SETTLED", 1e-9)
+    monkeypatch.setattr(view_places, "STEPS", 40)
+    n, view = seen(40)
+    views = view_places.Views(n, view)
+    g, h = RANDOM.normal(size=n.shape), RANDOM.normal(size=(2, len(n)))
+    found = []
+    for kind in (np.float32, np.float64):
+        places = view_places.Places(n.astype(kind), view.astype(kind), views, mirrored)
+        assert places.compiled == (kind == np.float32)
+        found.append([places.n, places.coordinates, *places.backward(g, h)])
+        found[-1] += places.backward(g, None)
+    for ours, right in zip(*found, strict=True):
+        assert np.abs(ours - right).max() < 1e-3 * np.abs(right).mean() + 1e-9
