@@ -53,10 +53,10 @@ def description() -> str:
 
 
 def prepare() -> None:
-    """Keep freed memory, as training does; called before an experiment runs, not for --help."""
-    from manifests.allocator import keep_freed
+    """Do what commands of `learn` do before they run; not called for --help."""
+    from learn.__main__ import prepare as prepare_command
 
-    keep_freed()
+    prepare_command()
 
 
 if __name__ == "__main__":
