@@ -105,8 +105,8 @@ def whole_verdict(whole: Mapping) -> str:
         return "The catalogue states no node fit: the limit over the whole mask cannot be judged."
     judged = "within" if whole["holds"] else "beyond"
     return (
-        "Over the whole mask, with what Cycles does at facets and at pixels that show several surfaces"
-        f" ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
+        "Over the whole mask, with what Cycles does at facets and at pixels that show several"
+        f" surfaces ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
         f" {whole['predicted']:.3g}; the node fit in the catalogue is"
         f" {whole['node_fit_catalogue']:.3g}: {judged} the limit of {LIMIT:g} times."
     )

@@ -63,7 +63,9 @@ def sample():
     L[15:20, 60:70] = 30
     given = Facets(
         *(
-            (values * mask[..., None] if values.shape[-1] == 3 else values * mask).astype(np.float32)
+            (values * mask[..., None] if values.shape[-1] == 3 else values * mask).astype(
+                np.float32
+            )
             for values in (facet, cosine, shares, other_normals, other_normals)
         ),
         others.astype(np.uint8),

@@ -142,6 +142,7 @@ def test_options_reach_a_worker_as_they_are(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
+        ("evaluate-network {room}/card.safetensors --device cuda", "found --device cuda"),
         ("evaluate --processes 2", "expected no --processes, found 2"),
         ("evaluate --device cuda", "expected no --device, found --device cuda"),
         ("evaluate-ladder --device cuda", "expected no --device, found --device cuda"),

@@ -82,7 +82,9 @@ def test_facets_come_back_and_files_without_them_hold_none(tmp_path, geometry, f
     np.testing.assert_array_equal(back.segments, geometry.segments)
 
 
-@pytest.mark.parametrize("wrong", [{numbered(OTHER_NORMALS[0])[2]: None}, {numbered(SHARE)[0]: np.nan}])
+@pytest.mark.parametrize(
+    "wrong", [{numbered(OTHER_NORMALS[0])[2]: None}, {numbered(SHARE)[0]: np.nan}]
+)
 def test_facets_in_part_or_not_finite_are_refused(tmp_path, geometry, facets, wrong):
     geometry.facets = facets
     write_geometry(tmp_path / "g.exr", geometry)
