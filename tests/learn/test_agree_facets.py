@@ -57,7 +57,9 @@ def sample():
     shares = np.zeros((OTHERS, *SIZE))
     shares[0], shares[3] = 0.6 * share, 0.4 * share
     others = np.stack([others] * OTHERS) * (shares > 0)
-    other_normals = np.stack([unit(facet + [0.1 * k, 0, 0]) for k in range(1, OTHERS + 1)])
+    other_normals = np.stack(
+        [unit(facet + np.array([0.1 * k, 0, 0])) for k in range(1, OTHERS + 1)]
+    )
     other_normals *= (others > 0)[..., None]
     L = rng.uniform(0.2, 1.0, (64, 128, 3))
     L[15:20, 60:70] = 30
