@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# surfaces besides the point's: of three bad pixels in chrome, with 3 one was off by 17 and one by 33
-# display values from all 32 points, with 7 none by more than 2 (docs/log.md, 2026-11-25)
+# surfaces besides the point's: with 3, two of three bad pixels were off by 17 and 33 display values
+# from the mean of all 32 points; with 7, none by more than 2 (docs/log.md, 2026-11-25)
 OTHERS = 7
 NORMALS = ("facet.X", "facet.Y", "facet.Z")
 COSINE = "facet.cosine"

@@ -70,26 +70,28 @@ def others(
     rows = np.nonzero(beside)
     if not len(rows[0]):
         return shares, surfaces
-    found = [Seen(*(values[rows] for values in each)) for each in (centre, *surfaces)]
+    surfaces_seen = [Seen(*(values[rows] for values in each)) for each in (centre, *surfaces)]
     counts = np.zeros((most + 1, len(rows[0])), np.int64)
     known = np.zeros_like(counts, bool)
     known[0] = True
     every = np.arange(len(rows[0]))
     for each in around:
         here = Seen(*(values[rows] for values in each))
-        alike = known & np.array([_alike(one, here) for one in found])
+        alike = known & np.array([_alike(one, here) for one in surfaces_seen])
         # the background has no normal: a product below any of two normals keeps it separate
-        near = np.array([np.where(one.mask & here.mask, _cosine(one, here), -2) for one in found])
+        near = np.array(
+            [np.where(one.mask & here.mask, _cosine(one, here), -2) for one in surfaces_seen]
+        )
         new = ~alike.any(0) & ~known.all(0)
         first = np.argmin(known, axis=0)
         nearest = np.argmax(np.where(alike.any(0), alike, known) * (near + 3), axis=0)
         counts[np.where(new, first, nearest), every] += 1
-        for k, one in enumerate(found):
+        for k, one in enumerate(surfaces_seen):
             added = new & (first == k)
             known[k] |= added
             for values, theirs in zip(one, here, strict=True):
                 values[added] = theirs[added]
-    for k, (one, all_pixels) in enumerate(zip(found[1:], surfaces, strict=True)):
+    for k, (one, all_pixels) in enumerate(zip(surfaces_seen[1:], surfaces, strict=True)):
         shares[k][rows] = counts[k + 1] / len(around)
         for values, theirs in zip(all_pixels, one, strict=True):
             values[rows] = theirs

@@ -119,11 +119,13 @@ def measured(
              are lost again and again
     """
     pieces = [(kind, k) for kind, count in counts.items() for k in range(count)]
-    found: dict[tuple[str, int], list[Measured]] = {}
+    answers: dict[tuple[str, int], list[Measured]] = {}
     for number, each in _here(bench, pieces) if cluster is None else _there(cluster, pieces):
-        found[pieces[number]] = each
+        answers[pieces[number]] = each
     return {
-        kind: [_joined(each) for each in zip(*(found[kind, k] for k in range(count)), strict=True)]
+        kind: [
+            _joined(each) for each in zip(*(answers[kind, k] for k in range(count)), strict=True)
+        ]
         for kind, count in counts.items()
     }
 
@@ -135,15 +137,15 @@ def _joined(batches: Sequence[Measured]) -> Measured:
     return values, [name for _, names in batches for name in names]
 
 
-Found = Generator[tuple[int, list[Measured]], None, None]
+Answers = Generator[tuple[int, list[Measured]], None, None]
 
 
-def _here(bench: Bench, pieces: Sequence[tuple[str, int]]) -> Found:
+def _here(bench: Bench, pieces: Sequence[tuple[str, int]]) -> Answers:
     for number, piece in enumerate(pieces):
         yield number, bench.measured(*piece)
 
 
-def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Found:
+def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
     settings = {
         "weights": list(cluster.weights),
         "data": cluster.data,
