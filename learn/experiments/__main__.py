@@ -54,9 +54,11 @@ def description() -> str:
 
 def prepare() -> None:
     """Do what commands of `learn` do before they run; not called for --help."""
-    from learn.__main__ import prepare as prepare_command
+    from manifests.allocator import keep_freed
+    from manifests.other_threads import use_one_blas_thread
 
-    prepare_command()
+    keep_freed()
+    use_one_blas_thread()
 
 
 if __name__ == "__main__":
