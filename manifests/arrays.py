@@ -183,7 +183,7 @@ FILES = {
 }
 PICTURE_TYPES = {array.name: array.type for array in PICTURE}
 GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
-FACET_TYPES = {array.name: array.type for array in FACETS}
+FACET_TYPES = {name: array.type for array in FACETS for name in facets.numbered(array.name)}
 PACKED_TYPES = {array.name: array.type for array in PACKED}
 PIXEL_BYTES = 4 * len(
     GEOMETRY_TYPES | FACET_TYPES
@@ -268,17 +268,18 @@ def read_picture(
 def encode_geometry(geometry: SeenGeometry) -> bytes:
     """Return the bytes of a geometry file."""
     layers = dict(zip(NORMAL_CHANNELS, np.moveaxis(geometry.normals, -1, 0), strict=True))
-    layers[DEPTH_CHANNEL] = geometry.depth
-    segments = {SEGMENT_CHANNEL: geometry.segments}
+    layers |= {DEPTH_CHANNEL: geometry.depth, SEGMENT_CHANNEL: geometry.segments}
     if geometry.facets is not None:
         layers |= facets.layers(geometry.facets)
-        segments[facets.OTHER_SEGMENT] = geometry.facets.other_segments
-    rounded = {
-        name: np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
-        for name, values in layers.items()
-    }
-    whole = {name: values.astype(np.uint32) for name, values in segments.items()}
-    return exr.encode(rounded | whole)
+    types = GEOMETRY_TYPES | FACET_TYPES
+    return exr.encode(
+        {
+            name: values.astype(np.uint32)
+            if types[name] == np.uint32
+            else np.rint(values.astype(np.float32) * STEPS_PER_UNIT) / STEPS_PER_UNIT
+            for name, values in layers.items()
+        }
+    )
 
 
 def read_geometry(
@@ -316,14 +317,14 @@ def read_geometry(
     _require_finite(path, "depth", depth)
     _require_unit(path, "normals", normals, whole > 0)
     seen = None
-    if facets.SHARE in channels:
+    if facets.COSINE in channels:
         for name in FACET_TYPES:
             _require_finite(path, name, channels[name])
         seen = facets.of_channels(channels)
         _require_unit(path, "facet normals", seen.normals, whole > 0)
         mixed = seen.other_segments > 0
-        _require_unit(path, "normals of the other surface", seen.other_normals, mixed)
-        _require_unit(path, "facet normals of the other surface", seen.other_facets, mixed)
+        _require_unit(path, "normals of other surfaces", seen.other_normals, mixed)
+        _require_unit(path, "facet normals of other surfaces", seen.other_facets, mixed)
     return Geometry(normals, depth, whole.astype(np.uint8), seen)
 
 
@@ -493,7 +494,8 @@ def _channels(
     if optional and any(name in channels for name in optional):
         if missing := [name for name in optional if name not in channels]:
             result = f"no {', '.join(missing)}"
-            raise InputError(path, f"all or none of {', '.join(optional)}", result, AGAIN)
+            rule = "all channels of points (docs/dataset.md), or none of them"
+            raise InputError(path, rule, result, AGAIN)
         types = types | optional
     sizes = {channels[name].shape for name in types}
     if (

@@ -3,10 +3,12 @@
 The layer shades the interpolated normals of a geometry file. Cycles also asks for the triangle's
 own normal, and for the interpolated one where it faces away from the viewer. It cannot sample a
 point, either: its narrowest pixel filter is a bell of 0.0025 pixels, so that next to an edge a
-pixel is a mean of two surfaces.
+pixel is a mean of several surfaces. On meshes that people made, small bevels that are seen edge-on
+show a dozen normals of three facets within it.
 
 Files that hold one of the channels hold all of them; files of square pixels, of perspective and of
-earlier versions hold none. Channels are float32 but for the segment, and 0 in the background.
+earlier versions hold none. Channels are float32 but for the segment, and 0 in the background. Where
+a name has a K, there is one channel for each K from 1 to OTHERS.
 """
 
 from collections.abc import Mapping
@@ -14,21 +16,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+# surfaces besides the point's: with 3, two of three bad pixels were off by 17 and 33 display values
+# from the mean of all 32 points; with 7, none by more than 2 (docs/log.md, 2026-11-25)
+OTHERS = 7
 NORMALS = ("facet.X", "facet.Y", "facet.Z")
 COSINE = "facet.cosine"
-SHARE = "other.share"
-OTHER_NORMALS = ("other.X", "other.Y", "other.Z")
-OTHER_FACETS = ("other.facet.X", "other.facet.Y", "other.facet.Z")
-OTHER_SEGMENT = "other.segment"
+SHARE = "other.K.share"
+OTHER_NORMALS = ("other.K.X", "other.K.Y", "other.K.Z")
+OTHER_FACETS = ("other.K.facet.X", "other.K.facet.Y", "other.K.facet.Z")
+OTHER_SEGMENT = "other.K.segment"
 VECTORS = {
     "triangle's own unit normal": NORMALS,
-    "interpolated unit normal of the other surface, which may face away": OTHER_NORMALS,
-    "triangle's unit normal of the other surface": OTHER_FACETS,
+    "interpolated unit normal of another surface, which may face away": OTHER_NORMALS,
+    "triangle's unit normal of that surface": OTHER_FACETS,
 }
 NUMBERS = {
     COSINE: "n·v of the interpolated normal, before it was made to face the viewer",
-    SHARE: "part of Cycles' pixel that shows another surface than the point in its middle",
-    OTHER_SEGMENT: "segment id of the other surface; 0 where it is the background",
+    SHARE: "part of Cycles' pixel that shows this surface and not the one in its middle",
+    OTHER_SEGMENT: "segment id of that surface; 0 where it is the background",
 }
 
 
@@ -37,18 +42,23 @@ class Facets(NamedTuple):
 
     normals         (height, width, 3) float32, unit normals of the triangles; they face the viewer
     cosine          (height, width) float32, n·v of the interpolated normals
-    share           (height, width) float32, of the pixel that shows another surface
-    other_normals   (height, width, 3) float32, interpolated; 0 where share is 0
-    other_facets    (height, width, 3) float32
-    other_segments  (height, width) uint8, 0 also where the other surface is the background
+    shares          (OTHERS, height, width) float32, of the pixel that show each other surface
+    other_normals   (OTHERS, height, width, 3) float32, interpolated; 0 where shares are 0
+    other_facets    (OTHERS, height, width, 3) float32
+    other_segments  (OTHERS, height, width) uint8, 0 also where the surface is the background
     """
 
     normals: np.ndarray
     cosine: np.ndarray
-    share: np.ndarray
+    shares: np.ndarray
     other_normals: np.ndarray
     other_facets: np.ndarray
     other_segments: np.ndarray
+
+    @property
+    def share(self) -> np.ndarray:
+        """(height, width) float32: which part of a pixel shows other surfaces, all together."""
+        return self.shares.sum(0)
 
     def interpolated(self, normals: np.ndarray) -> np.ndarray:
         """Return the interpolated normals (height, width, 3) float32 as they were.
@@ -64,26 +74,38 @@ class Facets(NamedTuple):
         return np.where(away, leaning, normals).astype(np.float32)
 
 
+def numbered(name: str) -> list[str]:
+    """Return the channels that a name stands for: one for each K where it has a K."""
+    if ".K." not in name:
+        return [name]
+    return [name.replace(".K.", f".{k}.") for k in range(1, OTHERS + 1)]
+
+
 def layers(facets: Facets) -> dict[str, np.ndarray]:
-    """Return {channel: (height, width) float32} of Facets, without the segment."""
-    vectors = (facets.normals, facets.other_normals, facets.other_facets)
-    result = {COSINE: facets.cosine, SHARE: facets.share}
-    for names, values in zip(VECTORS.values(), vectors, strict=True):
-        result |= dict(zip(names, np.moveaxis(values, -1, 0), strict=True))
+    """Return {channel: (height, width)} of Facets: float32, and uint8 of segments."""
+    result = {COSINE: facets.cosine} | dict(
+        zip(NORMALS, np.moveaxis(facets.normals, -1, 0), strict=True)
+    )
+    vectors = ((OTHER_NORMALS, facets.other_normals), (OTHER_FACETS, facets.other_facets))
+    each = [(SHARE, facets.shares), (OTHER_SEGMENT, facets.other_segments)] + [
+        (name, values[..., axis]) for names, values in vectors for axis, name in enumerate(names)
+    ]
+    for name, values in each:
+        result |= dict(zip(numbered(name), values, strict=True))
     return result
 
 
 def of_channels(channels: Mapping[str, np.ndarray]) -> Facets:
     """Return the Facets of a file's channels, which must all be there."""
-    normals, other_normals, other_facets = (
-        np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
-        for names in VECTORS.values()
-    )
+
+    def stacked(name: str) -> np.ndarray:
+        return np.stack([channels[each].astype(np.float32) for each in numbered(name)])
+
     return Facets(
-        normals,
+        np.stack([channels[name].astype(np.float32) for name in NORMALS], axis=-1),
         channels[COSINE].astype(np.float32),
-        channels[SHARE].astype(np.float32),
-        other_normals,
-        other_facets,
-        channels[OTHER_SEGMENT].astype(np.uint8),
+        stacked(SHARE),
+        np.stack([stacked(name) for name in OTHER_NORMALS], axis=-1),
+        np.stack([stacked(name) for name in OTHER_FACETS], axis=-1),
+        stacked(OTHER_SEGMENT).astype(np.uint8),
     )

@@ -314,14 +314,14 @@ class Studio:
         """Return the Facets of points, of which `at` is the surface."""
         around = [self._surface(x, y).pasted() for x, y in points.offsets()]
         centre = at.pasted()
-        share, other = points.other(centre, around)
+        shares, others = points.others(centre, around)
         return Facets(
             centre.facets,
             centre.normals[..., 2],
-            share,
-            other.normals,
-            other.facets,
-            other.segments,
+            shares,
+            np.stack([other.normals for other in others]),
+            np.stack([other.facets for other in others]),
+            np.stack([other.segments for other in others]),
         )
 
     def _surface(self, rightwards: float = 0.0, upwards: float = 0.0) -> _Surface:

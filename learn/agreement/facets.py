@@ -1,19 +1,19 @@
 """What Cycles does at facets, by the closed form of direct light, over the whole mask of a scene.
 
 The layer alone is compared inside silhouettes and creases only. Over the whole mask Cycles differs
-from it by three causes that shaders.direct_light computes, and by pixels that show two surfaces.
-With geometry files that hold what these depend on (manifests.facets), four closed forms of the
-nodes are computed at every pixel (letters as in learn.agreement.measure):
+from it by three causes that shaders.direct_light computes, and by pixels that show several
+surfaces. With geometry files that hold what these depend on (manifests.facets), four closed forms
+of the nodes are computed at every pixel (letters as in learn.agreement.measure):
 
 N   at the record's normals, as the layer has them
 F   with facets: light from below them is lost in part, and normals may face away
 H   and with the half vectors that Cycles draws wrongly
-M   and with the second surface of pixels beside edges: the mean that Cycles' filter takes
+M   and with the other surfaces of pixels beside edges: the mean that Cycles' filter takes
 
 The layer's prediction of Cycles' picture is I · H / N, and beside edges (1 − s) I · H / N + s H′,
-where the share s of the pixel shows another surface with the closed form H′. Where the interpolated
-normal faces away the layer has nothing to predict, for a record's normals face the viewer: H itself
-is the prediction there, and `away` counts these pixels.
+where the share s of the pixel shows other surfaces with the mean closed form H′. Where the
+interpolated normal faces away the layer has nothing to predict, for a record's normals face the
+viewer: H itself is the prediction there, and `away` counts these pixels.
 """
 
 from collections.abc import Sequence
@@ -44,6 +44,7 @@ FIGURES = (
     "node_fit",
     "nodes",
     "nodes_points",
+    "nodes_low",
     "beside",
     "away",
 )
@@ -53,7 +54,7 @@ FIGURES = (
 class ClosedForms:
     """The closed forms N, F, H and M of the nodes, (H, W, 3) float64, 0 outside the mask.
 
-    share  (H, W) of each pixel that shows another surface than the point
+    share  (H, W) of each pixel that shows other surfaces than the point
     away   (H, W) bool: the interpolated normal faces away
     low    (H, W) bool: it does not, but lies closer to the horizon than UNFITTED
     """
@@ -101,12 +102,14 @@ def closed_forms(sample: Sample, mixtures: Sequence[Mixture]) -> ClosedForms | N
             interpolated[differs], SAMPLES, facets.normals[differs], misdirected=False
         )
         points[here] = cut[here] + direct.mistaken(interpolated[here], facets.normals[here])
-        there = (facets.share > 0) & (facets.other_segments == number)
-        others[there] = direct.at(facets.other_normals[there], SAMPLES, facets.other_facets[there])
-    share = facets.share[..., None]
-    pixels = (1 - share) * points + share * others
+        there = (facets.shares > 0) & (facets.other_segments == number)
+        added = direct.at(facets.other_normals[there], SAMPLES, facets.other_facets[there])
+        # a pixel may show several surfaces of this material
+        np.add.at(others, np.nonzero(there)[1:], facets.shares[there][:, None] * added)
+    share = facets.share
+    pixels = (1 - share[..., None]) * points + others
     low = (segments > 0) & ~away & (facets.cosine < UNFITTED)
-    return ClosedForms(plain, cut, points, pixels, facets.share, away, low)
+    return ClosedForms(plain, cut, points, pixels, share, away, low)
 
 
 def figures(
@@ -126,6 +129,7 @@ def figures(
     node_fit          display L2 between the prediction and the nodes' closed form M
     nodes             net, of M itself: what no cause explains
     nodes_points      its part without pixels beside edges
+    nodes_low         of that, the part of pixels with n·v below UNFITTED
     beside, away      share of the mask beside edges, and where normals face away
 
     pictures  (seeds, H, W, 3) Cycles' radiance
@@ -153,10 +157,11 @@ def figures(
         "second_surface": float(squared_difference(H, P).mean()),
         "predicted": float(net(P).mean()),
         "predicted_points": without_edges(net(P)),
-        "predicted_low": float((net(P) * low)[~beside].sum() / len(low)),
+        "predicted_low": without_edges(net(P) * low),
         "node_fit": float(squared_difference(P, M).mean()),
         "nodes": float(net(M).mean()),
         "nodes_points": without_edges(net(M)),
+        "nodes_low": without_edges(net(M) * low),
         "beside": float(beside.mean()),
         "away": float(forms.away[mask].mean()),
     }

@@ -28,13 +28,14 @@ WHOLE = {
     "layer": "the layer alone",
     "facets": "facets, and normals that face away",
     "half_vectors": "half vectors that Cycles draws wrongly",
-    "second_surface": "pixels that show two surfaces",
+    "second_surface": "pixels that show several surfaces",
     "predicted": "the layer with all three",
     "predicted_points": "of that, away from edges",
     "predicted_low": "of that, where n·v is below 0.07 and label and nodes were not fitted",
     "node_fit": "node fit at these pixels",
     "nodes": "the nodes' closed form: what is left",
     "nodes_points": "of that, away from edges",
+    "nodes_low": "of that, where n·v is below 0.07",
 }
 DIFFERENCE_GAIN = 4.0  # display steps are shown this many times larger, around grey
 STYLE = """
@@ -104,8 +105,8 @@ def whole_verdict(whole: Mapping) -> str:
         return "The catalogue states no node fit: the limit over the whole mask cannot be judged."
     judged = "within" if whole["holds"] else "beyond"
     return (
-        "Over the whole mask, with what Cycles does at facets and at pixels that show two surfaces"
-        f" ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
+        "Over the whole mask, with what Cycles does at facets and at pixels that show several"
+        f" surfaces ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
         f" {whole['predicted']:.3g}; the node fit in the catalogue is"
         f" {whole['node_fit_catalogue']:.3g}: {judged} the limit of {LIMIT:g} times."
     )

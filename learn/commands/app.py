@@ -6,7 +6,8 @@ import argparse
 import ipaddress
 from pathlib import Path
 
-from learn.commands import editing_options, options
+from learn.commands import options
+from manifests import other_threads
 from manifests.errors import InputError
 
 LOCAL = "127.0.0.1"
@@ -63,7 +64,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
-    editing_options.let_waiting_threads_sleep()
+    other_threads.let_waiting_threads_sleep()
     from learn.data import devices
 
     if arguments.repeat is not None:

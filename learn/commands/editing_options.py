@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from typing import TYPE_CHECKING
 
 from learn.commands import options
@@ -12,15 +11,6 @@ if TYPE_CHECKING:
     from learn.editing.edit import EditOptions
 
 LARGEST_FACTOR = 100  # of a white balance
-
-
-def let_waiting_threads_sleep() -> None:
-    """Let threads of torch that wait for work sleep instead of spin; call it before torch loads.
-
-    An edit's parallel steps are short and many, and threads that spin between them take processor
-    time from the next step, and from other programs. A policy that the user sets stays.
-    """
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -57,6 +57,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     options.add_allow_overlap(parser)
     options.add_device(parser)
+    options.add_ray(parser)
     parser.set_defaults(run=run)
 
 
@@ -66,10 +67,11 @@ def run(arguments: argparse.Namespace) -> None:
 
     from learn.data import devices, sources
     from learn.data.settings import decode_run
-    from learn.evaluation import model_card, overlap
+    from learn.evaluation import card_batches, model_card, overlap
     from learn.networks import weights as checkpoint
 
-    device = devices.choose(arguments.device)
+    options.require_cpu(arguments)
+    device = devices.choose(arguments.device if arguments.ray is None else "cpu")
     _, metadata = checkpoint.load_network(arguments.weights)
     settings = decode_run(json.dumps(metadata["run"]).encode(), arguments.weights)
     data_splits = sources.data_splits(
@@ -81,6 +83,15 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.data,
         arguments.allow_overlap,
     )
+    cluster = None
+    if arguments.ray is not None:
+        cluster = card_batches.Cluster(
+            arguments.ray,
+            [arguments.weights, *arguments.other_seeds],
+            arguments.data,
+            arguments.lights,
+            arguments.pictures,
+        )
     figures = model_card.make(
         arguments.weights,
         data_splits,
@@ -91,6 +102,7 @@ def run(arguments: argparse.Namespace) -> None:
         device,
         seen,
         arguments.printed,
+        cluster,
     )
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from learn.commands import editing_options, options
+from manifests import other_threads
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -76,7 +77,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
-    editing_options.let_waiting_threads_sleep()
+    other_threads.let_waiting_threads_sleep()
     from learn.editing import transfer
 
     editing_options.check(

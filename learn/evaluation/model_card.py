@@ -4,7 +4,7 @@ It is made from the run's own files and measured again: `python -m learn evaluat
 """
 
 import json
-from collections.abc import Iterable, Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,20 +12,17 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data import devices
-from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
-from learn.data.rendered import RenderedDataset
-from learn.data.settings import Run, decode_run
+from learn.data.relit import DataSplit
+from learn.data.settings import decode_run
+from learn.evaluation import card_batches
 from learn.metrics import bootstrap
 from learn.networks import weights as checkpoint
-from learn.networks.prediction import Prediction
 from learn.training import montage as training_montage
 from learn.training import validation
 from manifests import files
 from manifests.errors import InputError
 
-BATCH, SEED = 16, 77
+SHEETS = {"relit": "sheet.jpg", "cycles": "sheet-cycles.jpg"}  # {kind of pictures: contact sheet}
 WORDS = {
     "angle_deg": "normals, mean angle (°)",
     "cosine": "normals, mean cosine",
@@ -52,6 +49,7 @@ def make(
     device: str | torch.device = "cpu",
     seen: Sequence[str] = (),
     printed: bool = False,
+    cluster: card_batches.Cluster | None = None,
 ) -> dict[str, dict[str, list[float]]]:
     """Measure weights on the test split: on relit pictures, and on all of its rendered ones.
 
@@ -59,6 +57,7 @@ def make(
     device   where networks and the layer compute
     seen     learn.evaluation.overlap.sentences of the weights and the test split
     printed  whether the relit pictures are measured again with patterns over their materials
+    cluster  that measures the batches; None: this process does
     Writes   card.md, card.json, sheet.jpg and sheet-cycles.jpg into `out`
     Returns  {"figures", "cycles", "printed"} of what there is, each {figure: [mean, low, high]}
     Raises   InputError where one of the seeds is of another run, or a seed is there twice
@@ -72,7 +71,12 @@ def make(
     others = [_same_run(path, weights, run, device) for path in seeds]
     _all_different([weights, *seeds], [run, *(other for _, _, other in others)])
     out.mkdir(parents=True, exist_ok=True)
-    constant = validation.mean_albedo(data_splits["train"])
+    bench = card_batches.Bench(
+        [network, *(other for other, _, _ in others)],
+        run,
+        test,
+        validation.mean_albedo(data_splits["train"]),
+    )
     report = {
         "run": metadata["run"],
         "step": metadata.get("step"),
@@ -85,34 +89,42 @@ def make(
             [run.seed, report["step"]],
             *([other.seed, step] for _, step, other in others),
         ]
-    relit = RelitDataset(test, run.data, BATCH, run.size, SEED)
-    places: list[tuple[str, RelitDataset | RenderedDataset, int, str]] = [
-        ("", relit, batches, "sheet.jpg")
-    ]
+    counts = {"relit": batches}
     if test.rendered_split:
-        rendered = RenderedDataset(test, run.data, 1, run.size, SEED)
-        places.append(
-            ("cycles", rendered, len(cast(Sized, test.rendered_split)), "sheet-cycles.jpg")
-        )
+        counts["cycles"] = len(cast(Sized, test.rendered_split))
         report["cycles_about"] = _of_split(test.rendered_split)
-    for where, source, count, sheet_name in places:
-        results = [
-            measured(network, run, (source[k] for k in range(count)), constant, out / sheet_name)
-        ]
-        results += [
-            measured(other, run, (source[k] for k in range(count)), constant)
-            for other, _, _ in others
-        ]
-        report |= _under(where, results)
+    for kind, count in counts.items():
+        _draw_sheet(bench, kind, count, out / SHEETS[kind])
     if printed:
-        report["printed"] = under_patterns(network, run, test, batches)
+        counts |= dict.fromkeys(card_batches.PATTERNS, batches)
+    results = card_batches.measured(bench, counts, cluster)
+    for kind in [kind for kind in counts if kind in SHEETS]:
+        report |= _under("" if kind == "relit" else kind, results[kind])
+    if printed:
+        report["printed"] = _under_patterns(results)
     with files.transaction():
         files.write_json(out / "card.json", report)
         files.write_text(out / "card.md", _page(report))
     return {key: report[key] for key in ("figures", "cycles", "printed") if key in report}
 
 
-def under_patterns(network: Any, run: Run, test: DataSplit, batches: int) -> dict[str, list[float]]:
+def _draw_sheet(bench: card_batches.Bench, kind: str, count: int, path: Path) -> None:
+    """Draw the first pictures of a kind, with what the first network predicts of them."""
+    rows: list[np.ndarray] = []
+    shown = 0
+    for k in range(count):
+        batch, prediction = bench.predicted(
+            bench.networks[0], bench.batch(kind, k), bench.run.parts
+        )
+        rows.append(training_montage.contact_sheet(batch, prediction))
+        shown += len(batch.names)
+        if shown >= training_montage.ROWS:
+            break
+    cells = np.concatenate(rows)[: training_montage.ROWS * bench.run.size]
+    files.write_image(path, cells, "JPEG", quality=90)
+
+
+def _under_patterns(results: Mapping[str, Sequence[card_batches.Measured]]) -> dict[str, list]:
     """Return the angle of normals on relit pictures without and with printed patterns.
 
     Both are the same pictures but for the patterns, which every one of the latter has.
@@ -120,24 +132,8 @@ def under_patterns(network: Any, run: Run, test: DataSplit, batches: int) -> dic
     Returns  {"plain_angle_deg", "printed_angle_deg", "ratio"}, each [mean, low, high] over shapes
              and materials; ratio: of the mean angles, printed by plain
     """
-    angles: list[np.ndarray] = []
-    names: list[str] = []
-    device = devices.of(network)
-    for share in (0.0, 1.0):
-        source = RelitDataset(test, run.data, BATCH, run.size, SEED, printed=share)
-        errors, names = [], []
-        for k in range(batches):
-            batch = source[k].to(device)
-            with torch.no_grad():
-                segments = batch.segments if run.data.regions > 1 else None
-                prediction = network(
-                    batch.image, batch.mask, segments, ("normals",), regions=run.data.regions
-                )
-            cosine = (prediction.n * batch.n).sum(1).clamp(-1, 1)
-            angle = cosine.arccos().rad2deg()
-            errors.append(validation.means(angle, batch.segments > 0))
-            names += batch.names
-        angles.append(np.concatenate(errors))
+    (plain, names), (under, _) = (results[kind][0] for kind in card_batches.PATTERNS)
+    angles = [values["angle_deg"] for values in (plain, under)]
     resampled = bootstrap.draws(
         bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
     )
@@ -195,40 +191,6 @@ def _under(where, found):
             for key in values
         }
     return report
-
-
-def measured(
-    network: Any,
-    run: Run,
-    batches: Iterable[ExampleBatch],
-    constant_albedo: Any,
-    sheet_path: Path | None = None,
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return ({figure: (P,)}, names (P,)) over batches.
-
-    The first pictures are drawn as a contact sheet, if there is a path for it.
-    """
-    rows: list[dict[str, np.ndarray]] = []
-    names: list[str] = []
-    shown: list[tuple[ExampleBatch, Prediction]] = []
-    device = devices.of(network)
-    for batch in batches:
-        batch = batch.to(device)
-        with torch.no_grad():
-            segments = batch.segments if run.data.regions > 1 else None
-            prediction = network(
-                batch.image, batch.mask, segments, run.parts, regions=run.data.regions
-            )
-        rows.append(validation.of(prediction, batch, constant_albedo))
-        names += batch.names
-        if sum(len(each.names) for each, _ in shown) < training_montage.ROWS:
-            shown.append((batch, prediction))
-    if sheet_path:
-        cells = np.concatenate([training_montage.contact_sheet(*each) for each in shown])[
-            : training_montage.ROWS * run.size
-        ]
-        files.write_image(sheet_path, cells, "JPEG", quality=90)
-    return {key: np.concatenate([row[key] for row in rows]) for key in rows[0]}, names
 
 
 def _interval(values, weights):

@@ -53,10 +53,12 @@ def description() -> str:
 
 
 def prepare() -> None:
-    """Keep freed memory, as training does; called before an experiment runs, not for --help."""
+    """Do what commands of `learn` do before they run; not called for --help."""
     from manifests.allocator import keep_freed
+    from manifests.other_threads import use_one_blas_thread
 
     keep_freed()
+    use_one_blas_thread()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ keeps a line per picture: the same command continues.
 from __future__ import annotations
 
 import argparse
-import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from learn.data.relit import RelitDataset
     from learn.networks.prediction import Coded
 
+ON_RAY = True
 FACING = "facing the viewer"
 DRAWS = 500
 MOST_FAMILIES = 40  # of a report: further ones have no row of their own
@@ -80,15 +80,20 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     files.pin_settings(arguments.out / "settings.json", about)
     networks = {_name(path): checkpoint.load_network(path)[0] for path in arguments.weights}
-    rows, sentences = [], []
+    todo, sentences = [], []
     for folder in arguments.data:
         source = photographs_of(folder, arguments.weights[0])
         shown = overlap.of_split(source.data_split)
         sentences += overlap.sentences(arguments.weights, shown, folder, arguments.allow_overlap)
-        numbers = range(arguments.pictures)
-        todo = [({"picture": f"{folder.name} {k}", "data": folder.name}, k) for k in numbers]
-        row = functools.partial(row_of, source, networks)
-        rows += runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
+        todo += [
+            ({"picture": f"{folder.name} {k}", "data": folder.name}, (source, k))
+            for k in range(arguments.pictures)
+        ]
+
+    def row(case: tuple[RelitDataset, int]) -> dict[str, Any]:
+        return row_of(case[0], networks, case[1])
+
+    rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
     return {"rows": rows, "seen": sorted(set(sentences)), "weights": list(networks)}
 
 

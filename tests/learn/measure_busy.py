@@ -1,6 +1,10 @@
 """Time an edit alone and beside busy processes, in turn: wall clock and processor seconds.
 
-PYTHONPATH=. python tests/learn/measure_busy.py PHOTO MASK [--busy 4] [--rounds 2]
+PYTHONPATH=. python tests/learn/measure_busy.py [PHOTO MASK] [--busy 4] [--rounds 2]
+
+Without a photograph it edits the example. Each row says how many processes ran or waited for a core
+before the edit began: figures "alone" need a machine where this is near 0. OPENBLAS_NUM_THREADS=2
+measures what a second thread of OpenBLAS costs.
 """
 
 import argparse
@@ -28,10 +32,16 @@ def busy(count: int) -> Iterator[None]:
             each.wait()
 
 
-def edit(photo: Path, mask: Path) -> tuple[float, float]:
+def running() -> int:
+    """Return how many threads of other processes run or wait for a core."""
+    return int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0]) - 1
+
+
+def edit(photo: str, mask: Path | None) -> tuple[float, float]:
     """Return wall-clock and processor seconds of one edit, the program's start included."""
     with tempfile.TemporaryDirectory() as folder:
-        words = ["edit", str(photo), "--mask", str(mask), "--material", "brass", "--out", folder]
+        words = ["edit", photo, "--material", "brass+keep" if mask is None else "brass"]
+        words += ["--out", folder, *(() if mask is None else ("--mask", str(mask)))]
         before, start = os.times(), time.perf_counter()
         subprocess.run(
             [sys.executable, "-m", "learn", *words, "--overwrite"], check=True, capture_output=True
@@ -46,18 +56,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("photo", type=Path)
-    parser.add_argument("mask", type=Path)
+    parser.add_argument("photo", nargs="?", default="example:espresso-cup")
+    parser.add_argument("mask", type=Path, nargs="?")
     parser.add_argument("--busy", type=int, default=4)
     parser.add_argument("--rounds", type=int, default=2)
     options = parser.parse_args()
-    alone, beside = [], []
+    alone: list[tuple[float, float]] = []
+    beside: list[tuple[float, float]] = []
     for _ in range(options.rounds):
-        alone.append(edit(options.photo, options.mask))
-        with busy(options.busy):
-            beside.append(edit(options.photo, options.mask))
-        for name, (wall, processor) in (("alone", alone[-1]), ("beside", beside[-1])):
-            print(f"{name:8}{wall:7.1f} s wall clock {processor:7.1f} s processor", flush=True)
+        for name, count, times in (("alone", 0, alone), ("beside", options.busy, beside)):
+            load = running()
+            with busy(count):
+                times.append(edit(options.photo, options.mask))
+            wall, processor = times[-1]
+            print(
+                f"{name:8}{wall:7.1f} s wall clock {processor:7.1f} s processor; {load} others",
+                flush=True,
+            )
     for k, name in enumerate(("wall clock", "processor")):
         ratio = min(each[k] for each in beside) / min(each[k] for each in alone)
         print(f"ratio, {name}: {ratio:.2f}")

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from learn.agreement import facets, page, summary
-from manifests.facets import Facets
+from manifests.facets import OTHERS, Facets
 from shaders import frames
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
@@ -54,13 +54,21 @@ def sample():
     share = np.where((np.arange(48).reshape(SIZE) % 5 == 0) & mask, 0.4, 0)
     others = np.where(share > 0, 3 - segments, 0)
     others[2] = 0  # the background
-    other_normals = unit(facet + np.array([0.3, 0, 0])) * (others > 0)[..., None]
+    shares = np.zeros((OTHERS, *SIZE))
+    shares[0], shares[3] = 0.6 * share, 0.4 * share
+    others = np.stack([others] * OTHERS) * (shares > 0)
+    other_normals = np.stack(
+        [unit(facet + np.array([0.1 * k, 0, 0])) for k in range(1, OTHERS + 1)]
+    )
+    other_normals *= (others > 0)[..., None]
     L = rng.uniform(0.2, 1.0, (64, 128, 3))
     L[15:20, 60:70] = 30
     given = Facets(
         *(
-            (values * mask[..., None] if values.ndim == 3 else values * mask).astype(np.float32)
-            for values in (facet, cosine, share, other_normals, other_normals)
+            (values * mask[..., None] if values.shape[-1] == 3 else values * mask).astype(
+                np.float32
+            )
+            for values in (facet, cosine, shares, other_normals, other_normals)
         ),
         others.astype(np.uint8),
     )
@@ -84,11 +92,12 @@ def truth(sample, mixtures):
             sample.segments.numpy(),
             1 - sample.facets.share,
         ),
-        (
+        *zip(
             sample.facets.other_normals,
             sample.facets.other_facets,
             sample.facets.other_segments,
-            sample.facets.share,
+            sample.facets.shares,
+            strict=True,
         ),
     )
     radiance = np.zeros((*SIZE, 3))

@@ -5,6 +5,8 @@ Each test fails if one of them is dropped on the way.
 
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -283,13 +285,21 @@ def middle(picture):
 
 
 @pytest.mark.parametrize("command", ["edit", "predict", "transfer", "app"])
-@pytest.mark.parametrize("before, after", [(None, "passive"), ("active", "active")])
+@pytest.mark.parametrize(
+    "variable, before, after",
+    [
+        ("OMP_WAIT_POLICY", None, "passive"),
+        ("OMP_WAIT_POLICY", "active", "active"),
+        ("OPENBLAS_NUM_THREADS", None, "1"),
+        ("OPENBLAS_NUM_THREADS", "2", "2"),
+    ],
+)
 def test_threads_that_wait_sleep_unless_the_user_says_otherwise(
-    command, before, after, monkeypatch, tmp_path
+    command, variable, before, after, monkeypatch, tmp_path
 ):
-    monkeypatch.setenv("OMP_WAIT_POLICY", before or "")
+    monkeypatch.setenv(variable, before or "")
     if before is None:
-        monkeypatch.delenv("OMP_WAIT_POLICY")
+        monkeypatch.delenv(variable)
     words = {
         "edit": ["none.png", "--material", "brass"],
         "predict": ["none.png"],
@@ -298,4 +308,38 @@ def test_threads_that_wait_sleep_unless_the_user_says_otherwise(
     }[command]
     out = [] if command == "app" else ["--out", str(tmp_path / "out")]
     assert main("learn", "", COMMANDS, [command, *words, *out]) in (1, 2)
-    assert os.environ["OMP_WAIT_POLICY"] == after
+    assert os.environ[variable] == after
+
+
+# prints how many threads the process has once a command has run and scipy is loaded
+COUNT_THREADS = """
+import os
+from learn.__main__ import COMMANDS, main, prepare
+
+main("learn", "", COMMANDS, ["edit", "none.png", "--material", "brass", "--out", "x"],
+     prepare=prepare)
+import scipy.optimize
+
+print(len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or (os.cpu_count() or 1) < 2, reason="counts a second core's threads"
+)
+def test_openblas_starts_no_threads_in_commands(tmp_path):
+    """It reads the variable when numpy is loaded, which no command may have done before."""
+
+    def count(variables):
+        others = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        done = subprocess.run(
+            [sys.executable, "-c", COUNT_THREADS],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+            env=others | {"PYTHONPATH": os.pathsep.join(sys.path)} | variables,
+        )
+        return int(done.stdout.split()[-1])
+
+    assert count({}) == count({"OPENBLAS_NUM_THREADS": "1"}) < count({"OPENBLAS_NUM_THREADS": "2"})

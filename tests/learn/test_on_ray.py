@@ -15,7 +15,9 @@ import pytest
 import torch
 
 from learn.__main__ import COMMANDS as LEARN
-from learn.evaluation import bench
+from learn.data.settings import Data, Run
+from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.evaluation import bench, card_batches
 from learn.experiments import on_ray, runner
 from learn.experiments.__main__ import COMMANDS as EXPERIMENTS
 from learn.networks.coding import Ranges
@@ -24,7 +26,7 @@ from learn.networks.weights import save_weights
 from manifests import files
 from manifests.cli import main
 from tests.support import fake_ray, ladder_rungs
-from tests.support.synthetic import matte, write_dataset
+from tests.support.synthetic import add_shape, matte, write_dataset
 from tests.support.tetrahedron import ROOT
 
 SIZE = 32
@@ -32,6 +34,11 @@ PROGRAMS = {
     "evaluate": ("learn", "--no-refine --edits 4 --gallery 1 --data {room}/data", "edits.jsonl"),
     "relighting": ("learn.experiments", "--pictures 2 --data {room}/ladder", "rows.jsonl"),
     "upsampling": ("learn.experiments", "--edits 2 --data {room}/large", "rows.jsonl"),
+    "unseen-shapes": (
+        "learn.experiments",
+        "--pictures 2 --data {room}/data --data {room}/large --allow-overlap",
+        "rows.jsonl",
+    ),
 }
 # what differs between two measurements of the same
 VARYING = ("commit", "seconds", "ms")
@@ -46,9 +53,16 @@ def room(tmp_path_factory):
     write_dataset(room / "data", both, rng, SIZE, 1, 0.0, (0, 40), method="quadrature")
     write_dataset(room / "large", both, rng, 2 * SIZE, 1, 0.0, (0,), category="sphere")
     ladder_rungs.written(room / "ladder", SIZE)
-    torch.manual_seed(0)
-    network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
-    save_weights(room / "weights.safetensors", network, network.state_dict(), "{}", SIZE)
+    store = write_dataset(room / "sides", both, rng, SIZE, 1, 0.0, (0,), category="sphere")
+    validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+    add_shape(store, f"ball:{next(validation)}", "train")
+    add_shape(store, "cube:1", "test")
+    for name, seed in (("weights", 0), ("second", 1)):
+        torch.manual_seed(seed)
+        network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
+        run = Run(name="tiny", size=SIZE, data=Data(sharing=1), seed=seed)
+        settings = msgspec.json.encode(run).decode()
+        save_weights(room / f"{name}.safetensors", network, network.state_dict(), settings, SIZE)
     return room
 
 
@@ -115,6 +129,51 @@ def test_a_cluster_that_is_stopped_and_loses_workers_measures_what_this_process_
         assert len(list((out / "gallery").glob("*.png"))) == 1
 
 
+def card(room, out, *more):
+    """Run evaluate-network on two seeds, with patterns as well."""
+    words = f"evaluate-network {room}/weights.safetensors --other-seeds {room}/second.safetensors"
+    words += f" --data {room}/sides --pictures {room}/sides --batches 3 --printed --allow-overlap"
+    threads = torch.get_num_threads()
+    try:
+        return main("learn", "", LEARN, [*words.split(), "--out", str(out), *more])
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_a_card_is_the_same_by_a_cluster_that_loses_workers(room, tmp_path, monkeypatch, capsys):
+    assert card(room, tmp_path / "here") == 0, capsys.readouterr().err
+    out, given = tmp_path / "there", Counter()
+
+    def stopped(piece):
+        given[piece is not None] += 1
+        if given[True] > 1:
+            raise KeyboardInterrupt
+        return False
+
+    def lost(piece):
+        given[piece] += 1
+        return piece in (None, 0, 7) and given[piece] == 1
+
+    fake_ray.installed(monkeypatch, stopped)
+    assert card(room, out, "--ray", "auto") == 130 and not (out / "card.json").exists()
+    given.clear()
+    fake_ray.installed(monkeypatch, lost)
+    assert card(room, out, "--ray", "auto") == 0, capsys.readouterr().err
+    assert given[0] == given[7] == 2 and given[None] > 2
+    for name in ("card.json", "card.md", "sheet.jpg"):
+        assert (out / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+def test_figures_that_are_not_known_come_back_from_a_worker():
+    values = {"a": np.array([1.5, np.nan], np.float32), "b": np.array([1 / 3])}
+    packed = msgspec.json.decode(msgspec.json.encode(card_batches._packed((values, ("x", "y")))))
+    back, names = card_batches._unpacked(packed)
+    assert list(names) == ["x", "y"]
+    for key, value in values.items():
+        np.testing.assert_array_equal(back[key], value)
+        assert back[key].dtype == value.dtype
+
+
 def test_a_folder_that_is_not_shared_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(on_ray, "_wanted", tmp_path / "second.jsonl")
     with pytest.raises(Exception, match="a folder that all nodes share at one path"):
@@ -145,10 +204,12 @@ def test_options_reach_a_worker_as_they_are(tmp_path, monkeypatch):
         ("evaluate --processes 2", "expected no --processes, found 2"),
         ("evaluate --device cuda", "expected no --device, found --device cuda"),
         ("evaluate-ladder --device cuda", "expected no --device, found --device cuda"),
+        ("evaluate-network --device cuda", "expected no --device, found --device cuda"),
     ],
 )
 def test_what_a_cluster_does_not_use_is_refused(words, problem, room, tmp_path, capsys):
-    words += f" --ray auto --data {room}/data --weights {room}/weights.safetensors"
+    weights = "" if "evaluate-network" in words else "--weights"
+    words += f" --ray auto --data {room}/data {weights} {room}/weights.safetensors"
     assert main("learn", "", LEARN, [*words.split(), "--out", str(tmp_path / "out")]) == 1
     assert problem in capsys.readouterr().err
 
@@ -169,7 +230,7 @@ def test_a_real_cluster_measures_what_this_process_measures(room, tmp_path, monk
 
     monkeypatch.undo()  # workers measure all pixels and rungs
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    few = {"evaluate": ("--edits", "2"), "relighting": ("--pictures", "1")}
+    few = {"evaluate": ("--edits", "2"), "relighting": ("--pictures", "1"), "unseen-shapes": ()}
     for name, more in few.items():
         assert command(name, room, tmp_path / "here" / name, *more) == 0, capsys.readouterr().err
     with started(ray, nodes=2):
@@ -177,3 +238,7 @@ def test_a_real_cluster_measures_what_this_process_measures(room, tmp_path, monk
             out = tmp_path / "there" / name
             assert command(name, room, out, "--ray", "auto", *more) == 0, capsys.readouterr().err
             assert rows(name, out) == rows(name, tmp_path / "here" / name)
+        assert card(room, tmp_path / "there", "--ray", "auto") == 0, capsys.readouterr().err
+    assert card(room, tmp_path / "here") == 0, capsys.readouterr().err
+    for name in ("card.json", "card.md"):
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

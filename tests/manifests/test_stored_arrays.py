@@ -20,7 +20,7 @@ from manifests.arrays import (
     read_picture,
 )
 from manifests.errors import InputError
-from manifests.facets import OTHER_NORMALS, SHARE, Facets
+from manifests.facets import OTHER_NORMALS, OTHERS, SHARE, Facets, numbered
 from manifests.files import npz_bytes, write_bytes
 from shaders.envmap import unit_mean
 
@@ -59,13 +59,14 @@ def facets(rng, geometry):
 
     inside = geometry.segments > 0
     mixed = inside & (np.arange(24 * 40).reshape(24, 40) % 3 == 0)
+    mixed = np.stack([mixed, *[np.zeros_like(mixed)] * (OTHERS - 2), mixed])
     return Facets(
         unit(inside),
         (rng.uniform(-1, 1, (24, 40)) * inside).astype(np.float32),
-        (rng.integers(1, 25, (24, 40)) / 32 * mixed).astype(np.float32),
-        unit(mixed),
-        unit(mixed),
-        (mixed * rng.integers(1, 4, (24, 40))).astype(np.uint8),
+        (rng.integers(1, 13, mixed.shape) / 32 * mixed).astype(np.float32),
+        np.stack([unit(each) for each in mixed]),
+        np.stack([unit(each) for each in mixed]),
+        (mixed * rng.integers(1, 4, mixed.shape)).astype(np.uint8),
     )
 
 
@@ -81,7 +82,9 @@ def test_facets_come_back_and_files_without_them_hold_none(tmp_path, geometry, f
     np.testing.assert_array_equal(back.segments, geometry.segments)
 
 
-@pytest.mark.parametrize("wrong", [{OTHER_NORMALS[0]: None}, {SHARE: np.nan}])
+@pytest.mark.parametrize(
+    "wrong", [{numbered(OTHER_NORMALS[0])[2]: None}, {numbered(SHARE)[0]: np.nan}]
+)
 def test_facets_in_part_or_not_finite_are_refused(tmp_path, geometry, facets, wrong):
     geometry.facets = facets
     write_geometry(tmp_path / "g.exr", geometry)

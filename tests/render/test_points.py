@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from factory.render import points
+from manifests.facets import OTHERS
 
 
 def seen(normal, segment, size=(4, 5)):
@@ -16,19 +17,44 @@ def seen(normal, segment, size=(4, 5)):
     )
 
 
-def test_the_share_of_another_surface_is_counted_and_the_nearest_is_kept():
+def test_shares_of_other_surfaces_are_counted_and_the_nearest_point_of_each_is_kept():
     centre = seen([0, 0, 1], 1)
     turned = np.array([0, np.sin(0.1), np.cos(0.1)])  # 6 degrees
     barely = np.array([0, np.sin(0.03), np.cos(0.03)])
-    around = [centre, seen(barely, 1), seen(turned, 1), seen([0, 0, 1], 2), seen([0, 0, 1], 0)]
-    share, other = points.other(centre, around)
-    np.testing.assert_allclose(share, 3 / 5)
-    np.testing.assert_allclose(other.normals[2, 3], turned, atol=1e-6)
-    assert (other.segments == 1).all() and other.mask.all()
-    share, other = points.other(centre, [centre, around[4], around[2]])
-    np.testing.assert_allclose(share, 2 / 3)
-    assert not other.mask.any() and not other.segments.any()  # the background
-    assert not points.other(seen([0, 0, 1], 0), around)[0].any()
+    like_turned = np.array([0, np.sin(0.13), np.cos(0.13)])
+    background = seen([0, 0, 1], 0)
+    around = [
+        centre,
+        seen(barely, 1),
+        seen(turned, 1),
+        seen([0, 0, 1], 2),
+        seen(like_turned, 1),
+        background,
+    ]
+    shares, others = points.others(centre, around)
+    assert shares.shape == (OTHERS, 4, 5) and len(others) == OTHERS
+    np.testing.assert_allclose(shares[:, 1, 2], [2 / 6, 1 / 6, 1 / 6, 0, 0, 0, 0])
+    np.testing.assert_allclose(others[0].normals[2, 3], turned, atol=1e-6)
+    assert (others[1].segments == 2).all() and others[1].mask.all()
+    assert not others[2].mask.any() and not others[2].segments.any()  # the background
+    assert not points.others(background, around)[0].any()
+    assert not points.others(centre, [centre, seen(barely, 1)])[0].any()
+
+
+def test_points_beyond_the_most_surfaces_count_to_the_one_that_is_most_alike():
+    turned = [np.array([0, np.sin(a), np.cos(a)]) for a in (0.2, 0.5, 0.52, 0.75)]
+    centre = seen([0, 0, 1], 1)
+    shares, others = points.others(centre, [seen(n, 1) for n in turned], most=2)
+    np.testing.assert_allclose(shares[:, 0, 0], [1 / 4, 3 / 4])
+    np.testing.assert_allclose(others[1].normals[0, 0], turned[1], atol=1e-6)
+    shares, _ = points.others(centre, [seen(turned[0], 1), seen([0, 0, 1], 0), centre], most=1)
+    np.testing.assert_allclose(shares[0, 0, 0], 1 / 3)  # the background to the centre
+
+
+def test_normals_that_face_away_are_a_surface_of_their_own():
+    facing, away = ([1, 0, z] for z in (0.01, -0.01))
+    shares, others = points.others(seen(facing, 1), [seen(facing, 1), seen(away, 1)])
+    assert shares[0, 0, 0] == 0.5 and (others[0].normals[..., 2] < 0).all()
 
 
 def test_points_stand_for_equal_parts_of_the_filter():

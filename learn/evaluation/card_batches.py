@@ -1,0 +1,197 @@
+"""The batches that `learn evaluate-network` measures, in this process or on a Ray cluster.
+
+A piece of work is one batch of one kind of pictures, on which all networks are measured:
+
+relit    pictures of the test split, relit by the layer
+cycles   pictures of it that Cycles rendered
+plain    the relit pictures again, of which only normals are measured, by the first network
+printed  the same with printed patterns over their materials
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+
+from learn.data import devices, sources
+from learn.data.batch import ExampleBatch
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.rendered import RenderedDataset
+from learn.data.settings import Run, decode_run
+from learn.networks import weights as checkpoint
+from learn.networks.prediction import Prediction, required
+from learn.training import validation
+from manifests import ray_tasks
+from manifests.store import encoded
+
+BATCH, SEED = 16, 77
+PATTERNS = {"plain": 0.0, "printed": 1.0}  # share of the pictures that have one
+
+Measured = tuple[dict[str, np.ndarray], Sequence[str]]  # {figure: (P,)} and names (P,) of pictures
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A Ray cluster, and the files that its workers read; they use the CPU.
+
+    weights   of all networks; lights and pictures are None where there are none
+    """
+
+    address: str
+    weights: Sequence[Path]
+    data: Path
+    lights: Path | None
+    pictures: Path | None
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Networks of one run, and the split on which they are measured.
+
+    constant  learn.training.validation.mean_albedo of the training split
+    """
+
+    networks: Sequence[Any]
+    run: Run
+    test: DataSplit
+    constant: Any
+    _sources: dict[str, RelitDataset | RenderedDataset] = field(default_factory=dict)
+
+    def batch(self, kind: str, k: int) -> ExampleBatch:
+        """Return the k-th batch of a kind."""
+        if kind not in self._sources:
+            if kind == "cycles":
+                self._sources[kind] = RenderedDataset(
+                    self.test, self.run.data, 1, self.run.size, SEED
+                )
+            else:
+                self._sources[kind] = RelitDataset(
+                    self.test, self.run.data, BATCH, self.run.size, SEED, printed=PATTERNS.get(kind)
+                )
+        return self._sources[kind][k]
+
+    def predicted(
+        self, network: Any, batch: ExampleBatch, parts: Sequence[str]
+    ) -> tuple[ExampleBatch, Prediction]:
+        """Return a batch on the network's device, and the prediction of these parts."""
+        batch = batch.to(devices.of(network))
+        with torch.no_grad():
+            segments = batch.segments if self.run.data.regions > 1 else None
+            prediction = network(
+                batch.image, batch.mask, segments, parts, regions=self.run.data.regions
+            )
+        return batch, prediction
+
+    def measured(self, kind: str, k: int) -> list[Measured]:
+        """Return the figures of the k-th batch of a kind, by each network.
+
+        Under patterns and without, they are {"angle_deg"} by the first network alone.
+        """
+        own = self.batch(kind, k)
+        if kind in PATTERNS:
+            batch, prediction = self.predicted(self.networks[0], own, ("normals",))
+            cosine = (required(prediction.n) * batch.n).sum(1).clamp(-1, 1)
+            angle = validation.means(cosine.arccos().rad2deg(), batch.segments > 0)
+            return [({"angle_deg": angle}, batch.names)]
+        result: list[Measured] = []
+        for network in self.networks:
+            batch, prediction = self.predicted(network, own, self.run.parts)
+            result.append((validation.of(prediction, batch, self.constant), batch.names))
+        return result
+
+
+def measured(
+    bench: Bench, counts: Mapping[str, int], cluster: Cluster | None = None
+) -> dict[str, list[Measured]]:
+    """Return {kind: figures of all its batches, by each network}.
+
+    counts   {kind: number of batches}
+    cluster  that measures; None: this process does
+    Raises   InputError or RuntimeError if a piece of work fails on a cluster; OSError if workers
+             are lost again and again
+    """
+    pieces = [(kind, k) for kind, count in counts.items() for k in range(count)]
+    answers: dict[tuple[str, int], list[Measured]] = {}
+    for number, each in _here(bench, pieces) if cluster is None else _there(cluster, pieces):
+        answers[pieces[number]] = each
+    return {
+        kind: [
+            _joined(each) for each in zip(*(answers[kind, k] for k in range(count)), strict=True)
+        ]
+        for kind, count in counts.items()
+    }
+
+
+def _joined(batches: Sequence[Measured]) -> Measured:
+    values = {
+        key: np.concatenate([figures[key] for figures, _ in batches]) for key in batches[0][0]
+    }
+    return values, [name for _, names in batches for name in names]
+
+
+Answers = Generator[tuple[int, list[Measured]], None, None]
+
+
+def _here(bench: Bench, pieces: Sequence[tuple[str, int]]) -> Answers:
+    for number, piece in enumerate(pieces):
+        yield number, bench.measured(*piece)
+
+
+def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
+    settings = {
+        "weights": list(cluster.weights),
+        "data": cluster.data,
+        "lights": cluster.lights,
+        "pictures": cluster.pictures,
+    }
+    with contextlib.closing(
+        ray_tasks.results(cluster.address, f"{__name__}:on_worker", settings, pieces)
+    ) as answers:
+        for number, answer in answers:
+            yield number, [_unpacked(each) for each in msgspec.json.decode(answer)]
+
+
+def on_worker(settings: bytes) -> ray_tasks.Work:
+    """Return what a worker of a Ray cluster does: a kind and a number as JSON → figures as JSON."""
+    torch.set_num_threads(1)
+    given = msgspec.json.decode(settings)
+    weights = [Path(each) for each in given["weights"]]
+    run = run_of(weights[0])
+    data_splits = sources.data_splits(
+        run.data, given["data"], given["lights"], pictures=given["pictures"]
+    )
+    networks = [checkpoint.load_network(each)[0] for each in weights]
+    bench = Bench(networks, run, data_splits["test"], validation.mean_albedo(data_splits["train"]))
+
+    def work(piece: bytes) -> bytes:
+        return encoded([_packed(each) for each in bench.measured(*msgspec.json.decode(piece))])
+
+    return work
+
+
+def run_of(weights: Path) -> Run:
+    """Return the run that made weights. Raises InputError."""
+    metadata = checkpoint.load_network(weights)[1]
+    return decode_run(json.dumps(metadata["run"]).encode(), weights)
+
+
+def _packed(measured: Measured) -> list[Any]:
+    """Return figures as what JSON can hold; what is not finite becomes null."""
+    values, names = measured
+    return [{key: [str(each.dtype), each.tolist()] for key, each in values.items()}, names]
+
+
+def _unpacked(packed: Sequence[Any]) -> Measured:
+    values, names = packed
+    return {
+        key: np.array([np.nan if each is None else each for each in numbers], dtype)
+        for key, (dtype, numbers) in values.items()
+    }, list(names)
