@@ -53,7 +53,8 @@ def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS
             "weights.safetensors of a training run, or the name of weights that come with the"
             " program: general-compact, which knows any object and photographs, or joint-compact,"
             " which knows chairs, sofas, cars and monitors from one elevation, and of which most"
-            f" published figures are (default: {default.stem})"
+            " published figures are, or general-two-encoders, whose normals are nearer the truth"
+            f" than general-compact's and whose edits are not (default: {default.stem})"
         ),
     )
 

@@ -42,4 +42,8 @@ def test_each_of_the_programs_weights_is_read_with_its_own_light_head() -> None:
         path.stem: weights.load_network(path)[0].wraps
         for path in options.WEIGHTS_FOLDER.glob("*.safetensors")
     }
-    assert wraps == {"joint-compact": False, "general-compact": True}
+    assert wraps == {
+        "joint-compact": False,
+        "general-compact": True,
+        "general-two-encoders": True,
+    }
