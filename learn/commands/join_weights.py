@@ -27,7 +27,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="weights that predict material and light",
+        help="weights that predict normals, material and light",
     )
     parser.add_argument(
         "--out",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import blends, choice, closed_form, path_tracing
+from factory.render.estimators import blends, choice, closed_form
 from factory.render.estimators.halves import Halves, Shown
 from shaders import tone
 from tests.support.known_pictures import MASK, Known, Shaded, error, shown
@@ -83,7 +83,6 @@ def bias_of_pictures(bias, limit):
 
 
 def test_bias_is_at_most_a_third_of_the_limit(monkeypatch):
-    monkeypatch.setattr(path_tracing, "POWER", 1.0)  # of this renderer's noise
     for bias in (0.03, 0.05):
         share, denoisers = bias_of_pictures(bias, 25.0)
         assert share < 1 / 3 and denoisers >= 8

@@ -62,7 +62,7 @@ def identity() -> list[object]:
 
     return [
         ["choice", VERSION, PILOT, MOST_SAMPLES],
-        [path_tracing.NAME, path_tracing.POWER, path_tracing.AIM, path_tracing.GROWTH],
+        [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST],

@@ -13,18 +13,15 @@ from factory.render.estimators.halves import Estimate
 from manifests.schema import Estimator
 
 NAME: Estimator = "path-tracing"
-# error: in proportion to samples^−POWER. Of few samples it falls faster than noise does, by a power
-# of 1.27 in the median; a law of 1.2 was tried, and 149 of 160 shots kept their limit by it
-POWER = 1.0
 AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
 def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
-    """Return the error at `samples` of each half."""
-    return float(max(pilot.error, 0.0) * (pilot_samples / samples) ** POWER)
+    """Return the error at `samples` of each half: noise is in proportion to 1/samples."""
+    return max(pilot.error, 0.0) * pilot_samples / samples
 
 
 def needed(now: Estimate, samples: int, error: float) -> int:
     """Return the samples of each half that keep an error, by the estimate at `samples`."""
-    return max(samples + 1, math.ceil(AIM * samples * (now.bound / error) ** (1 / POWER)))
+    return max(samples + 1, math.ceil(AIM * samples * now.bound / error))

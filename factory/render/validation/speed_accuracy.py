@@ -159,7 +159,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             if earlier["scene"] != key:
                 raise InputError(
                     str(path),
-                    "a scene of the same options and commit",
+                    "a scene of the same options and rules",
                     "another",
                     "name another folder, or the same options as before",
                 )

@@ -10,7 +10,7 @@ from factory.shapes.assembly import Assembly
 from factory.shapes.general.draws import Generator, log_uniform, rotation
 from factory.shapes.surfaces import Surface, loft, rod
 
-RINGS = 13  # of a prism along its axis: flat faces need few, but a shape has 2,000 triangles
+RINGS = 13  # of a prism along its axis, so that every shape has 2,000 triangles
 PER_SIDE = 14  # points along each side of a prism's outline
 
 
