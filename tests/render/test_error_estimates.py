@@ -266,3 +266,24 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
         estimates.append(made.estimated.error)
     off = error(known.truth * np.float32(1.03), known)
     assert estimates[1] - estimates[0] == pytest.approx(off, rel=0.4)
+
+
+class Sparse(Known):
+    """A ramp of which each sample finds a pixel's light with a chance of 2 %, and then all of it."""
+
+    def portion(self, first, count, seed, tier, denoise=False):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
+        found = rng.binomial(count, 0.02, size=(*MASK.shape, 1)) / (0.02 * count)
+        return Portion(np.float32(self.truth * (0.1 + 0.9 * found)), MASK.astype(np.float32))
+
+
+def test_the_estimate_counts_what_the_display_curve_makes_of_rare_light():
+    known, ratios, halves_alone = Sparse(), [], []
+    for seed in range(10):
+        halves = Halves(shown(known, seed))
+        halves.grow(32)
+        estimate, truth = halves.estimate(), error(halves.picture, known)
+        ratios.append(estimate.error / truth)
+        halves_alone.append(estimate.noise / truth)
+    assert np.mean(halves_alone) < 0.9
+    assert np.mean(ratios) == pytest.approx(1, abs=0.15)
