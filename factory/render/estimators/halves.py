@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
 OWN = 4 / 3  # squared difference over 4 of normal noise: variance 2/3 of its mean square, twice
 CONFIDENCE = 1.645  # standard errors: 95 % of a normal distribution lie below
-# times the squared darkening of the display curve, which is missing from the halves' difference:
-# with 3 estimates spread least about the errors of 20 shots; were all light as rare as fireflies,
-# it would be 5
+# times the squared darkening of the display curve, for the error that the halves' difference lacks.
+# On 22 shots 2 makes estimates right on average, and 3 those of rare light, whose limits are missed
 CURVE = 3.0
 
 
