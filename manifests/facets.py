@@ -85,8 +85,8 @@ def numbered(name: str) -> list[str]:
 def without_earlier(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return a file's channels without those of points as earlier versions wrote them.
 
-    Those describe one other surface at most, and its channels have no number. Such a file serves as one that
-    holds none of these channels.
+    Those describe one other surface at most, and its channels have no number. Such a file serves as
+    one that holds none of these channels.
     """
     if any(each in channels for name in OF_OTHERS for each in numbered(name)):
         return dict(channels)
