@@ -6,9 +6,10 @@ point, either: its narrowest pixel filter is a bell of 0.0025 pixels, so that ne
 pixel is a mean of several surfaces. On meshes that people made, small bevels that are seen edge-on
 show a dozen normals of three facets within it.
 
-Files that hold one of the channels hold all of them; files of square pixels, of perspective and of
-earlier versions hold none. Channels are float32 but for the segment, and 0 in the background. Where
-a name has a K, there is one channel for each K from 1 to OTHERS.
+Files that hold one of the channels hold all of them; files of square pixels and of perspective hold
+none. Those of earlier versions hold none or others, which are not read. Channels are float32 but
+for the segment, and 0 in the background. Where a name has a K, there is one channel for each K from
+1 to OTHERS.
 """
 
 from collections.abc import Mapping

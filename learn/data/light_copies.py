@@ -19,40 +19,37 @@ DUPLICATE_DIFFERENCE = 0.05  # of Fourier amplitudes, relative
 class KnownLights:
     """Light maps of one size, among which copies of a further map are found.
 
-    What maps are compared by is computed once for each: a thousand maps take seconds, and not the
-    minutes that each pair by itself would.
+    maps  {name: L (height, width, 3)}
+
+    What maps are compared by is computed once for each map, and not again for each pair.
     """
 
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self._spectra = _Rows()
-        self._amplitudes = _Rows()
-        self._row_means = _Rows()
+    def __init__(self, maps: Maps) -> None:
+        self.maps = list(maps.items())
+        self._spectra = np.array([_spectrum(L) for L in maps.values()])
+        self._row_means = np.array([_amplitudes(L)[:, 0] for L in maps.values()])
 
-    def add(self, name: str, L: np.ndarray) -> None:
-        """Let a map (height, width, 3) be known by a name."""
-        self.names.append(name)
-        self._spectra.add(envmap.log_spectrum(L).astype(np.complex64))
-        amplitudes = _amplitudes(L)
-        self._amplitudes.add(amplitudes)
-        self._row_means.add(amplitudes[:, 0])
+    def copy_of(self, L: np.ndarray, among: np.ndarray | None = None) -> str | None:
+        """Return the name of the first known map that a map (height, width, 3) is a copy of.
 
-    def copy_of(self, L: np.ndarray) -> str | None:
-        """Return the name of the first known map that a map (height, width, 3) is a copy of."""
-        if not self.names:
+        among  (N,) bool, the known maps with which it is compared; None: all
+        """
+        if not self.maps:
             return None
-        likeness = envmap.highest_correlations(
-            self._spectra.all(), envmap.log_spectrum(L).astype(np.complex64), L.shape[1]
-        )
-        copies = likeness > envmap.SAME_SOURCE
+        likeness = envmap.highest_correlations(self._spectra, _spectrum(L), L.shape[1])
         own = _amplitudes(L)
         largest = DUPLICATE_DIFFERENCE * own.sum()
         # the means of rows are among the amplitudes, so that where they differ by more, all do
-        close = np.abs(self._row_means.all() - own[:, 0]).sum((1, 2)) < largest
-        for index in np.flatnonzero(close & ~copies):
-            copies[index] = np.abs(self._amplitudes.all()[index] - own).sum() < largest
-        first = np.flatnonzero(copies)
-        return self.names[first[0]] if len(first) else None
+        close = np.abs(self._row_means - own[:, 0]).sum((1, 2)) < largest
+        candidates = close | (likeness > envmap.SAME_SOURCE)
+        for index in np.flatnonzero(candidates if among is None else candidates & among):
+            name, known = self.maps[index]
+            if (
+                likeness[index] > envmap.SAME_SOURCE
+                or np.abs(_amplitudes(known) - own).sum() < largest
+            ):
+                return name
+        return None
 
 
 def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray]:
@@ -61,41 +58,24 @@ def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray
     maps    {name: L}; held: names of maps that training must not see
     Raises  InputError if two held-out names mean one map
     """
-    result: dict[str, np.ndarray] = {}
-    known = KnownLights()
-    for name in sorted(maps, key=lambda name: name not in held):
-        duplicate = known.copy_of(maps[name])
-        if duplicate is None:
-            result[name] = maps[name]
-            known.add(name, maps[name])
-        elif name in held:
+    ordered = {name: maps[name] for name in sorted(maps, key=lambda name: name not in held)}
+    known = KnownLights(ordered)
+    kept = np.zeros(len(ordered), bool)
+    for index, (name, L) in enumerate(ordered.items()):
+        duplicate = known.copy_of(L, kept)
+        if duplicate is not None and name in held:
             raise InputError(
                 f"held-out light '{name}'",
                 "a map of its own",
                 f"'{duplicate}' again",
                 "name each held-out map once",
             )
-    return result
+        kept[index] = duplicate is None
+    return {name: L for (name, L), is_kept in zip(ordered.items(), kept, strict=True) if is_kept}
 
 
-class _Rows:
-    """Arrays of one shape in one array, to which further ones are added without copying it."""
-
-    def __init__(self) -> None:
-        self._stored: np.ndarray | None = None
-        self._count = 0
-
-    def add(self, row: np.ndarray) -> None:
-        if self._stored is None:
-            self._stored = np.empty((16, *row.shape), row.dtype)
-        elif self._count == len(self._stored):
-            self._stored = np.concatenate([self._stored, np.empty_like(self._stored)])
-        self._stored[self._count] = row
-        self._count += 1
-
-    def all(self) -> np.ndarray:
-        assert self._stored is not None
-        return self._stored[: self._count]
+def _spectrum(L: np.ndarray) -> np.ndarray:
+    return envmap.log_spectrum(L).astype(np.complex64)
 
 
 def _amplitudes(L: np.ndarray) -> np.ndarray:

@@ -243,9 +243,7 @@ def _light_sides(
 
     maps  {name: (side, L)} of the known ones
     """
-    known = KnownLights()
-    for name, (_, L) in maps.items():
-        known.add(name, L)
+    known = KnownLights({name: L for name, (_, L) in maps.items()})
     copies = {name: known.copy_of(L) for name, L in lights.items()}
     return {name: "train" if copy is None else maps[copy][0] for name, copy in copies.items()}
 
