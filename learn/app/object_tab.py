@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
-from learn.app.session import Session, Stopped
+from learn.app.session import Session
 from manifests.errors import InputError
 
 REGIONS_OFFERED = 4

@@ -11,11 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from learn.app import gallery
+from learn.app.background_decomposition import Network
 from learn.app.download_tab import DownloadTab
 from learn.app.material_tab import MaterialTab
 from learn.app.object_tab import ObjectTab
 from learn.app.offline_gradio import gr
-from learn.app.session import MOST_BYTES, MOST_SESSIONS, Network, Session, Sessions
+from learn.app.session import MOST_BYTES, Session
+from learn.app.sessions import MOST_SESSIONS, Sessions
 from manifests import files
 from manifests.errors import InputError
 
