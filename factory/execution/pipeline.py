@@ -26,9 +26,15 @@ from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
 from factory.render.estimators import choice
 from factory.render.estimators.halves import DirectPicture, Portion, Shown
-from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
 from manifests.ids import camera_of
+from manifests.picture_files import (
+    Geometry,
+    SeenGeometry,
+    encode_geometry,
+    encode_picture,
+    read_geometry,
+)
 from manifests.schema import Accuracy, Camera, Job, Record, Statistics, Tier, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg

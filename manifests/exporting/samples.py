@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from manifests.arrays import Geometry, read_geometry, read_picture
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
+from manifests.picture_files import Geometry, read_geometry, read_picture
 from manifests.schema import Dataset, Record, View
 from manifests.store import Store, encoded, inside
 from shaders import tone

@@ -19,7 +19,7 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
-from manifests import arrays, exr
+from manifests import exr, picture_files
 from manifests.errors import InputError
 from manifests.reading import read
 from manifests.schema import Camera, Job
@@ -76,7 +76,7 @@ def data(tmp_path_factory, job):
     lines = Lines(path)
     for set_, camera in ladder_design.cameras(job).items():
         for record in first:
-            image = arrays.read_picture(
+            image = picture_files.read_picture(
                 folder / record.image, record.camera.size, record.image_hash
             )
             made = msgspec.structs.replace(record, camera=camera)

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from learn.evaluation import ladder_design
-from manifests import arrays
+from manifests import picture_files
 from manifests.store import Lines
 from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset
 
@@ -24,7 +24,9 @@ def written(folder, size):
     cameras = ladder_design.cameras(ladder_design.preset("development"))
     lines = Lines(path)
     for record in records:
-        image = arrays.read_picture(folder / record.image, record.camera.size, record.image_hash)
+        image = picture_files.read_picture(
+            folder / record.image, record.camera.size, record.image_hash
+        )
         geometry = (folder / record.geometry).read_bytes()
         for rung in ladder_design.RUNGS:
             if rung.name in ("direct", "8-bit"):

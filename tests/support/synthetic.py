@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from learn.layer import render
-from manifests import arrays, exr, ids
+from manifests import exr, ids, light_files
 from manifests import materials as catalogue
 from manifests.schema import (
     Camera,
@@ -98,7 +98,7 @@ def write_dataset(
     store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg, roll_deg=roll_deg)
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     stored = light_path("sky", LIGHT)
-    digest = store.place(stored, arrays.encode_light(L, scale), "test")
+    digest = store.place(stored, light_files.encode_light(L, scale), "test")
     shape = ShapeEntry(
         hash=SHAPE, category=category, side=side, role=side, segments=1, licence="CC0"
     )

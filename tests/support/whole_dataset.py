@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from manifests import ids
-from manifests.arrays import Geometry, encode_geometry, encode_light, encode_picture, read_geometry
+from manifests.light_files import encode_light
 from manifests.materials import (
     Catalogue,
     Distance,
@@ -22,6 +22,7 @@ from manifests.materials import (
     encode,
     material_hash,
 )
+from manifests.picture_files import Geometry, encode_geometry, encode_picture, read_geometry
 from manifests.schema import (
     Camera,
     Dataset,

@@ -159,8 +159,8 @@ class _StudioLoop:
 
     def _record(self, view: int, geometry: bool) -> dict[str, Any]:
         from factory.render import checks
-        from manifests.arrays import encode_geometry, encode_picture
         from manifests.files import write_bytes
+        from manifests.picture_files import encode_geometry, encode_picture
 
         faults: list[str] = []
         paths = [f"{self.folder}/picture{view:02}.exr"]
