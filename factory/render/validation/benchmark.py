@@ -26,7 +26,8 @@ import numpy as np
 from manifests.provenance import provenance
 
 if TYPE_CHECKING:
-    from factory.render.studio import Geometry, Studio
+    from factory.render.geometry import Geometry
+    from factory.render.studio import Studio
     from factory.shapes.mesh import Mesh
 
 VIEWS = 24
