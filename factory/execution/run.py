@@ -29,9 +29,10 @@ from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.object_store import is_url
 from manifests.schema import Failure, Job
-from manifests.store import Lines, Store, geometry_path
+from manifests.store import Store, geometry_path
 from manifests.subprocesses import processors
 
 Watch = Callable[[str, Any], None]

@@ -15,10 +15,11 @@ import msgspec
 
 from manifests import ids
 from manifests.errors import InputError
+from manifests.line_files import lines_of
 from manifests.materials import Entry, material_hash
 from manifests.schema import Dataset, Failure, MaterialEntry, Record, View
 from manifests.splits import split_of
-from manifests.store import LINES, Store, geometry_path, image_path, lines_of
+from manifests.store import LINES, Store, geometry_path, image_path
 from manifests.verification.faults import Fault, Line
 from manifests.verification.strays import kind_of
 from manifests.viewpoints import azimuths_deg

@@ -21,9 +21,9 @@ from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
 from manifests import exr, picture_files
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.reading import read
 from manifests.schema import Camera, Job
-from manifests.store import Lines
 from shaders import frames, tone
 from tests.support import fake_ray
 from tests.support.synthetic import SHAPE, add_shape, matte, named, with_picture, write_dataset

@@ -5,7 +5,7 @@ import numpy as np
 
 from learn.evaluation import ladder_design
 from manifests import picture_files
-from manifests.store import Lines
+from manifests.line_files import Lines
 from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset
 
 TURNS = (0, 30, 70)  # of the light, in texels

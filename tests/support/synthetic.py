@@ -11,6 +11,7 @@ import torch
 from learn.layer import render
 from manifests import exr, ids, light_files
 from manifests import materials as catalogue
+from manifests.line_files import Lines
 from manifests.schema import (
     Camera,
     Dataset,
@@ -22,7 +23,7 @@ from manifests.schema import (
     View,
 )
 from manifests.splits import split_of
-from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from manifests.store import Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
 from shaders.mixture import Mixture

@@ -13,6 +13,7 @@ import numpy as np
 
 from manifests import ids
 from manifests.light_files import encode_light
+from manifests.line_files import Lines
 from manifests.materials import (
     Catalogue,
     Distance,
@@ -36,7 +37,7 @@ from manifests.schema import (
     View,
 )
 from manifests.splits import SIDES, light_side, role_of, split_of
-from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from manifests.store import Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
 from shaders.tone import LUMINANCE

@@ -151,7 +151,7 @@ class _StudioLoop:
 
     def run(self, geometry: bool) -> None:
         """Render all views; geometry: whether to render their geometry, too."""
-        from manifests.store import Lines
+        from manifests.line_files import Lines
 
         with contextlib.closing(Lines(f"{self.folder}/records.jsonl")) as records:
             for view in range(VIEWS):

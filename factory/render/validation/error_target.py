@@ -32,9 +32,9 @@ from factory.render.validation import command_line
 from factory.render.validation.error_target_report import FIXED, group, report
 from factory.render.validation.scenes import ERRORS, TIERS, Stage, compared, drawn, meshes_of, named
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.option_types import positive
 from manifests.provenance import provenance
-from manifests.store import Lines
 
 LEAST_REFERENCE = 256  # samples of each half of a reference
 MOST_REFERENCE = 2048

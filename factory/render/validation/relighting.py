@@ -40,8 +40,8 @@ from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
 from factory.render.validation.light_bases import Basis, cells, factors, harmonics
 from factory.render.validation.relighting_report import chart, figures, report
+from manifests.line_files import Lines
 from manifests.provenance import provenance
-from manifests.store import Lines
 
 LIGHTS = 64
 SHOWN = (0, 27)  # of them, of which errors are measured
