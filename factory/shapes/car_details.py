@@ -1,6 +1,7 @@
 """Details of a car's body: lights, grille, mirrors, handles, bumpers, roof rails.
 
-Metres, car axes (see car_body)."""
+Metres, car axes (see car_body).
+"""
 
 import numpy as np
 
