@@ -26,7 +26,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import ShapeSource
+from factory.execution.assignment import ShapeSource
 from factory.execution.ray_worker import RayWorker, ids_of, lines_path
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, LightSource, ShapeSource
+from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.pool import Pool
 from factory.execution.registration import note_settings, register, register_shapes
 from factory.execution.uploads import uploading

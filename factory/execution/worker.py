@@ -22,7 +22,8 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, BadShot, Pipeline, ShapeSource, Studio
+from factory.execution.assignment import Assignment, BadShot, ShapeSource
+from factory.execution.pipeline import Pipeline, Studio
 from factory.planning.plan import Shot
 from manifests.allocator import return_large_blocks
 from manifests.errors import InputError
