@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -37,6 +38,8 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "this program": {"completion": "brdfactory"},
 }
 COMMANDS = {command: package for group in GROUPS.values() for command, package in group.items()}
+# in the texts of factory and learn: their commands by the names that they have there
+OTHER_NAMES = re.compile(rf"python -m (?:factory|learn) (?=(?:{'|'.join(COMMANDS)})\b)")
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -50,7 +53,13 @@ def run(arguments: list[str] | None = None) -> int:
         prog="brdfactory",
         groups={title: tuple(group) for title, group in GROUPS.items()},
         version=_version(),
+        reword=reworded,
     )
+
+
+def reworded(text: str) -> str:
+    """Return a text of `factory` or `learn` with commands as they are typed here."""
+    return OTHER_NAMES.sub("brdfactory ", text)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -72,6 +81,21 @@ def _register(command: str, subparsers: argparse._SubParsersAction) -> None:
         module
     ).register
     register(subparsers)
+    _reword_help(subparsers.choices[command])
+
+
+def _reword_help(parser: argparse.ArgumentParser) -> None:
+    """Reword a parser's help, and that of its actions and subcommands."""
+    parser.description = reworded(parser.description or "")
+    parser.epilog = reworded(parser.epilog or "")
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for listed in action._choices_actions:
+                listed.help = reworded(listed.help or "")
+            for inner in dict.fromkeys(action.choices.values()):
+                _reword_help(inner)
+        elif action.help:
+            action.help = reworded(action.help)
 
 
 def _register_completion(subparsers: argparse._SubParsersAction) -> None:

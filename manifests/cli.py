@@ -28,6 +28,7 @@ def main(
     prog: str | None = None,
     groups: Mapping[str, Sequence[str]] | None = None,
     version: str | None = None,
+    reword: Callable[[str], str] = str,
 ) -> int:
     """Parse, run and return the exit status; a user's mistake is printed as one line.
 
@@ -41,6 +42,7 @@ def main(
     prog       what the usage calls the program; None: "python -m PROGRAM"
     groups     {title: names}: the help lists the commands so; None: in one list
     version    printed by --version; None: there is no such option
+    reword     what the line of an error is passed through
     """
     # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
@@ -77,6 +79,9 @@ def main(
             importlib.import_module(f"{folder}.{name.replace('-', '_')}").register(subparsers)
     if groups and not named:
         _list_in_groups(parser, subparsers, groups)
+    if not words:  # of which the usage would say only that a command is missing
+        parser.print_help(sys.stderr)
+        return 2
     debug, options = "--debug" in words, None
     try:
         try:
@@ -88,14 +93,14 @@ def main(
         finally:  # inside the outer try, so that a full disk or a closed pipe ends in one line
             _flush_output()
     except InputError as problem:
-        return _failed(program, problem, debug)
+        return _failed(program, problem, debug, reword)
     except ModuleNotFoundError as error:
         if (missing := missing_package(error)) is None:
             raise
-        return _failed(program, missing, debug)
+        return _failed(program, missing, debug, reword)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
-        return _failed(program, error, debug)
+        return _failed(program, error, debug, reword)
     except KeyboardInterrupt as interrupt:
         traceback.clear_frames(interrupt.__traceback__)
         how = (
@@ -152,7 +157,7 @@ def _flush_output() -> None:
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
-def _failed(program: str, error: Exception, debug: bool) -> int:
+def _failed(program: str, error: Exception, debug: bool, reword: Callable[[str], str]) -> int:
     """Print an error as one line, with `debug` after the whole trace; return the exit status 1.
 
     The frames that the error passed through are cleared first. This closes their progress bars, so
@@ -161,5 +166,5 @@ def _failed(program: str, error: Exception, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
     traceback.clear_frames(error.__traceback__)
-    print(f"{program}: {printable(str(error))}", file=sys.stderr)
+    print(f"{program}: {reword(printable(str(error)))}", file=sys.stderr)
     return 1

@@ -18,8 +18,9 @@ import msgspec
 from manifests.errors import InputError
 from manifests.files import replacing, transaction, write_bytes
 from manifests.inputs import require_file
+from manifests.line_files import encoded
 from manifests.schema import Record
-from manifests.store import Store, encoded, geometry_path, image_path, inside, light_path
+from manifests.store import Store, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 

@@ -1,5 +1,6 @@
 """Checks of input files before they are opened, so that no command hangs or fills memory."""
 
+import hashlib
 import os
 import stat
 from collections.abc import Callable
@@ -51,6 +52,22 @@ def require_file(
             path, f"{expected} of at most {bound}", size, "check that this is the right file"
         )
     return Path(path)
+
+
+def require_hash(path: str | os.PathLike, data: bytes | None, expected: str | None) -> None:
+    """Raise InputError if a file's sha256 is not the one that a manifest holds.
+
+    data      the file's bytes, and `expected` the hash; None of either: nothing is checked
+    """
+    if expected is None or data is None:
+        return
+    if (result := hashlib.sha256(data).hexdigest()) != expected:
+        raise InputError(
+            path,
+            f"hash {expected[:12]}",
+            f"{result[:12]}: the file was altered",
+            "render or copy it again",
+        )
 
 
 def _text(remedy: str | Callable[[], str]) -> str:

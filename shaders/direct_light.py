@@ -25,12 +25,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-from shaders import direct_light_kernels, envmap
+from shaders import direct_light_kernels, light_blocks
+from shaders.light_blocks import LightBlocks
 from shaders.mixture import TABLE_SIZE, Mixture, ramp_table, table_look_up
 
 LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
@@ -39,8 +39,6 @@ WIDE = 0.1  # α from which blocks of texels may count as one light
 LEAST_NODES = 64  # of a map across the hemisphere
 SPACING = 0.5  # of nodes, in units of the lobe's α
 BLOCKS = ((0.45, 16), (0.2, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
-LAMPS = 64  # texels of most energy, which are divided where the others are not
-BLOCK = 4  # texels across a block of the light that counts in detail near a lobe's axis
 PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
 GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
@@ -58,7 +56,7 @@ FACING = 1e-3  # n·v of normals that lean away from the viewer
 def constants() -> list[list[object]]:
     """Return name and value of every constant that alters pixels, for a fingerprint."""
     result: list[list[object]] = []
-    for module in (globals(), vars(direct_light_kernels)):
+    for module in (globals() | vars(light_blocks), vars(direct_light_kernels)):
         for name, value in sorted(module.items()):
             if name.isupper() and isinstance(value, (int, float, np.floating)):
                 result.append([name, round(float(value), 9)])  # cosines differ in the last bit
@@ -87,9 +85,7 @@ class DirectLight:
         self.mixture = mixture
         self.light = np.ascontiguousarray(light, np.float32)
         self.camera_from_light = camera_from_light
-        self._lights: dict[int, np.ndarray] = {}
-        self._detail: dict[int, tuple[Any, ...]] = {}
-        self._texels: dict[int, tuple[np.ndarray, ...]] = {}
+        self.blocks = LightBlocks(self.light, camera_from_light)
         self._least = np.exp(mixture.log_alpha.min(0))
         self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
         self._misdirected: _Map | None = None
@@ -179,7 +175,7 @@ class DirectLight:
             facets,
             np.stack(self._tables),
             np.array(extents, np.float32),
-            *self.texels(parts),
+            *self.blocks.texels(parts),
             away,
             radiance,
         )
@@ -255,134 +251,12 @@ class DirectLight:
             n if facets is None else facets,
             np.stack(self._tables),
             self.light,
-            self.density,
+            self.blocks.density,
             np.ascontiguousarray(self.camera_from_light.T, np.float32),
             HALF_VECTORS,
             radiance,
         )
         return radiance
-
-    @cached_property
-    def density(self) -> np.ndarray:
-        """By which Cycles draws directions to the light, (height, width) float32 in 1/sr."""
-        # it draws texels by their mean over the channels and the sine at their middle
-        _, solid_angle = envmap.directions(*self.light.shape[:2])
-        drawn = self.light.mean(-1, dtype=np.float64) * solid_angle
-        return (drawn / (max(drawn.sum(), 1e-30) * solid_angle)).astype(np.float32)
-
-    def texels(self, parts: int) -> tuple[np.ndarray, ...]:
-        """Return texels that are not black, divided into parts × parts, as lights in blocks.
-
-        Returns  (9, T), as direct_light_kernels.add_lights takes them, their density (T,), and of
-                 the blocks: firsts (B + 1,), centres (B, 3) and sines of radii (B,), as
-                 direct_light_kernels.add_leaning takes them
-        """
-        if parts not in self._texels:
-            height, width = self.light.shape[:2]
-            w, solid_angle = envmap.directions(height * parts, width * parts)
-            light, density = (
-                each.repeat(parts, 0).repeat(parts, 1) for each in (self.light, self.density)
-            )
-            across = BLOCK * parts
-            rows, columns = np.indices(light.shape[:2]) // across
-            numbers = rows * -(-width // BLOCK) + columns
-            lit = np.nonzero(light.any(-1).ravel())[0]
-            lit = lit[np.argsort(numbers.ravel()[lit], kind="stable")]
-            energy = light.reshape(-1, 3)[lit].astype(np.float64)
-            energy *= solid_angle.reshape(-1)[lit][:, None]
-            lights = self._lit(w.reshape(-1, 3)[lit][None], energy[None])[0]
-            first = np.nonzero(np.diff(numbers.ravel()[lit], prepend=-1))[0]
-            firsts = np.append(first, len(lit))
-            counts = np.diff(firsts)
-            at = lights[:3].T.astype(np.float64)
-            centres = np.add.reduceat(at, first, axis=0) if len(lit) else np.zeros((0, 3))
-            centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
-            cosines = (at * centres.repeat(counts, axis=0)).sum(1)
-            nearest = np.minimum.reduceat(cosines, first) if len(lit) else np.zeros(0)
-            sines = np.sqrt(np.clip(1 - np.clip(nearest, 0, 1) ** 2, 0, 1)) + 1e-4  # rounding
-            self._texels[parts] = (
-                lights,
-                density.ravel()[lit],
-                firsts,
-                centres.astype(np.float32),
-                sines.astype(np.float32),
-            )
-        return self._texels[parts]
-
-    def lights(self, rows: int) -> np.ndarray:
-        """Return the lights that stand for blocks of the map, `rows` blocks from pole to pole.
-
-        Returns  (9, T) float32, as direct_light_kernels.add_lights takes them
-        """
-        if rows not in self._lights:
-            height, width = self.light.shape[:2]
-            step = height // rows
-            w, solid_angle = envmap.directions(height, width)
-            energy = self.light.astype(np.float64) * solid_angle[..., None]
-            brightness = energy.sum(-1, keepdims=True) + 1e-12
-
-            def blocks(values: np.ndarray) -> np.ndarray:
-                return values.reshape(rows, step, width // step, step, 3).sum((1, 3)).reshape(-1, 3)
-
-            centres, energies = blocks(w * brightness), blocks(energy)
-            if step == 1:  # few lamps make most of a map's light: they are divided
-                lamps = np.argsort(energies.sum(-1))[-LAMPS:]
-                w, solid_angle = envmap.directions(4 * height, 4 * width)
-                parts = (
-                    (4 * (lamps // width)[:, None, None] + np.arange(4)[:, None]),
-                    (4 * (lamps % width)[:, None, None] + np.arange(4)),
-                )
-                inside = solid_angle[parts] / solid_angle[parts].sum((1, 2), keepdims=True)
-                divided = energies[lamps][:, None, None] * inside[..., None]
-                energies[lamps] = 0
-                centres = np.concatenate([centres, w[parts].reshape(-1, 3)])
-                energies = np.concatenate([energies, divided.reshape(-1, 3)])
-            self._lights[rows] = self._lit(centres[None], energies[None])[0]
-        return self._lights[rows]
-
-    def detail(self, parts: int) -> tuple[Any, ...]:
-        """Return blocks of the light: centres, radii, lights in detail and few lights of each.
-
-        Texels are divided into parts × parts. Arguments as direct_light_kernels.add_blocks has them
-        """
-        if parts not in self._detail:
-            height, width = self.light.shape[:2]
-            w, solid_angle = envmap.directions(height * parts, width * parts)
-            light = self.light.repeat(parts, 0).repeat(parts, 1).astype(np.float64)
-            energy = light * solid_angle[..., None]
-
-            def gathered(values: np.ndarray, across: int) -> np.ndarray:
-                """(rows, columns, 3) → (blocks, texels of each, 3), `across` a block"""
-                rows, columns = values.shape[0] // across, values.shape[1] // across
-                parted = values.reshape(rows, across, columns, across, 3).swapaxes(1, 2)
-                return parted.reshape(rows * columns, across * across, 3)
-
-            brightness = energy.sum(-1, keepdims=True) + 1e-12
-            half = BLOCK * parts // 2
-            sums = [gathered(each, half).sum(1) for each in (w * brightness, energy)]
-            rows, columns = height // BLOCK * 2, width // BLOCK * 2
-            few = [gathered(each.reshape(rows, columns, 3), 2) for each in sums]
-            near = gathered(w, BLOCK * parts), gathered(energy, BLOCK * parts)
-            centres = near[0].sum(1)
-            centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-            nearest = np.einsum("btc,bc->bt", near[0], centres).min(1)
-            radii = np.arccos(np.clip(nearest, -1, 1)) + np.pi / len(self.light)
-            self._detail[parts] = (
-                np.ascontiguousarray(centres @ self.camera_from_light.T, np.float32),
-                np.stack([np.cos(radii), np.sin(radii)], axis=1).astype(np.float32),
-                self._lit(*near),
-                np.ascontiguousarray(self._lit(*few).swapaxes(0, 1).reshape(9, -1)),
-            )
-        return self._detail[parts]
-
-    def _lit(self, w: np.ndarray, energy: np.ndarray) -> np.ndarray:
-        """Return the kernels' lights (B, 9, T) of directions and energies (B, T, 3)."""
-        w = w @ self.camera_from_light.T
-        w /= np.linalg.norm(w, axis=-1, keepdims=True)
-        half = w + np.array([0.0, 0.0, 1.0])
-        half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
-        every = np.concatenate([w, half, energy], axis=-1)
-        return np.ascontiguousarray(every.swapaxes(1, 2), np.float32)
 
     def _sum(self, k: int, n: np.ndarray, out: np.ndarray) -> None:
         """Add to out (N, 3) what closure k reflects of all lights, but not what `_sample` adds.
@@ -402,7 +276,7 @@ class DirectLight:
                     n[here],
                     table,
                     np.float32(WITHIN[kind]),
-                    *self.detail(divided),
+                    *self.blocks.detail(divided),
                     radiance,
                 )
                 out[here] += radiance
@@ -410,7 +284,7 @@ class DirectLight:
         # sheen is bright near the horizon, whatever its width
         width = {"diffuse": 1.0, "sheen": 0.1}.get(kind, least)
         rows = min(len(self.light), next(rows for wide, rows in BLOCKS if width >= wide))
-        direct_light_kernels.add_lights(number, n, table, extent, self.lights(rows), out)
+        direct_light_kernels.add_lights(number, n, table, extent, self.blocks.lights(rows), out)
 
     def _sample(
         self, k: int, n: np.ndarray, facets: np.ndarray, samples: int, out: np.ndarray

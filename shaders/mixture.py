@@ -49,6 +49,12 @@ class Mixture:
         object.__setattr__(self, "kinds", tuple(self.kinds))
         check(self)
 
+    @property
+    def key(self) -> tuple:
+        """What it is made of, by which tables hold what was computed of it."""
+        arrays = (self.stops, self.log_alpha, self.tilt, self.weights)
+        return self.kinds, *(array.tobytes() for array in arrays)
+
     @classmethod
     def constant(cls, kind: str, alpha: float, rgb: ArrayLike, tilt: float = 0.0) -> Mixture:
         """Return a mixture of one closure that does not depend on the view."""

@@ -175,7 +175,7 @@ def test_only_the_rendering_modules_import_blender(root):
 WRITERS = {
     ("manifests/files.py", "os.open"): "the one home of writing whole files",
     ("manifests/files.py", "os.replace"): "the same",
-    ("manifests/store.py", "os.open"): "lines are appended, whole or not at all",
+    ("manifests/line_files.py", "os.open"): "lines are appended, whole or not at all",
     ("manifests/store.py", "os.link"): "a whole file takes its place unless another has it",
     ("manifests/store.py", "os.replace"): "the same where there are no links",
     ("manifests/lock.py", "os.open"): "a lock is an empty file",

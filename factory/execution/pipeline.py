@@ -21,15 +21,21 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 import numpy as np
 
+from factory.execution.assignment import Assignment, BadShot, ShapeSource, load_light, load_shape
 from factory.planning.plan import TEXELS, Shot
-from factory.planning.shape_names import Source, load_mesh
 from factory.render import checks
 from factory.render.estimators import choice
 from factory.render.estimators.halves import DirectPicture, Portion, Shown
-from manifests.arrays import Geometry, SeenGeometry, encode_geometry, encode_picture, read_geometry
 from manifests.errors import InputError
 from manifests.ids import camera_of
-from manifests.schema import Accuracy, Camera, Job, Record, Statistics, Tier, View
+from manifests.picture_files import (
+    Geometry,
+    SeenGeometry,
+    encode_geometry,
+    encode_picture,
+    read_geometry,
+)
+from manifests.schema import Accuracy, Camera, Record, Statistics, Tier, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
@@ -37,7 +43,6 @@ from shaders.mixture import Mixture
 from shaders.tone import LUMINANCE
 
 if TYPE_CHECKING:
-    from factory.lights.light import Light
     from factory.shapes.mesh import Mesh
 
 MOST_GEOMETRIES = 48  # whose masks stay in memory: two shapes' 24 views
@@ -65,37 +70,6 @@ class Studio(Protocol):
     def direct_light_samples(self) -> int | None: ...
 
     def may_shade_itself(self) -> bool: ...
-
-
-class ShapeSource(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a shape is read from, and the hash that it must have."""
-
-    source: Source
-    hash: str
-    category: str
-
-
-class LightSource(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a light is read from, and the hash that it must have."""
-
-    source: str
-    hash: str
-
-
-class Assignment(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker needs to know besides its shots.
-
-    lights   by the names that shots use
-    library  a folder of light maps, or None
-    """
-
-    job: Job
-    lights: dict[str, LightSource]
-    library: str | None = None
-
-
-class BadShot(RuntimeError):
-    """A shot whose pixels, normals or light are not what they should be."""
 
 
 class _StoredGeometry(msgspec.Struct, frozen=True):
@@ -353,31 +327,6 @@ def _replacement_notes(path: str, fault: str, digest: str, expected: str | None)
         yield (
             f"{path} has another hash than its earlier records name: verify --repair removes those"
             " records, and the same render makes them again"
-        )
-
-
-def load_shape(source: ShapeSource) -> Mesh:
-    """Return the Mesh of an assignment's shape. Raises BadShot if the file has changed."""
-    mesh = load_mesh(source.source)
-    _require_unchanged(source.source.place, "mesh", source.hash, mesh.hash)
-    return mesh
-
-
-def load_light(source: LightSource, library: str | None) -> Light:
-    """Return the Light of an assignment's light. Raises BadShot if the file has changed."""
-    from factory.lights import load
-
-    light = load(source.source, library)
-    _require_unchanged(source.source, "map", source.hash, light.hash)
-    return light
-
-
-def _require_unchanged(place: str, what: str, expected: str, digest: str) -> None:
-    """Raise BadShot if the hash of an asset is not the one that it had when the plan was made."""
-    if digest != expected:
-        raise BadShot(
-            f"{place}: expected the {what} with hash {expected[:12]}, found {digest[:12]} (the file"
-            " has changed since the plan was made)"
         )
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import msgspec
 
-from factory.execution.pipeline import ShapeSource
+from factory.execution.assignment import ShapeSource
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot
 from manifests import subprocesses

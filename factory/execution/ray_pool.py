@@ -5,9 +5,10 @@ worker gets a unit in slices of about SLICE_SECONDS, which is how often progress
 no unit is left, an idle worker takes half of the largest one that another works on.
 
 A worker or a node that is lost (Ray says so) may still be at work, behind a broken network. Each
-worker holds a lock on its file of records (manifests.store.Lines), which ends with its process.
-What was given to a lost worker is therefore given out again only once the pool itself holds that
-lock, and without the shots that the file then names: nothing is lost, and nothing is made twice.
+worker holds a lock on its file of records (manifests.line_files.Lines), which ends with its
+process. What was given to a lost worker is therefore given out again only once the pool itself
+holds that lock, and without the shots that the file then names: nothing is lost, and nothing is
+made twice.
 The pool keeps the lock, so that a process that comes to life late cannot begin. This needs a folder
 that all nodes share at one path, on a file system whose locks hold between machines (NFS 4, Lustre
 with flock, local disks).
@@ -25,14 +26,14 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import ShapeSource
+from factory.execution.assignment import ShapeSource
 from factory.execution.ray_worker import RayWorker, ids_of, lines_path
 from factory.execution.worker import Chunk, Reply, WorkerConfig
 from factory.planning.plan import Shot
 from manifests import ray_cluster
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.ray_cluster import MOST_LOSSES, MOST_LOST_IN_A_ROW, SCALE_SECONDS
-from manifests.store import Lines
 
 SLICE_SECONDS = 2.0  # that a worker is given work for at once
 MOST_SLICE = 64  # shots of it

@@ -10,8 +10,8 @@ import numpy as np
 from factory.execution.worker import Reply
 from factory.planning.assets import Light, Material, Shape
 from factory.planning.plan import Plan
-from manifests.arrays import encode_light, read_light
 from manifests.errors import InputError
+from manifests.light_files import encode_light, read_light
 from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
 from manifests.schema import Dataset, Job, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, LightSource, ShapeSource
+from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.pool import Pool
 from factory.execution.registration import note_settings, register, register_shapes
 from factory.execution.uploads import uploading
@@ -29,9 +29,10 @@ from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.object_store import is_url
 from manifests.schema import Failure, Job
-from manifests.store import Lines, Store, geometry_path
+from manifests.store import Store, geometry_path
 from manifests.subprocesses import processors
 
 Watch = Callable[[str, Any], None]

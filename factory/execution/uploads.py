@@ -30,9 +30,10 @@ from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
 from manifests.files import write_bytes
+from manifests.line_files import encoded
 from manifests.object_store import THREADS, ObjectFolder
 from manifests.schema import Record, View
-from manifests.store import LINES, Store, encoded
+from manifests.store import LINES, Store
 
 SECONDS = 5.0  # between parts
 MOST_WAITING = 1000  # pictures that were made and not sent; above, the run waits

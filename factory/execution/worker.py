@@ -22,13 +22,15 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.pipeline import Assignment, BadShot, Pipeline, ShapeSource, Studio
+from factory.execution.assignment import Assignment, BadShot, ShapeSource
+from factory.execution.pipeline import Pipeline, Studio
 from factory.planning.plan import Shot
 from manifests.allocator import return_large_blocks
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.materials import load_catalogue
 from manifests.schema import Record
-from manifests.store import Lines, Store
+from manifests.store import Store
 
 STUDIO = "factory.render.studio:Studio"
 PARENT = "BRDFACTORY_PARENT"  # variable: process id of the parent, without which no shot is begun

@@ -24,7 +24,7 @@ import factory.shapes
 from factory.planning.shape_names import Source, load_mesh
 from factory.shapes.mesh_import import split_place
 from manifests.errors import InputError
-from manifests.store import Lines, lines_of
+from manifests.line_files import Lines, lines_of
 
 FOLDER = "shape-facts"
 # seconds: a file that changed so recently may change again within the same tick of its clock

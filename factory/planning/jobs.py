@@ -31,11 +31,14 @@ def presets() -> dict[str, Path]:
 def load(name_or_path: str | Path) -> tuple[Job, Path]:
     """Return the Job of a file or a preset, and the folder in which its relative paths start.
 
+    A file goes before a preset of the same name, and a preset before a folder.
+
     Raises  InputError: no such file or preset, or a fault in it
     """
-    path = Path(name_or_path)
-    if not path.exists() and path.suffix != ".json" and len(path.parts) == 1:
-        known = presets()
+    path, known = Path(name_or_path), presets()
+    # a folder of a preset's name may be a data set that was made of it
+    other = not path.exists() or (path.is_dir() and path.name in known)
+    if other and path.suffix != ".json" and len(path.parts) == 1:
         if path.name not in known:
             raise InputError(
                 f"job '{path}'", "a file or a preset", "neither", closest(path.name, known)

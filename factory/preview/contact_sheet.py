@@ -14,9 +14,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from factory.preview.shading import mirror_sphere, shade
-from manifests.arrays import read_geometry, read_light, read_picture
 from manifests.errors import InputError
+from manifests.light_files import read_light
 from manifests.materials import Material
+from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera, Dataset, Record
 from manifests.store import Store, inside
 from shaders import frames, tone

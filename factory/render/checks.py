@@ -6,7 +6,7 @@ good shot is empty.
 
 import numpy as np
 
-from manifests.arrays import SeenGeometry
+from manifests.picture_files import SeenGeometry
 
 UNIT_TOLERANCE = 1e-3  # of |n|: ten times float16's rounding of a unit vector's parts
 

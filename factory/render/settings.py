@@ -5,8 +5,9 @@ range; `assign` refuses both. A setting is named by its path from the scene: `cy
 `render.film_transparent`, `world.cycles.sampling_method`.
 """
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -234,3 +235,31 @@ def effective(root: Any, settings: Iterable[Setting]) -> dict[str, dict[str, Any
         return round(value, 6) if isinstance(value, float) else value
 
     return {s.path: {"value": held(s.path), "reason": s.reason} for s in settings}
+
+
+@contextlib.contextmanager
+def portion_of_samples(
+    scene: Any, first: int, count: int, seed: int, denoise: bool
+) -> Iterator[None]:
+    """Render samples first … first + count − 1 of a seed's sequence inside the block.
+
+    denoise  also by the denoiser; the noisy picture is then a pass of its own
+    """
+    passes = scene.view_layers[0].cycles
+    earlier = {s.path: scene.path_resolve(s.path) for s in PORTION}
+    try:
+        apply(scene, PORTION)
+        assign(scene, "cycles.sample_offset", int(first))
+        assign(scene, "cycles.sample_subset_length", int(count))
+        assign(scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
+        if denoise:
+            apply(scene, DENOISED)
+            assign(scene, "cycles.use_denoising", True)
+            assign(passes, "denoising_store_passes", True)
+        yield
+    finally:
+        for path, value in earlier.items():
+            assign(scene, path, value)
+        assign(scene, "cycles.sample_offset", 0)
+        assign(scene, "cycles.use_denoising", False)
+        assign(passes, "denoising_store_passes", False)

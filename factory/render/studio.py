@@ -11,12 +11,9 @@ radiance  (height, width, 3) float32, linear Rec.709, black outside the object; 
 from __future__ import annotations
 
 import contextlib
-import math
 import platform
-from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import bpy
 import msgspec
@@ -26,94 +23,38 @@ from factory.render import (
     body,
     camera,
     canary,
-    checks,
     device,
     light,
-    materials,
     points,
     render_result,
+    scene,
     self_shading,
     window,
 )
+from factory.render.direct_light import DirectLights, picture_of, points_of
 from factory.render.estimators.halves import DirectPicture, Portion
+from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
+from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
     ALWAYS,
-    DENOISED,
     GEOMETRY,
     PIXELS,
-    PORTION,
     TIERS,
     Setting,
     apply,
     assign,
     effective,
+    portion_of_samples,
 )
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
-from manifests.facets import Facets
 from manifests.schema import Camera, LightResolution, Tier
-from shaders import frames, nodes
 from shaders.mixture import Mixture
 
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
 Purpose = Literal["picture", "geometry"]
-# normals across a pixel at which direct light is computed, with how many samples of a narrow lobe
-# each; mirror-like materials need more, for in a pixel normals turn by more than their lobes
-SUBPIXELS = {"glossy": (4, 12), "mirror-like": (8, 4)}
-# cells across a pixel; in each of them light that wide lobes lose at facets is computed once
-CELLS = 2
-MIRROR_LIKE = 0.03  # α below which a lobe is
-MOST_POINTS = 1 << 22  # of a picture, some 150 MB
-MOST_DIRECT = 64  # maps of direct light in memory
-MOST_GROUPS = 512  # node groups in memory: more than there are materials in a catalogue
-# least n·v of a normal: near a coarse mesh's silhouette smooth normals may face away
-FACING = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """What is visible at each pixel's centre, without antialiasing.
-
-    normals   (height, width, 3) float32, camera frame, unit, n·v ≥ 1e-3; 0 outside the mask
-    mask      (height, width) bool
-    depth     (height, width) float32, distance behind the plane through the object's centre, along
-              the optical axis; 0 outside the mask
-    segments  (height, width) uint8: 1, 2, …; 0 outside the mask
-    facets    of points seen by a distant viewer; None for other cameras
-    """
-
-    normals: np.ndarray
-    mask: np.ndarray
-    depth: np.ndarray
-    segments: np.ndarray
-    facets: Facets | None = None
-
-
-class _Surface(NamedTuple):
-    """What the rays through pixels' centres meet: a mask (height, width), and of its pixels
-
-    normals   (P, 3) float32, camera frame, as they are interpolated: they may lean away
-    facets    (P, 3) normals of the facets, with n_z ≥ 0: they face a distant viewer
-    depth     (P,) as in Geometry; segments (P,) uint8
-    """
-
-    mask: np.ndarray
-    normals: np.ndarray
-    facets: np.ndarray
-    depth: np.ndarray
-    segments: np.ndarray
-
-    def pasted(self) -> points.Seen:
-        """Return the surface in the frame of its mask."""
-
-        def paste(values: np.ndarray) -> np.ndarray:
-            frame = np.zeros((*self.mask.shape, *values.shape[1:]), values.dtype)
-            frame[self.mask] = values
-            return frame
-
-        return points.Seen(self.mask, paste(self.normals), paste(self.facets), paste(self.segments))
 
 
 class Studio:
@@ -136,15 +77,14 @@ class Studio:
             Setting("render.threads_mode", "FIXED" if threads else "AUTO", "requested"),
             *((Setting("render.threads", threads, "requested"),) if threads else ()),
         )
-        self._scene = _scene(self._always)
+        self._scene = scene.new(self._always)
         self._lens: Camera | None = None
         self._purpose: Purpose | None = None
         self._tier: str | None = None
         self._seen: np.ndarray | None = None  # the light map as the camera sees it
         self._nearest = False  # whether Cycles looks it up as it is, texel by texel
         self._mixtures: list[Mixture] = []
-        # by mixture, light and camera, least recently used first
-        self._direct: OrderedDict[tuple, DirectLight] = OrderedDict()
+        self._direct = DirectLights()
         self._azimuth, self._segments = 0.0, 0
         # of the shape
         self._body: Any = None
@@ -153,13 +93,7 @@ class Studio:
         self._vertices = np.zeros((0, 3), np.float32)
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
-        # one material per segment, and the node groups that it shows for each purpose
-        self._surfaces: list[Any] = []
-        self._id_groups: list[Any] = []
-        self._material_groups: list[Any] = []
-        self._groups: OrderedDict[tuple, Any] = (
-            OrderedDict()
-        )  # by mixture, least recently used first
+        self._materials = SegmentMaterials()
         self.versions = {
             "blender": bpy.app.version_string,
             "numpy": np.__version__,
@@ -197,24 +131,17 @@ class Studio:
             for each in (self._object, self._second_object):
                 bpy.data.objects.remove(each)
             bpy.data.meshes.remove(self._body)
-        self._segments, self._tier, self._material_groups = int(mesh.segment.max()), None, []
-        self._add_surfaces(self._segments)
+        self._segments, self._tier = int(mesh.segment.max()), None
         self._vertices = mesh.vertices.astype(np.float32)
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
         self._body = body.build(mesh)
-        for surface in self._surfaces[: self._segments]:
+        for surface in self._materials.of_new_shape(self._segments):
             self._body.materials.append(surface)
-        self._object = _put(self._scene, self._body)
-        self._second_object = _put_unseen(self._scene, self._body)
+        self._object = scene.put(self._scene, self._body)
+        self._second_object = scene.put_unseen(self._scene, self._body)
         assign(self._scene, "render.use_persistent_data", True)
-
-    def _add_surfaces(self, count: int) -> None:
-        """Make sure that there are at least `count` materials, and as many groups that emit ids."""
-        for number in range(len(self._surfaces) + 1, count + 1):
-            self._surfaces.append(materials.new(f"surface {number}"))
-            self._id_groups.append(materials.id_emission(number))
 
     def _show(self, purpose: Purpose) -> None:
         """Prepare the scene for a picture or for geometry."""
@@ -223,9 +150,7 @@ class Studio:
             for each in ("use_pass_normal", "use_pass_z"):
                 assign(self._scene.view_layers[0], each, purpose == "geometry")
             self._purpose = purpose
-        groups = self._id_groups if purpose == "geometry" else self._material_groups
-        for surface, group in zip(self._surfaces, groups, strict=False):
-            materials.show(surface, group)
+        self._materials.show(ids=purpose == "geometry")
 
     def _own(self, purpose: Purpose) -> tuple[Setting, ...]:
         """Return the settings that differ between pictures and geometry."""
@@ -272,21 +197,8 @@ class Studio:
                 f"materials: expected {self._segments}, one per segment, found {len(mixtures)}"
                 " (name each segment's material)"
             )
-        self._material_groups = [self._group(mixture) for mixture in mixtures]
+        self._materials.set(mixtures)
         self._mixtures = list(mixtures)
-
-    def _group(self, mixture: Mixture) -> Any:
-        """Return the node group of a mixture, built on first use.
-
-        The least recently used group is removed where there are too many.
-        """
-        key = _key(mixture)
-        if key not in self._groups:
-            self._groups[key] = materials.build(nodes.graph(mixture))
-        self._groups.move_to_end(key)
-        if len(self._groups) > MOST_GROUPS:
-            bpy.data.node_groups.remove(self._groups.popitem(last=False)[1])
-        return self._groups[key]
 
     def geometry(self) -> Geometry:
         """Return the Geometry of shape and view, by one ray through each pixel's centre."""
@@ -297,7 +209,8 @@ class Studio:
         )
         facets = None
         if lens.pixel == "centre" and lens.fov_deg is None:
-            facets = self._facets(lens, at)
+            around = [self._surface(x, y) for x, y in points.offsets()]
+            facets = facets_of(at, around)
         shot = Geometry(
             np.zeros((*lens.size, 3), np.float32),
             at.mask,
@@ -305,26 +218,12 @@ class Studio:
             np.zeros(lens.size, np.uint8),
             facets,
         )
-        shot.normals[at.mask] = _facing(at.normals, view)
+        shot.normals[at.mask] = facing(at.normals, view)
         shot.depth[at.mask] = at.depth
         shot.segments[at.mask] = at.segments
         return shot
 
-    def _facets(self, lens: Camera, at: _Surface) -> Facets:
-        """Return the Facets of points, of which `at` is the surface."""
-        around = [self._surface(x, y).pasted() for x, y in points.offsets()]
-        centre = at.pasted()
-        shares, others = points.others(centre, around)
-        return Facets(
-            centre.facets,
-            centre.normals[..., 2],
-            shares,
-            np.stack([other.normals for other in others]),
-            np.stack([other.facets for other in others]),
-            np.stack([other.segments for other in others]),
-        )
-
-    def _surface(self, rightwards: float = 0.0, upwards: float = 0.0) -> _Surface:
+    def _surface(self, rightwards: float = 0.0, upwards: float = 0.0) -> Surface:
         """Return what one ray through each pixel meets, so many pixels from its centre.
 
         Pixels that are points are seen through their centres to a hundredth of the width of Cycles'
@@ -339,25 +238,7 @@ class Studio:
         finally:
             camera.shift(self._scene, lens, 0.0, 0.0)
         mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
-        inside = mask[top:bottom, left:right]
-        world, emitted = passes["Normal"][inside], passes["Combined"][inside]
-        squares = np.einsum("pi,pi->p", world, world)
-        if squares.size and np.abs(squares - 1).max() > 2 * checks.UNIT_TOLERANCE:
-            raise RuntimeError(
-                "geometry: expected unit normals, found n·n"
-                f" {squares.min():.3f}–{squares.max():.3f} (the filter mixes pixels)"
-            )
-        facets = np.zeros_like(world)
-        facets[:, :2] = emitted[:, 1:3] - np.float32(materials.FACET_SHIFT)
-        across = np.einsum("pi,pi->p", facets, facets)
-        facets[:, 2] = np.sqrt(np.maximum(1 - across, 0))
-        return _Surface(
-            mask,
-            normals=world @ camera.camera_from_fixed_world(lens).T.astype(np.float32),
-            facets=facets,
-            depth=passes["Depth"][inside][:, 0] - np.float32(camera.distance(lens)),
-            segments=np.rint(emitted[:, 0]).astype(np.uint8),
-        )
+        return surface_of(passes, mask, (top, bottom, left, right), lens)
 
     def render(self, samples: int, seed: int, tier: Tier = "direct") -> np.ndarray:
         """Return radiance (height, width, 3); arguments as `picture` takes them."""
@@ -391,25 +272,9 @@ class Studio:
         """
         self._show("picture")
         self._set_tier(tier)
-        passes = self._scene.view_layers[0].cycles
-        earlier = {s.path: self._scene.path_resolve(s.path) for s in PORTION}
-        try:
-            apply(self._scene, PORTION)
-            assign(self._scene, "cycles.sample_offset", int(first))
-            assign(self._scene, "cycles.sample_subset_length", int(count))
-            assign(self._scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
-            if denoise:
-                apply(self._scene, DENOISED)
-                assign(self._scene, "cycles.use_denoising", True)
-                assign(passes, "denoising_store_passes", True)  # the noisy picture is one of them
+        with portion_of_samples(self._scene, first, count, seed, denoise):
             lens = self._require_camera()
             visible, rendered = self._render_passes(lens)
-        finally:
-            for path, value in earlier.items():
-                assign(self._scene, path, value)
-            assign(self._scene, "cycles.sample_offset", 0)
-            assign(self._scene, "cycles.use_denoising", False)
-            assign(passes, "denoising_store_passes", False)
         rgba = window.paste(rendered["Combined"], visible, lens.size)
         alpha = np.ascontiguousarray(rgba[..., 3])
         if not denoise:
@@ -455,11 +320,11 @@ class Studio:
         lens = self._require_camera()
         if lens.fov_deg is not None or not self._nearest or not self._mixtures:
             return None
-        direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
-        points = self._points(direct, lens)
-        if points is None:
+        direct = self._direct_lights(lens)
+        grid = points_of(direct, lens)
+        if grid is None:
             return None
-        across, samples = points
+        across, samples = grid
         return 2 * across**2 * samples * max(each.narrow for each in direct)
 
     def direct_light(self) -> DirectPicture | None:
@@ -471,60 +336,22 @@ class Studio:
         if self.direct_light_samples() is None:
             return None
         lens = self._require_camera()
-        direct = [self._direct_light(mixture, lens) for mixture in self._mixtures]
-        points = self._points(direct, lens)
-        assert points is not None
-        across, samples = points
+        direct = self._direct_lights(lens)
+        grid = points_of(direct, lens)
+        assert grid is not None
+        across, samples = grid
         height, width = lens.size
         self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
         try:
             fine = self._surface()
         finally:
             self.set_camera(lens)
-        values = np.zeros_like(fine.normals)
-        rows, columns = (place // max(across // CELLS, 1) for place in np.nonzero(fine.mask))
-        cells = rows * fine.mask.shape[1] + columns
-        for number, each in enumerate(direct, 1):
-            here = fine.segments == number
-            of = fine.normals[here], samples, fine.facets[here]
-            values[here] = each.at(*of, cells=cells[here])
-        radiance = np.zeros((*fine.mask.shape, 3), np.float32)
-        radiance[fine.mask] = values
-        blocks = (height, across, width, across)
-        return DirectPicture(
-            radiance.reshape(*blocks, 3).mean((1, 3), dtype=np.float32),
-            fine.mask.reshape(blocks).mean((1, 3), dtype=np.float32),
-        )
+        return picture_of(direct, fine, lens.size, across, samples)
 
-    def _points(self, direct: Sequence[DirectLight], lens: Camera) -> tuple[int, int] | None:
-        """Return the points across a pixel, and the samples of narrow lobes at each of them.
-
-        None where fewer than two points across a square pixel fit into MOST_POINTS.
-        """
-        mirror_like = min(each.narrowest for each in direct) < MIRROR_LIKE
-        across, samples = SUBPIXELS["mirror-like" if mirror_like else "glossy"]
-        per_pixel = across * across * samples
-        pixels = lens.size[0] * lens.size[1]
-        across = 1 if lens.pixel == "centre" else min(across, math.isqrt(MOST_POINTS // pixels))
-        if pixels > MOST_POINTS or (across < 2 and lens.pixel != "centre"):
-            return None
-        return across, -(-per_pixel // across**2)
-
-    def _direct_light(self, mixture: Mixture, lens: Camera) -> DirectLight:
-        """Return the direct light of a mixture under the light that is shown."""
+    def _direct_lights(self, lens: Camera) -> list[DirectLight]:
+        """Return the direct light of each segment's material under the light that is shown."""
         assert self._seen is not None
-        key = (_key(mixture), self._seen.tobytes(), lens.elevation_deg, lens.roll_deg)
-        if key not in self._direct:
-            from shaders.direct_light import DirectLight  # and numba, which takes half a second
-
-            rotation = frames.camera_from_light(
-                np.radians(lens.elevation_deg), np.radians(lens.roll_deg)
-            )
-            self._direct[key] = DirectLight(mixture, self._seen, rotation)
-        self._direct.move_to_end(key)
-        if len(self._direct) > MOST_DIRECT:
-            self._direct.popitem(last=False)
-        return self._direct[key]
+        return [self._direct.of(mixture, self._seen, lens) for mixture in self._mixtures]
 
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""
@@ -548,54 +375,3 @@ class Studio:
         for ray in ("shadow", "diffuse", "glossy", "transmission"):
             assign(self._object, f"visible_{ray}", not TIERS[tier]["unoccluded"])
         self._tier = tier
-
-
-def _key(mixture: Mixture) -> tuple:
-    """Return what a mixture is made of."""
-    arrays = (mixture.stops, mixture.log_alpha, mixture.tilt, mixture.weights)
-    return mixture.kinds, *(array.tobytes() for array in arrays)
-
-
-def _scene(settings: Iterable[Setting]) -> bpy.types.Scene:
-    """Return a new scene with a camera."""
-    scene = bpy.data.scenes.new("studio")
-    apply(scene, settings)
-    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(scene.camera)
-    return scene
-
-
-def _put(scene: bpy.types.Scene, mesh: bpy.types.Mesh) -> bpy.types.Object:
-    """Return a new object of `mesh` in `scene`."""
-    each = bpy.data.objects.new("object", mesh)
-    scene.collection.objects.link(each)
-    return each
-
-
-def _put_unseen(scene: bpy.types.Scene, mesh: bpy.types.Mesh) -> bpy.types.Object:
-    """Return a second object of the same mesh that no ray sees.
-
-    If a mesh has one object, Cycles bakes the object's transform into the vertices: each turn would
-    transfer them again and rebuild their tree (33 ms of work for 80,000 triangles). If a mesh has
-    two objects, Cycles changes a matrix, provided that materials belong to the mesh.
-    """
-    unseen = _put(scene, mesh)
-    unseen.location = (0.0, 0.0, -10.0)
-    # visible to volume scattering, which does not occur: Cycles drops an object that no ray can see
-    for ray in ("camera", "shadow", "diffuse", "glossy", "transmission"):
-        assign(unseen, f"visible_{ray}", False)
-    return unseen
-
-
-def _facing(normals: np.ndarray, view: np.ndarray | None) -> np.ndarray:
-    """Return normals (P, 3) with n·v ≥ FACING: others are moved to the nearest such unit vector.
-
-    view  (P, 3) from surface to camera, camera frame; None: (0, 0, 1)
-    """
-    cosine = normals[:, 2] if view is None else np.einsum("pi,pi->p", normals, view)
-    (away,) = np.nonzero(cosine < FACING)
-    v = np.array([0.0, 0.0, 1.0], np.float32) if view is None else view[away]
-    flat = normals[away] - cosine[away, None] * v  # the part across the view
-    flat /= np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), np.float32(1e-12))
-    normals[away] = np.float32(np.sqrt(1 - FACING**2)) * flat + np.float32(FACING) * v
-    return normals

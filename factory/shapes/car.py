@@ -9,18 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.car_body import Form, cabin, lower_body
+from factory.shapes.car_body import DARK, PAINT, Form, cabin, lower_body
 from factory.shapes.car_details import (
-    DARK,
-    PAINT,
     cockpit,
     front,
     lights,
     mirrors_and_handles,
     roof_details,
     seams,
-    wheels,
 )
+from factory.shapes.car_wheels import wheels
 from factory.shapes.mesh import Mesh
 
 FAMILY_KEY = 1

@@ -16,6 +16,8 @@ from scipy.interpolate import PchipInterpolator
 
 from factory.shapes.surfaces import Surface, closed, grid_faces, loft
 
+PAINT, DARK = 1, 2  # segments: the body; wheels, glass, lights and trim
+
 
 @dataclass(frozen=True)
 class Form:

@@ -1,1 +1,5 @@
-"""The page to edit photographs in, `brdfactory app`. Only learn.app.page needs gradio."""
+"""The page to edit photographs in, `brdfactory app`.
+
+What needs gradio: page, its three tabs (object_tab, material_tab, download_tab), event_handling and
+offline_gradio.
+"""

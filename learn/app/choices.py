@@ -124,6 +124,18 @@ class Edit:
         regions[number] = painted
         return replace(self, regions=tuple(regions))
 
+    @property
+    def caption(self) -> str:
+        """Materials and light in words, on one line."""
+        several = len(self.regions) > 1
+        each = [
+            (f"region {k}: " if several else "") + painted.caption
+            for k, painted in enumerate(self.regions, 1)
+        ]
+        turned = f", turned by {self.light.rotation_deg:g}°" if self.light.columns else ""
+        lit = "" if self.light.unchanged else f"; light: {self.light.name}{turned}"
+        return "; ".join(each) + lit
+
 
 def catalogue_material(name: str) -> Chosen:
     """Return a material of the catalogue. Raises InputError for an unknown name."""

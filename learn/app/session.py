@@ -1,91 +1,39 @@
-"""What the page keeps of each user, on the server: in memory, and in a folder of their own.
+"""What the page keeps of one user, on the server: in memory, and in a folder of their own.
 
-A user is one open page, by the random name that the page has. Nothing is shared between two. Files
-are bounded before they are decoded (learn.data.photographs) and deleted with the session: when the
-page is closed, after IDLE_SECONDS without a request, when MOST_SESSIONS newer ones are open, or
-when the server ends.
+Nothing is shared between two users, whose sessions learn.app.sessions begins and ends. Files are
+bounded before they are decoded (learn.data.photographs), and deleted with the session.
 """
 
 import secrets
 import shutil
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
-import torch
-from PIL import Image
-from scipy.ndimage import binary_dilation
 
-from learn.app import choices
+from learn.app import background_decomposition, choices, overlay
+from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
 from learn.app.viewer import Viewer
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
-from learn.editing.decomposition import Decomposition
 from learn.figures import montage
-from learn.networks import weights as checkpoint
 from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-MOST_SESSIONS = 16
-IDLE_SECONDS = 3600.0
 MOST_BYTES = 64 << 20  # of a file that is sent to the page
 MOST_PIXELS = 24_000_000  # of a photograph: a user's session then takes up to 2 GB while it renders
 SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
-# display colours of the regions on the page; region 1 is the first
-REGION_COLORS = np.array(
-    [
-        (0, 158, 115),
-        (230, 159, 0),
-        (86, 180, 233),
-        (204, 121, 167),
-        (240, 228, 66),
-        (0, 114, 178),
-        (213, 94, 0),
-        (150, 150, 150),
-    ],
-    np.float64,
-)
 NO_PHOTOGRAPH = ("the page", "a photograph", "none", "choose a file, or the example")
 NOT_DECOMPOSED = ("the page", "a decomposed photograph", "none", "press Decompose first")
-
-
-class Stopped(Exception):
-    """The user pressed Stop, or closed the page."""
-
-
-class Network:
-    """The network that decomposes, loaded by the first photograph."""
-
-    def __init__(self, weights: Path, device: str | torch.device = "cpu"):
-        self.weights, self.device = weights, device
-        self._lock = threading.Lock()
-        self._loaded: tuple[torch.nn.Module, dict] | None = None
-
-    def loaded(self) -> tuple[torch.nn.Module, dict]:
-        """Return the network and its metadata."""
-        with self._lock:
-            if self._loaded is None:
-                self._loaded = checkpoint.load_parts(self.weights, self.device)
-            return self._loaded
-
-
-@dataclass
-class Progress:
-    """How far a decomposition is. share: 0 to 1; text: what is being done, for people."""
-
-    share: float
-    text: str
 
 
 @dataclass
@@ -200,31 +148,7 @@ class Session:
 
     def overlay(self) -> np.ndarray:
         """Return the photograph (h, w, 3) uint8, scaled, with its regions in colour."""
-        selection, scale = self.opened(), self.scale
-        height, width = (max(1, round(scale * side)) for side in selection.size)
-        labels = np.asarray(
-            Image.fromarray(selection.labels()).resize((width, height), Image.Resampling.NEAREST)
-        )
-        display = Image.fromarray(selection.display).resize(
-            (width, height), Image.Resampling.BICUBIC
-        )
-        shown = np.asarray(display, np.float64)
-        colors = np.concatenate([np.zeros((1, 3)), REGION_COLORS])[labels]
-        inside = (labels > 0)[..., None]
-        shown = np.where(inside, 0.55 * shown + 0.45 * colors, 0.8 * shown)
-        width = 2
-        edge = np.zeros(labels.shape, bool)
-        edge[1:] |= labels[1:] != labels[:-1]
-        edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-        edge = binary_dilation(edge)
-        shown[edge] = 255.0
-        rows, columns = np.ogrid[: labels.shape[0], : labels.shape[1]]
-        for click in selection.clicks:
-            distance = (rows - scale * click.row) ** 2 + (columns - scale * click.column) ** 2
-            shown[distance <= (3 * width + 2) ** 2] = 255.0
-            color = REGION_COLORS[click.region - 1] if click.region else np.zeros(3)
-            shown[distance <= (2 * width + 1) ** 2] = color
-        return montage.eight_bit(shown)
+        return overlay.draw(self.opened(), self.scale)
 
     def marked(self) -> photograph.Photograph:
         """Return the Photograph with its mask and regions. Raises InputError."""
@@ -255,53 +179,11 @@ class Session:
         opened = self.marked()
         self.stop = stop = threading.Event()
         self.number += 1
-        reports: SimpleQueue[Progress | BaseException | Decomposition] = SimpleQueue()
-        began = time.monotonic()
-
-        def watch(done: int, expected: int) -> None:
-            if stop.is_set():
-                raise Stopped
-            share = min(0.15 + 0.8 * done / expected, 0.95)
-            seconds = time.monotonic() - began
-            left = "" if done < 5 else f", about {seconds * (1 / share - 1):.0f} s left"
-            text = f"refining, step {done} of about {max(expected, done)}{left}"
-            reports.put(Progress(share, text))
-
-        def work() -> None:
-            try:
-                reports.put(Progress(0.02, "loading the network"))
-                network, metadata = self.network.loaded()
-                if stop.is_set():
-                    raise Stopped
-                reports.put(Progress(0.08, "reading shape, light and material"))
-                settings = PHOTOGRAPHS if refine else None
-                size = metadata["size"]
-                reports.put(decomposition.decompose(opened, network, size, settings, watch))
-            except BaseException as error:
-                reports.put(error)
-
-        thread = threading.Thread(target=work, daemon=True)
-        thread.start()
-        while True:
-            try:
-                report = reports.get(timeout=0.25)
-            except Empty:
-                if stop.is_set() and not thread.is_alive():
-                    raise Stopped from None
-                continue
-            while not reports.empty():  # the latest one
-                if not isinstance(report, Progress):
-                    break
-                report = reports.get()
-            if isinstance(report, BaseException):
-                raise report
-            if isinstance(report, Decomposition):
-                break
-            yield report
-        if stop.is_set():
-            raise Stopped
+        decomposed = yield from background_decomposition.decompose(
+            opened, self.network, refine, stop
+        )
         yield Progress(0.97, "preparing the view")
-        viewer = Viewer(report)
+        viewer = Viewer(decomposed)
         if stop.is_set():
             raise Stopped
         self.viewer, self.refined = viewer, refine
@@ -400,47 +282,3 @@ class Session:
     def _was_marked(self) -> bool:
         selection = self.opened()
         return bool(selection.clicks or selection.strokes)
-
-
-class Sessions:
-    """The sessions of all users, by the names of their pages."""
-
-    def __init__(self, folder: Path, network: Network):
-        self.folder, self.network = folder, network
-        self._sessions: OrderedDict[str, Session] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def of(self, name: str) -> Session:
-        """Return the session of a page, a new one for a new page."""
-        now = time.monotonic()
-        with self._lock:
-            session = self._sessions.get(name)
-            if session is None:
-                folder = self.folder / secrets.token_hex(
-                    16
-                )  # so that its address cannot be guessed
-                folder.mkdir(mode=0o700)
-                session = self._sessions[name] = Session(folder, self.network)
-            session.used = now
-            self._sessions.move_to_end(name)
-            old = [k for k, each in self._sessions.items() if now - each.used > IDLE_SECONDS]
-            more = list(self._sessions)[: max(0, len(self._sessions) - MOST_SESSIONS)]
-            ended = [self._sessions.pop(each) for each in dict.fromkeys([*old, *more])]
-        for each in ended:
-            each.close()
-        return session
-
-    def close(self, name: str) -> None:
-        """End the session of a page, if there is one."""
-        with self._lock:
-            session = self._sessions.pop(name, None)
-        if session is not None:
-            session.close()
-
-    def close_all(self) -> None:
-        """End all sessions."""
-        for name in list(self._sessions):
-            self.close(name)
-
-    def __len__(self) -> int:
-        return len(self._sessions)

@@ -24,7 +24,7 @@ import torch
 from PIL import Image
 
 from learn.app.choices import Edit, LightChoice
-from learn.data import photographs
+from learn.data import framing
 from learn.data.devices import array
 from learn.editing import drawing, interactive, reflectance_store
 from learn.editing.compositor import CLEAR, Compositor
@@ -182,7 +182,7 @@ class Viewer:
             return compositor.radiance(label)
         L = np.ascontiguousarray(light.of(self.own_light), np.float32)
         frame = compositor.relit(label, L)
-        square = photographs.placed(frame, self.decomposition.framed.box)
+        square = framing.placed(frame, self.decomposition.framed.box)
         return square / self.decomposition.exposure.astype(np.float32)
 
     def _composed(self, object_: np.ndarray, edit: Edit) -> np.ndarray:

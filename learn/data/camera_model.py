@@ -27,7 +27,8 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from learn.data.photographs import ESTIMATED, NEAR_WHITE, exposure_of
+from learn.data.framing import ESTIMATED, exposure_of
+from learn.data.photographs import NEAR_WHITE
 from shaders import tone
 from shaders.tone import LUMINANCE
 

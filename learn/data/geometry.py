@@ -30,19 +30,11 @@ from typing import Any
 import numpy as np
 
 from learn.data.records import Records
-from manifests.arrays import (
-    PACKED_DEPTH,
-    PACKED_NORMALS,
-    PACKED_SEGMENTS,
-    PACKED_TYPES,
-    pack_depth,
-    pack_normals,
-    unpack_depth,
-    unpack_normals,
-)
+from manifests.arrays import PACKED_DEPTH, PACKED_NORMALS, PACKED_SEGMENTS, PACKED_TYPES
 from manifests.errors import InputError
 from manifests.files import replacing, write_text
 from manifests.inputs import require_file
+from manifests.packed_geometry import pack_depth, pack_normals, unpack_depth, unpack_normals
 from manifests.progress import tqdm
 from manifests.schema import Camera, Record, View
 from shaders.frames import ELEVATION, turned_to_viewer, view_vectors

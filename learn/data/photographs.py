@@ -6,9 +6,8 @@ mask      (H, W) bool, from a file of the same size (brighter than half) or from
 Of 16-bit colour Pillow reads the upper eight bits; of 16-bit grey all. The file's orientation is
 applied; colour profiles are not read.
 
-Accepted radiance: finite values up to LARGEST_RADIANCE, negative ones counting as 0, of an object
-whose brightness allows its exposure to be estimated (ESTIMATED) and suits the networks (SEEN). A
-constant or fully clipped object is accepted.
+Accepted radiance: finite values up to LARGEST_RADIANCE, negative ones counting as 0. What networks
+are shown of it, and which brightness they can read, is in learn.data.framing.
 """
 
 import functools
@@ -17,19 +16,16 @@ import struct
 import warnings
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
-from scipy.ndimage import distance_transform_edt
 
 from manifests import exr
 from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders import tone
-from shaders.tone import LUMINANCE
 
 # What Pillow may open. Left out are formats that start other programs (EPS starts Ghostscript),
 # hold several sizes (ICO, ICNS), are read line by line in Python (plain PPM), or that no camera and
@@ -67,46 +63,9 @@ LARGEST_RADIANCE = 1e10  # the sun's disk has 1.6e9 cd/m²: in no unit in use is
 MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
 MASK_REMEDY = "give --mask FILE: white where the object is"
-# pixels along the side of the square over the object: of a square picture of MOST_PIXELS
-MOST_SQUARE = 9600
-MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
-# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the
-# object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures
-# of known light, exposed for their 99th percentile. `python -m learn.experiments exposure` measures
-# it (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off
-# either by more than a factor of 2.5.
-TYPICAL, DEPENDENCE = 0.23, 0.19
-# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
-# it a file is in units of its own.
-ESTIMATED = (1e-3, 1e3)
-# Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials
-# on a sphere have 2.3e-4 (lit by a sun from behind) to 1.8; a mirror that faces the sun may have
-# far more, but not over a whole object.
-SEEN = (1e-4, 1e2)
-
-
 # Display value, of 255, from which on a file of 8 bits is taken to be clipped: JPEG's losses leave
 # white a little below 255.
 NEAR_WHITE = 252
-
-Box = tuple[int, int, int]  # top, left, side
-
-
-@dataclass(frozen=True)
-class Framed:
-    """A picture cropped to the object's square.
-
-    box       (top, left, side) in the picture's pixels
-    exposure  radiance = photograph × exposure
-    clipped   (size, size, 3) in [0, 1]: the share of each pixel's part of the object that is white
-              in the file, by channel; None if the file's values have no upper limit
-    """
-
-    radiance: np.ndarray
-    mask: np.ndarray
-    box: Box
-    exposure: float
-    clipped: np.ndarray | None = None
 
 
 def holds_radiance(path: str | Path) -> bool:
@@ -359,139 +318,6 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
             "divide it by what white is, and export it again",
         )
     return np.maximum(radiance, 0), np.clip(alpha, 0, 1)
-
-
-def exposure_of(
-    radiance: np.ndarray,
-    mask: np.ndarray,
-    exposure: float | None = None,
-    where: object = "the object",
-) -> float:
-    """Return the factor from a picture's radiance to the networks'.
-
-    exposure  the factor itself; None: estimated from the object's brightness
-    radiance (H, W, 3), mask (H, W) bool, not empty
-    Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
-    """
-    Y = float((radiance[mask] @ LUMINANCE).mean())
-    shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
-    if exposure is None:
-        if not ESTIMATED[0] <= Y <= ESTIMATED[1]:
-            rule = "an object of mean luminance {:g} to {:g}".format(*ESTIMATED)
-            raise InputError(
-                where,
-                rule,
-                shown,
-                "expose it so that white is 1, or say by --exposure what to multiply it by",
-            )
-        return TYPICAL * Y**-DEPENDENCE
-    if not SEEN[0] <= exposure * Y <= SEEN[1]:
-        rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(*SEEN)
-        raise InputError(
-            where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out"
-        )
-    return exposure
-
-
-def framed(
-    radiance: np.ndarray,
-    mask: np.ndarray,
-    size: int,
-    exposure: float | None = None,
-    where: object = "the object",
-    clipped: np.ndarray | None = None,
-) -> Framed:
-    """Return the object's square at the networks' size.
-
-    exposure  None: estimated from the object's brightness
-    where     names the picture in an InputError
-    clipped   (H, W, 3) bool of `saturated`, or None
-    Returns   Framed with radiance (size, size, 3), mask (size, size)
-    Raises    InputError: too little of it is left at that size; as `exposure_of`
-    """
-    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
-    if side > MOST_SQUARE:
-        across = max(np.ptp(rows), np.ptp(columns)) + 1
-        rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
-        raise InputError(where, rule, str(across), "make the picture smaller")
-    top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
-    exposure = exposure_of(radiance, mask, exposure, where)
-    weight = placed(mask.astype(np.float32), (top, left, side))
-    covered = resized(weight, size)
-    colour = (
-        resized(placed(radiance * mask[..., None], (top, left, side)), size)
-        / np.maximum(covered, 1e-3)[..., None]
-    )
-    inside = covered >= 0.5
-    # wires and rims: the pixels that hold most of it, as many as its area
-    if inside.sum() < 0.5 * covered.sum():
-        inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
-    if inside.sum() < LEAST_PIXELS:
-        rule = f"an object of {LEAST_PIXELS} pixels or more at the network's {size} × {size}"
-        raise InputError(
-            "the mask", rule, f"{int(inside.sum())}", "mask a thicker part of it, or crop to it"
-        )
-    share = None
-    if clipped is not None:
-        part = placed((clipped & mask[..., None]).astype(np.float32), (top, left, side))
-        share = resized(part, size) / np.maximum(covered, 1e-3)[..., None]
-        share = (np.clip(share, 0, 1) * inside[..., None]).astype(np.float32)
-    return Framed(
-        (colour * inside[..., None] * exposure).astype(np.float32),
-        inside,
-        (int(top), int(left), side),
-        float(exposure),
-        share,
-    )
-
-
-def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
-    """Return regions (H, W) in the object's square, (size, size) int64.
-
-    Each pixel of the framed mask has the nearest pixel's region; 0 outside the mask.
-    """
-    size = len(framed.mask)
-    at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
-    near = distance_transform_edt(
-        placed(regions, framed.box) == 0, return_distances=False, return_indices=True
-    )
-    return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
-
-
-def placed(array: np.ndarray, box: Box) -> np.ndarray:
-    """Return the square of an array (H, W, …), 0 where it extends beyond the picture."""
-    top, left, side = box
-    out = np.zeros((side, side, *array.shape[2:]), array.dtype)
-    first_row, first_column = max(top, 0), max(left, 0)
-    part = array[first_row : max(top + side, 0), first_column : max(left + side, 0)]
-    row, column = first_row - top, first_column - left
-    out[row : row + part.shape[0], column : column + part.shape[1]] = part
-    return out
-
-
-def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
-    """Return a copy of the array with a square in its place, as far as it lies inside."""
-    top, left, side = box
-    out = array.copy()
-    target = out[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
-    row, column = max(-top, 0), max(-left, 0)
-    target[...] = square[row : row + target.shape[0], column : column + target.shape[1]]
-    return out
-
-
-def resized(array: np.ndarray, size: int) -> np.ndarray:
-    """Return an array (side, side, …) averaged or interpolated to (size, size, …)."""
-    planes = array[..., None] if array.ndim == 2 else array
-    method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR
-    out = np.stack(
-        [
-            np.asarray(Image.fromarray(planes[..., k]).resize((size, size), method))
-            for k in range(planes.shape[-1])
-        ],
-        -1,
-    )
-    return out[..., 0] if array.ndim == 2 else out
 
 
 def write_exr(path: str | Path, array: np.ndarray, names: Sequence[str] = PICTURE_CHANNELS) -> None:

@@ -22,9 +22,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from manifests import arrays
+from manifests import light_files, picture_files
 from manifests.cached_store import open_store
 from manifests.errors import InputError
+from manifests.facets import Facets
 from manifests.materials import Material, material, read_catalogue
 from manifests.schema import Record, View
 from manifests.store import inside
@@ -52,7 +53,7 @@ class Sample:
     label: torch.Tensor
     light: torch.Tensor
     view: torch.Tensor | None
-    facets: arrays.Facets | None = None
+    facets: Facets | None = None
 
     @property
     def mask(self) -> torch.Tensor:
@@ -187,7 +188,7 @@ class Records(torch.utils.data.Dataset):
 
         Raises InputError for a file other than the record's.
         """
-        return arrays.read_picture(
+        return picture_files.read_picture(
             self.store.fetch(record.image), record.camera.size, record.image_hash
         )
 
@@ -199,10 +200,10 @@ class Records(torch.utils.data.Dataset):
         geometry = self._geometry(record)
         return geometry.normals, geometry.depth, geometry.segments.astype(np.int64)
 
-    def _geometry(self, record: Record | View) -> arrays.Geometry:
+    def _geometry(self, record: Record | View) -> picture_files.Geometry:
         """Return the geometry of a record or a view. Raises InputError."""
         path = self.store.fetch(record.geometry)
-        geometry = arrays.read_geometry(path, record.camera.size, record.geometry_hash)
+        geometry = picture_files.read_geometry(path, record.camera.size, record.geometry_hash)
         segments = geometry.segments
         if away := turned_away(geometry, record.camera):
             raise InputError(
@@ -258,7 +259,7 @@ class Records(torch.utils.data.Dataset):
                 "none",
                 "copy the dataset again",
             )
-        return arrays.read_light(inside(self.folder, entry.file), entry.file_hash)
+        return light_files.read_light(inside(self.folder, entry.file), entry.file_hash)
 
 
 def require_upright(record: Record | View) -> None:

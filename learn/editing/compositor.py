@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from learn.data import photographs
+from learn.data import framing
 from learn.data.devices import array
 from learn.editing import reflectance_store
 from learn.editing.decomposition import Decomposition
@@ -45,8 +45,8 @@ class Compositor:
         self.decomposition, self.tolerance, self.detail = decomposition, tolerance, detail
         top, left, side = decomposition.framed.box
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
-        self.regions = photographs.placed(decomposition.photograph.regions, (top, left, side))
-        self.coverage = photographs.placed(decomposition.photograph.coverage, (top, left, side))
+        self.regions = framing.placed(decomposition.photograph.regions, (top, left, side))
+        self.coverage = framing.placed(decomposition.photograph.coverage, (top, left, side))
         self.n = upsampled_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
         self.filled = nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
@@ -77,7 +77,7 @@ class Compositor:
         L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
         picture = self._rendered(label, L) * (self.coverage > 0)[..., None]
         frame = np.zeros_like(self.decomposition.photograph.radiance)
-        return photographs.put_back(frame, picture, self.decomposition.framed.box)
+        return framing.put_back(frame, picture, self.decomposition.framed.box)
 
     def _rendered(self, label: np.ndarray | torch.Tensor, light: torch.Tensor) -> np.ndarray:
         """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
@@ -98,7 +98,7 @@ class Compositor:
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
-        return photographs.resized(picture, self.side)
+        return framing.resized(picture, self.side)
 
     def edited(self, labels: Sequence[np.ndarray | None]) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with its object in other materials.
@@ -132,7 +132,7 @@ class Compositor:
         """
         photograph = self.decomposition.photograph
         inside = self.coverage if unchanged is None else self.coverage * ~unchanged
-        cut = photographs.placed(photograph.radiance, self.decomposition.framed.box)
+        cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
         if photograph.cut_out:
             mixed = np.where((inside > 0)[..., None], object_, cut)
         else:
@@ -140,7 +140,7 @@ class Compositor:
             mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(
                 soft[..., None], self.background(), cut
             )
-        return photographs.put_back(
+        return framing.put_back(
             photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
         )
 
@@ -148,7 +148,7 @@ class Compositor:
         """Return radiance (side, side, 3) behind the object: the nearest that is beside it."""
         if self._background is None:
             photograph = self.decomposition.photograph
-            cut = photographs.placed(photograph.radiance, self.decomposition.framed.box)
+            cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
             self._background = nearest(cut, self.coverage < CLEAR)
         return self._background
 
@@ -165,7 +165,7 @@ class Compositor:
         """
         if self._fine_shading is None:
             again = self.own_radiance()
-            seen = photographs.placed(
+            seen = framing.placed(
                 self.decomposition.photograph.radiance, self.decomposition.framed.box
             )
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from learn.data import devices, photographs
+from learn.data import devices, framing
 from learn.data.batch import ExampleBatch
 from learn.editing import exposure
 from learn.editing.photograph import Photograph
@@ -48,7 +48,7 @@ class Decomposition:
     """
 
     photograph: Photograph
-    framed: photographs.Framed
+    framed: framing.Framed
     batch: ExampleBatch
     start: Prediction
     refined: RefinementResult | None
@@ -82,14 +82,14 @@ def decompose(
     settings       of refinement; None for no refinement
     watch          as of learn.refinement.refine
     """
-    framed = photographs.framed(
+    framed = framing.framed(
         photograph.balanced,
         photograph.mask,
         size,
         photograph.exposure,
         clipped=photograph.clipped,
     )
-    regions = photographs.framed_regions(photograph.regions, framed)
+    regions = framing.framed_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
     if photograph.exposure is None:
         framed, batch = exposure.corrected(framed, batch, start)
@@ -101,7 +101,7 @@ def decompose(
 
 
 def predict_framed(
-    framed: photographs.Framed,
+    framed: framing.Framed,
     network: torch.nn.Module,
     regions: np.ndarray | None = None,
     count: int = 1,

@@ -1,6 +1,6 @@
 """The exposure of a photograph, corrected by the re-rendering of its prediction.
 
-A file does not say how bright the scene was. The reader's rule (learn.data.photographs.exposure_of)
+A file does not say how bright the scene was. The reader's rule (learn.data.framing.exposure_of)
 guesses from the object's brightness alone. The network guesses again: a dark material in bright
 light and a bright one in dim light give different pictures, so that what it renders again is
 brighter or darker than the picture it was given. TRUST is the share of this ratio's logarithm by
@@ -16,7 +16,7 @@ import numpy as np
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.data.photographs import Framed
+from learn.data.framing import Framed
 from learn.layer import predictions
 from learn.networks.prediction import Prediction, required
 from shaders.tone import LUMINANCE

@@ -30,8 +30,8 @@ import torch
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
+from learn.data import framing
 from learn.data import lights as light_maps
-from learn.data import photographs
 from learn.data.devices import array
 from learn.editing import drawing, interactive_maps, reflectance_store, targets
 from learn.editing.chunks import Chunks, differences, split_bytes
@@ -155,19 +155,17 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         return reduced(montage.eight_bit(picture), size)
 
     frame = np.zeros((height, width), np.float32)
-    coverage = photographs.put_back(frame, compositor.coverage, box)
-    regions = photographs.put_back(frame.astype(np.uint8), compositor.filled, box)
-    cut = photographs.placed(opened.radiance, box)
+    coverage = framing.put_back(frame, compositor.coverage, box)
+    regions = framing.put_back(frame.astype(np.uint8), compositor.filled, box)
+    cut = framing.placed(opened.radiance, box)
     soft = (compositor.coverage > 0) & (compositor.coverage < 1 - CLEAR)
     if not opened.cut_out:
         behind = np.where(soft[..., None], nearest(cut, compositor.coverage < CLEAR), cut)
         cut = behind.astype(np.float32)
-    behind = small(tone.display(photographs.put_back(opened.radiance, cut, box), exposure))
+    behind = small(tone.display(framing.put_back(opened.radiance, cut, box), exposure))
     photo = small(tone.display(opened.radiance, exposure))
     fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
-    fine = photographs.put_back(
-        np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box
-    )
+    fine = framing.put_back(np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box)
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
     planes = [

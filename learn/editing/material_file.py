@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.photographs import MOST_REGIONS, Framed
+from learn.data.framing import Framed
+from learn.data.photographs import MOST_REGIONS
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from manifests import files
 from manifests.errors import InputError

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from learn.data import photographs, picture_arrays
+from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
 from manifests.errors import InputError, closest
 from manifests.schema import Record
@@ -224,7 +224,7 @@ def _assembled(
     if (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     factors = _balance(balance, radiance, coverage, before_background)
-    photographs.exposure_of(radiance * factors, labels > 0, exposure, path)
+    framing.exposure_of(radiance * factors, labels > 0, exposure, path)
     own = alpha if before_background and (alpha < 1).any() else None
     return Photograph(
         path.stem,
@@ -342,7 +342,7 @@ def _of_record(folder, exposure, requested):
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     picture = sample.image.numpy()
-    exposure = photographs.exposure_of(
+    exposure = framing.exposure_of(
         picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}"
     )
     return Photograph(

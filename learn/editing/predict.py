@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.data import photographs
+from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
@@ -50,7 +50,7 @@ class PredictedPicture:
     metadata   of the network's weights
     """
 
-    framed: photographs.Framed
+    framed: framing.Framed
     batch: ExampleBatch
     prediction: Prediction
     parts: Parts
@@ -99,7 +99,7 @@ def compute(
     )
     linear = Path(image).is_dir() or photographs.holds_radiance(image)
     clipped = None if linear else photographs.saturated(radiance)
-    framed = photographs.framed(radiance, covered, metadata["size"], exposure, image, clipped)
+    framed = framing.framed(radiance, covered, metadata["size"], exposure, image, clipped)
     batch, predicted = predict_framed(framed, network)
     parts = parts_of(predicted)
     rendering = rendered_again(batch, predicted)

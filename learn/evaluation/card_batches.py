@@ -30,7 +30,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction, required
 from learn.training import validation
 from manifests import ray_tasks
-from manifests.store import encoded
+from manifests.line_files import encoded
 
 BATCH, SEED = 16, 77
 PATTERNS = {"plain": 0.0, "printed": 1.0}  # share of the pictures that have one

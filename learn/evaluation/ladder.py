@@ -33,9 +33,10 @@ from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock, ray_tasks
+from manifests.line_files import Lines
 from manifests.progress import tqdm
 from manifests.provenance import provenance
-from manifests.store import Lines, file_hash
+from manifests.store import file_hash
 
 
 class Measured(Struct, frozen=True):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.data import photographs
+from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch, joined
 from learn.data.records import Records, Sample
 from learn.evaluation.ladder_design import Rung, Scene
@@ -47,7 +47,7 @@ def shown(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
     mask, image = sample.mask.numpy(), sample.image.numpy()
     normals, exposure = ray_frame_normals(sample), 1.0
     if rung.eight_bit:
-        framed = photographs.framed(*through_png(image, mask), size)
+        framed = framing.framed(*through_png(image, mask), size)
         image, exposure = framed.radiance, framed.exposure
         truth, normals = (_cropped(values, mask, framed, size) for values in (truth, normals))
         mask = framed.mask & (np.linalg.norm(normals, axis=-1) > 0)
@@ -96,10 +96,8 @@ def ray_frame_normals(sample: Sample) -> np.ndarray:
     return turned_to_viewer(n, sample.view.numpy())
 
 
-def _cropped(
-    values: np.ndarray, mask: np.ndarray, framed: photographs.Framed, size: int
-) -> np.ndarray:
-    """Values (H, W, 3) in the square of a framed picture, as `photographs.framed` crops it."""
-    covered = photographs.resized(photographs.placed(mask.astype(np.float32), framed.box), size)
-    inside = photographs.placed((values * mask[..., None]).astype(np.float32), framed.box)
-    return photographs.resized(inside, size) / np.maximum(covered, 1e-3)[..., None]
+def _cropped(values: np.ndarray, mask: np.ndarray, framed: framing.Framed, size: int) -> np.ndarray:
+    """Values (H, W, 3) in the square of a framed picture, as `framing.framed` crops it."""
+    covered = framing.resized(framing.placed(mask.astype(np.float32), framed.box), size)
+    inside = framing.placed((values * mask[..., None]).astype(np.float32), framed.box)
+    return framing.resized(inside, size) / np.maximum(covered, 1e-3)[..., None]

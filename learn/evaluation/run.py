@@ -31,9 +31,10 @@ from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
 from manifests import files, lock, ray_tasks
 from manifests.errors import InputError
+from manifests.line_files import Lines, encoded
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import Lines, encoded, file_hash
+from manifests.store import file_hash
 
 # counts up when lines gain figures, so that no table mixes lines with and without them
 FIGURES = 2

@@ -5,17 +5,14 @@ target materials.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
-from learn.evaluation import breakdowns
+from learn.evaluation import breakdowns, layer_table, refinement_table
 from learn.evaluation.breakdowns import Families, groupings, has_metal
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.evaluation.table import Cell, Column, Rows, Table, TableRow, column, table
 from learn.metrics import bootstrap
-
-LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
 # path of the figures below a method, their columns, and a suffix of the cells' keys
 Group = tuple[tuple[str, ...], list[Column], str]
@@ -117,7 +114,7 @@ def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Tab
 
 
 def edits_by_method(rows: Rows, known: Families) -> Table | None:
-    """Return the main table: L2 of edits, aligned, as a median, and with metals apart.
+    """Return the main table: L2 of edits, aligned, as a median, and with metals by themselves.
 
     known  as `gains` has them
     """
@@ -226,139 +223,6 @@ def gains(rows: Rows, known: Families) -> Table | None:
     return table("What refinement takes off edits", note, columns, results)
 
 
-def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
-    """Return a table of refinement's effect on its initialisations, by method and all together.
-
-    edits  of the same pictures, of which those that refinement made worse are counted
-    """
-    refined = [
-        name
-        for name in rows.methods()
-        if any("refinement" in row["methods"].get(name, {}) for row in rows.rows)
-    ]
-    groups = {name: [name] for name in refined} | (
-        {"all initialisations": refined} if len(refined) > 1 else {}
-    )
-    results: list[TableRow] = []
-    for title, names in groups.items():
-        get = partial(_gathered, rows, names)
-        before, after, seconds, finite = (
-            get(("refinement", key)) for key in ("before", "after", "seconds", "finite")
-        )
-        started = np.concatenate(
-            [rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names]
-        )
-        ended = get(("rendered_all", "l2"))
-        done = np.isfinite(before)
-        cells: dict[str, Cell] = {
-            "starts": int(done.sum()),
-            "above": int((after[done] > before[done]).sum()),
-            "not_finite": int((finite[done] != 1).sum()),
-            "energy": float(np.median(before[done])),
-            "energy_after": float(np.median(after[done])),
-            "l2": float(np.nanmedian(started)),
-            "l2_after": float(np.nanmedian(ended)),
-            "drop": float(1 - np.nanmedian(ended) / np.nanmedian(started)),
-            "worse_l2": int((ended > started).sum()),
-            "seconds": float(np.median(seconds[done])),
-            "slowest": float(seconds[done].max()),
-        }
-        if edits is not None:
-            plain = [name.removesuffix(", refined") for name in names]
-            a, b = (_gathered(edits, each, ("l2",)) for each in (plain, names))
-            cells |= {"worse_edits": int((b > a).sum()), "edits": int(np.isfinite(a + b).sum())}
-        results.append({"name": title, "cells": cells})
-    columns = [
-        column("starts", "initialisations", 0),
-        column("above", "ended above it", 0),
-        column("worse_edits", "edits that got worse", 0),
-        column("edits", "of edits", 0),
-        column("not_finite", "not finite", 0),
-        column("energy", "median energy before", 5),
-        column("energy_after", "after", 5),
-        column("l2", "median L2 of I′ before", 1),
-        column("l2_after", "after", 1),
-        column("drop", "share taken off", 3),
-        column("worse_l2", "L2 higher than before", 0),
-        column("seconds", "median s", 1),
-        column("slowest", "slowest s", 1),
-    ]
-    return table(
-        "Refinement",
-        "Energy: Eq. 6 as learn.refinement states it; a step that raises it is not accepted, so"
-        " that none can end above its initialisation. The edits that got worse all the same are"
-        " counted beside it. I′: the picture rendered again from refined parts.",
-        columns,
-        results,
-    )
-
-
-def _gathered(rows: Rows, names: Iterable[str], path: Sequence[str]) -> np.ndarray:
-    return np.concatenate([rows.values(name, path) for name in names])
-
-
-def layer(rows: Rows) -> Table | None:
-    """Return a table of the layer's edits from true parts, by target material."""
-    by: dict[str, dict[str, dict]] = {}
-    for row in rows.rows:
-        # edits that share a truth count once
-        by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]
-    results: list[TableRow] = [
-        {"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)
-    ]
-    judged = [name["cells"] for name in results if "within" in name["cells"]]
-    every = _layer_cells([each for truths in by.values() for each in truths.values()])
-    if judged:
-        every |= {
-            key: f"{sum(cells[key] == 'yes' for cells in judged)} of {len(judged)}"
-            for key in ("within", "within_here")
-        }
-    results.append({"name": "all", "cells": every})
-    columns = [
-        column("truths", "truths", 0),
-        column("l2", "L2 over the mask", 2),
-        column("l2_inner", "L2 inside", 2),
-        column("judged", "with a second seed", 0),
-        column("net_inner", "L2 inside − noise", 2),
-        column("net_error", "± standard error", 2),
-        column("fit_here", "node fit at these pixels", 2),
-        column("node_fit", "node fit, catalogue", 2),
-        column("coarse", "tolerance of the integral", 2),
-        column("rest", "Cycles against its nodes − noise", 2),
-        column("within", f"within {LIMIT:g} × node fit, catalogue"),
-        column("within_here", f"within {LIMIT:g} × node fit at these pixels"),
-    ]
-    note = (
-        "Inside: away from silhouettes, segment borders and creases, where a pixel of Cycles sees"
-        " one surface. Noise is known, and the row judged, where Cycles rendered the truth with a"
-        " second seed. Node fit: display L2 between label and nodes, the two forms of a material;"
-        " the catalogue's is of spheres under its own lights. Cycles against its nodes: what is"
-        " left where a converged integral is taken of the nodes instead of the label: it is this,"
-        " and the tolerance, that the loop adds to the fit."
-    )
-    return table("True normals, light and label through the layer", note, columns, results)
-
-
-def _layer_cells(truths: list[dict]) -> dict[str, Cell]:
-    def mean(key: str, among: list[dict]) -> float | None:
-        values = [each[key] for each in among if each.get(key) is not None]
-        return float(np.mean(values)) if values else None
-
-    judged = [each for each in truths if each.get("net_inner") is not None]
-    cells: dict[str, Cell] = {"truths": len(truths), "judged": len(judged)}
-    cells |= {key: mean(key, truths) for key in ("l2", "l2_inner", "node_fit")}
-    cells |= {key: mean(key, judged) for key in ("net_inner", "fit_here", "coarse", "rest")}
-    if judged:
-        cells["net_error"] = float(
-            np.sqrt(sum(each["net_error"] ** 2 for each in judged)) / len(judged)
-        )
-        net = mean("net_inner", judged)
-        for key, fit in (("within", "node_fit"), ("within_here", "fit_here")):
-            if net is not None and (limit := mean(fit, judged)) is not None:
-                cells[key] = "yes" if net <= LIMIT * limit else "no"
-    return cells
-
-
 def all_of(
     pictures: Sequence[dict],
     edits: Sequence[dict],
@@ -403,7 +267,7 @@ def all_of(
             E, "The same edits by other measures", displayed, [((), DISPLAYED, "")]
         ),
         "given": by_method(E, "Edits were a part given", given, [((), ALIGNED[:1] + GIVEN, "")]),
-        "refinement": refinement(P, E),
+        "refinement": refinement_table.refinement(P, E),
         "rerendered": by_method(
             P,
             "Pictures rendered again",
@@ -429,6 +293,6 @@ def all_of(
             [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")],
         ),
         "probes": by_method(P, "Light on three spheres", probes, [(("light",), PROBES, "")]),
-        "layer": layer(E),
+        "layer": layer_table.layer(E),
     }
     return {key: value for key, value in result.items() if value is not None}

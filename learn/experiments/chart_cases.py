@@ -18,7 +18,7 @@ from learn import methods
 from learn.experiments import chart_shapes
 from learn.layer.inputs import checked, compact
 from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
-from manifests import arrays, exr
+from manifests import arrays, exr, light_files
 from manifests.errors import InputError, closest
 from shaders import envmap
 from shaders.frames import ELEVATION, view_vectors
@@ -134,7 +134,7 @@ def lights(folder: Path | None = None, names: Sequence[str] | None = None) -> di
 def radiance_of(path: Path) -> np.ndarray:
     """Return (height, width, 3) of an EXR, or of a dataset's light."""
     if path.suffix == ".npz":
-        return arrays.read_light(path).astype(np.float64)
+        return light_files.read_light(path).astype(np.float64)
     channels = exr.read(path)
     if missing := [name for name in arrays.PICTURE_CHANNELS if name not in channels]:
         raise InputError(

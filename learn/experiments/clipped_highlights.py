@@ -112,7 +112,7 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
     import numpy as np
     import torch
 
-    from learn.data import photographs
+    from learn.data import framing, photographs
     from learn.data.batch import joined
     from learn.data.relit import RelitDataset, gloss
     from learn.data.settings import Data
@@ -135,7 +135,7 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
     exposure = tone.auto_exposure(radiance, mask)
     file = tone.linear_from_srgb(np.rint(tone.display(radiance, exposure)) / 255)
     file = (file * mask[..., None]).astype(np.float32)
-    guessed = photographs.exposure_of(file, mask)
+    guessed = framing.exposure_of(file, mask)
     label = split.labels[name][None]
     batch = joined(
         [(file * np.float32(guessed), mask, n[0], segments[0], label, light, label, name)],

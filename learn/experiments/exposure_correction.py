@@ -21,7 +21,7 @@ from learn.experiments import runner
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
-    from learn.data.photographs import Framed
+    from learn.data.framing import Framed
     from learn.data.relit import RelitDataset
 
 ON_RAY = True
@@ -111,7 +111,7 @@ def photographed(source: RelitDataset, camera: str, number: int) -> tuple[Framed
     """
     import numpy as np
 
-    from learn.data import camera_model, photographs
+    from learn.data import camera_model, framing, photographs
     from shaders import tone
     from shaders.tone import LUMINANCE
 
@@ -122,7 +122,7 @@ def photographed(source: RelitDataset, camera: str, number: int) -> tuple[Framed
         exposure = tone.auto_exposure(radiance, mask)
         file = tone.linear_from_srgb(np.rint(tone.display(radiance, exposure)) / 255)
         clipped = photographs.saturated(file)
-        seen = (file * photographs.exposure_of(file, mask)).astype(np.float32)
+        seen = (file * framing.exposure_of(file, mask)).astype(np.float32)
     else:
         rng = np.random.default_rng(np.random.SeedSequence(source.seed, spawn_key=(number,)))
         seen, clipping = camera_model.photographed(rng, radiance, mask)
@@ -131,7 +131,7 @@ def photographed(source: RelitDataset, camera: str, number: int) -> tuple[Framed
     means = [float((each[kept] @ LUMINANCE).mean()) for each in (radiance, seen)]
     true = float(np.log(means[0] / means[1])) if kept.any() and min(means) > 0 else 0.0
     share = (clipped & mask[..., None]).astype(np.float32)
-    framed = photographs.Framed(seen * mask[..., None], mask, (0, 0, len(mask)), 1.0, share)
+    framed = framing.Framed(seen * mask[..., None], mask, (0, 0, len(mask)), 1.0, share)
     return framed, true, batch.names[0]
 
 

@@ -1,4 +1,4 @@
-"""The rule of learn.data.photographs.framed, fitted and measured on pictures of known light.
+"""The rule of learn.data.framing.framed, fitted and measured on pictures of known light.
 
 A rendered picture's light has unit mean luminance. Exposed as a camera would expose it, with its
 object's 99th percentile at the file's white, it becomes what a user has: values in [0, 1] of
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from learn.data import photographs
+from learn.data import framing
 from learn.data.records import Records
 from learn.metrics import bootstrap
 from manifests.errors import InputError
@@ -106,7 +106,7 @@ def fit_and_check(records: Records, others: Sequence[Records]) -> dict[str, Any]
     line = fitted(Y, X, groups)
     rules = {
         "fitted": (line["typical"][0], line["dependence"][0]),
-        "in use": (photographs.TYPICAL, photographs.DEPENDENCE),
+        "in use": (framing.TYPICAL, framing.DEPENDENCE),
         "one factor for all": (float(np.exp(np.log(X).mean())), 0.0),
     }
     result: dict[str, Any] = {"line": line, "pictures": len(X), "rules": rules, "missed": {}}

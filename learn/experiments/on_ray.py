@@ -23,7 +23,7 @@ import msgspec
 
 from manifests import ray_tasks
 from manifests.errors import InputError
-from manifests.store import encoded
+from manifests.line_files import encoded
 
 Identity = dict[str, Any]  # what identifies a row
 

@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from learn.commands import options
 from learn.experiments import runner
+from learn.experiments.relighting_tables import by_group, by_method, counted
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from learn.data.records import Records
     from learn.evaluation.ladder_design import Rung, Scene
     from learn.evaluation.ladder_pictures import Shown
@@ -36,14 +35,6 @@ RUNGS = ("direct", "8-bit")  # of learn.evaluation.ladder_design
 TASKS = {
     "relighting": "Relighting: the object under another light",
     "transfer": "Transfer: the material of one picture on another object, under a third light",
-}
-METHODS = {
-    "unchanged": "the object's picture unchanged",
-    "facing": "normals facing the viewer, mean training material",
-    "predicted": "predicted normals and material",
-    "normals": "predicted normals, true material",
-    "material": "true normals, predicted material",
-    "true": "true normals and material",
 }
 
 
@@ -304,7 +295,7 @@ class Bench:
     mean: Any
 
     def row(self, case: Case, name: str) -> dict[str, Any]:
-        """Return what a result is of, and {"l2", "one_factor": {method: value}} of METHODS."""
+        """Return what a result is of, and {"l2", "one_factor": {method: value}}."""
         from learn.metrics.pictures import aligned, display_l2
 
         shown, made = self.results(case, name)
@@ -324,7 +315,7 @@ class Bench:
         }
 
     def results(self, case: Case, name: str) -> tuple[Shown, dict[str, Any]]:
-        """Return the object with its truth, and {method: radiance (H, W, 3)} of METHODS."""
+        """Return the object with its truth, and {method: radiance (H, W, 3)}."""
         import numpy as np
         import torch
 
@@ -369,14 +360,14 @@ def _light(light: tuple[str, int]) -> str:
 
 
 def tables(report: runner.Report) -> str:
-    """Return a table for each task and rung, with a row for each of METHODS."""
+    """Return a table for each task and rung, with a row for each method."""
     rows = report["rows"]
     result = ["# Relighting, and materials on other objects\n"]
     result += [f"**{sentence}**\n" for sentence in report["seen"]]
     result.append(
         f"Weights {report['weights']}; {report['available']} pictures are there on every rung:"
-        f" {_counted(rows, 'shape', 'shapes')}, {_counted(rows, 'material', 'materials')},"
-        f" {_counted(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
+        f" {counted(rows, 'shape', 'shapes')}, {counted(rows, 'material', 'materials')},"
+        f" {counted(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
         " light that is given, which no input shows. *One factor free*: L2 after the factor on the"
         " result's radiance that makes it least. *Ratio*: of means, to the object's picture"
         " unchanged. Intervals draw shapes (in transfer those of both pictures), materials, and"
@@ -387,107 +378,7 @@ def tables(report: runner.Report) -> str:
         for rung in RUNGS:
             chosen = [row for row in rows if (row["task"], row["rung"]) == (task, rung)]
             if chosen:
-                result += [f"## {title}; rung {rung}, {len(chosen)} pictures\n", _table(chosen)]
+                result += [f"## {title}; rung {rung}, {len(chosen)} pictures\n", by_method(chosen)]
                 result += ["The row *predicted* by group of the object's shape:\n"]
-                result += [_groups(chosen)]
+                result += [by_group(chosen)]
     return "\n".join(result)
-
-
-def _counted(rows: Sequence[Mapping[str, Any]], key: str, what: str) -> str:
-    return f"{len({row[key] for row in rows})} {what}"
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One task's methods on one rung."""
-    import numpy as np
-
-    from learn.metrics import bootstrap
-
-    weights = _draws(rows)
-    l2 = {key: np.array([row["l2"][key] for row in rows]) for key in METHODS}
-    factor = {key: np.array([row["one_factor"][key] for row in rows]) for key in METHODS}
-    lines = [
-        [
-            title,
-            runner.interval(bootstrap.interval(l2[key], weights), 0),
-            f"{np.median(l2[key]):.0f}",
-            *_by_metal(rows, l2[key]),
-            runner.interval(bootstrap.interval(factor[key], weights), 0),
-            *_by_metal(rows, factor[key]),
-            runner.interval(bootstrap.relative(l2["unchanged"], l2[key], weights), 2),
-            f"{(l2[key] < l2['unchanged']).sum()} of {len(rows)}",
-        ]
-        for key, title in METHODS.items()
-    ]
-    head = [
-        "result",
-        "display L2, mean",
-        "median",
-        "without metals",
-        "metals",
-        "one factor free, mean",
-        "without metals",
-        "metals",
-        "ratio",
-        "better than unchanged",
-    ]
-    return runner.table(head, lines)
-
-
-def _groups(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One task's predictions on one rung, for each of the groups that its objects are of."""
-    import numpy as np
-
-    from learn.evaluation.ladder_design import GROUPS
-    from learn.metrics import bootstrap
-
-    lines = []
-    for group in GROUPS:
-        chosen = [row for row in rows if row["group"] == group]
-        if not chosen:
-            continue
-        l2 = {key: np.array([row["l2"][key] for row in chosen]) for key in METHODS}
-        factor = np.array([row["one_factor"]["predicted"] for row in chosen])
-        lines.append(
-            [
-                group,
-                f"{len(chosen)}, {sum(row['metal'] for row in chosen)}",
-                runner.interval(bootstrap.interval(l2["predicted"], _draws(chosen)), 0),
-                *_by_metal(chosen, l2["predicted"]),
-                f"{factor.mean():.0f}",
-                *_by_metal(chosen, factor),
-                f"{l2['unchanged'].mean():.0f}",
-                f"{l2['true'].mean():.0f}",
-            ]
-        )
-    head = [
-        "object",
-        "pictures, of metals",
-        "display L2, mean",
-        "without metals",
-        "metals",
-        "one factor free, mean",
-        "without metals",
-        "metals",
-        "unchanged",
-        "true parts",
-    ]
-    return runner.table(head, lines)
-
-
-def _draws(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
-    """Bootstrap weights of rows: shapes, materials, and lights of both sides are drawn."""
-    from learn.metrics import bootstrap
-
-    kinds = ["shape", "material", "from_light", "to_light"]
-    if any(row["shape"] != row["material_of"] for row in rows):
-        kinds.append("material_of")
-    return bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in rows] for kind in kinds)))
-
-
-def _by_metal(rows: Sequence[Mapping[str, Any]], values: np.ndarray) -> list[str]:
-    """Means of values (one per row) without metals and of metals."""
-    import numpy as np
-
-    metal = np.array([row["metal"] for row in rows])
-    return [f"{values[each].mean():.0f}" if each.any() else "–" for each in (~metal, metal)]

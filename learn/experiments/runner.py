@@ -177,8 +177,8 @@ def resume(
     """
     import contextlib
 
+    from manifests.line_files import Lines
     from manifests.progress import tqdm
-    from manifests.store import Lines
 
     keys = list(cases[0][0]) if cases else []
     kept = [current(row) for row in files.read_lines(path)]

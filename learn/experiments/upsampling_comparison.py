@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from learn.data import pairs, photographs
+from learn.data import framing, pairs
 from learn.data.records import Records
 from learn.editing import decomposition, photograph
 from learn.experiments import runner, upsampling_strategies
@@ -101,10 +101,10 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
     """
     assert ours.photograph.record is not None  # it is one of the data set's
     sample, mask = records.load(ours.photograph.record), ours.framed.mask
-    square = photographs.placed(sample.n.numpy(), ours.framed.box)
-    n = F.normalize(torch.from_numpy(photographs.resized(square, len(mask))), dim=-1).movedim(
-        -1, 0
-    )[None]
+    square = framing.placed(sample.n.numpy(), ours.framed.box)
+    n = F.normalize(torch.from_numpy(framing.resized(square, len(mask))), dim=-1).movedim(-1, 0)[
+        None
+    ]
     toward = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     n = torch.where(torch.from_numpy(mask) & (n.norm(dim=1, keepdim=True) > 0.5), n, toward)
     label, light = (

@@ -27,7 +27,7 @@ import torch
 import torch.nn.functional as F
 from scipy.ndimage import uniform_filter
 
-from learn.data import photographs
+from learn.data import framing
 from learn.editing.compositor import Compositor, dilated, nearest, upsampled_normals
 from learn.editing.decomposition import Decomposition
 from shaders.tone import LUMINANCE
@@ -77,7 +77,7 @@ def guided(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -> np.ndar
     for p in np.moveaxis(low, -1, 0):
         a = (mean(p * guide_low) - mean(p) * of_guide) / (variance + FLAT)
         b = mean(p) - a * of_guide
-        a, b = (photographs.resized(mean(each).astype(np.float32), len(guide)) for each in (a, b))
+        a, b = (framing.resized(mean(each).astype(np.float32), len(guide)) for each in (a, b))
         planes.append(a * guide + b)
     return np.maximum(np.stack(planes, -1), 0).astype(np.float32)
 
@@ -87,10 +87,10 @@ def guides(parts: Decomposition, size: int) -> tuple[np.ndarray, np.ndarray]:
 
     The object is continued beyond the mask.
     """
-    square = photographs.placed(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
-    mask = photographs.placed(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
+    square = framing.placed(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
+    mask = framing.placed(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
     seen = nearest(np.log1p(8 * (square @ LUMINANCE.astype(np.float32))) / np.log(9), mask)
-    return photographs.resized(seen, len(parts.framed.mask)), photographs.resized(seen, size)
+    return framing.resized(seen, len(parts.framed.mask)), framing.resized(seen, size)
 
 
 class CachedCompositor(Compositor):

@@ -14,7 +14,7 @@ import numpy as np
 from manifests.errors import InputError
 from manifests.files import write_json, write_lines
 from manifests.inputs import require_file
-from manifests.store import Lines
+from manifests.line_files import Lines
 
 
 class Journal:

@@ -24,10 +24,11 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from manifests.arrays import MOST_SEGMENTS, Geometry
+from manifests.arrays import MOST_SEGMENTS
 from manifests.errors import InputError
 from manifests.exporting.samples import Sample, Samples
 from manifests.inputs import require_file
+from manifests.picture_files import Geometry
 from manifests.schema import Camera, Record
 
 FAR = 1e10  # depth of the background

@@ -26,8 +26,9 @@ from manifests.store import LINES, Store
 from manifests.verification.entries import entry_faults
 from manifests.verification.faults import Fault, Line, summary
 from manifests.verification.files import Files, Reference
-from manifests.verification.lines import Judge, failure_faults, read_lines
+from manifests.verification.lines import Judge
 from manifests.verification.orders import Orders
+from manifests.verification.reading_lines import failure_faults, read_lines
 from manifests.verification.repair import repair
 from manifests.verification.strays import folder_faults, stray_faults
 

@@ -10,7 +10,8 @@ frame
 
 import numpy as np
 
-from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT, Geometry
+from manifests.arrays import LARGEST_HALF, STEPS_PER_UNIT
+from manifests.picture_files import Geometry
 from manifests.schema import Camera, Statistics
 from shaders import frames
 from shaders.envmap import row_solid_angles

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifests import archives, arrays
+from manifests import archives, arrays, light_files, packed_geometry, picture_files
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.materials import Entry
@@ -75,8 +75,8 @@ class Files:
             path = self.folder / entry.file
             try:
                 self._require_own(entry.file)
-                L = arrays.read_light(path, entry.file_hash)
-                scale = arrays.read_scale(path)
+                L = light_files.read_light(path, entry.file_hash)
+                scale = light_files.read_scale(path)
             except Unreachable:
                 raise
             except (InputError, OSError) as problem:
@@ -122,7 +122,7 @@ class Files:
         """Return what is wrong with a record's picture."""
         try:
             self._require_own(record.image)
-            radiance = arrays.read_picture(
+            radiance = picture_files.read_picture(
                 self.folder / record.image, record.camera.size, record.image_hash, exact=True
             )
         except Unreachable:
@@ -151,7 +151,9 @@ class Files:
         path = self.folder / line.geometry
         try:
             self._require_own(line.geometry)
-            geometry = arrays.read_geometry(path, line.camera.size, line.geometry_hash, exact=True)
+            geometry = picture_files.read_geometry(
+                path, line.camera.size, line.geometry_hash, exact=True
+            )
         except Unreachable:
             raise
         except (InputError, OSError) as problem:
@@ -179,7 +181,7 @@ class Files:
             self._copy_here(record.geometry)
             self._keep(
                 record.geometry,
-                arrays.read_geometry(self.folder / record.geometry, record.camera.size).mask,
+                picture_files.read_geometry(self.folder / record.geometry, record.camera.size).mask,
             )
         self._masks.move_to_end(record.geometry)
         bits, (height, width) = self._masks[record.geometry]
@@ -257,7 +259,7 @@ class _Packed:
                 f"expected a whole cache of geometry, found {error or type(error).__name__}"
             )
 
-    def compare(self, hash_: str, geometry: arrays.Geometry) -> None:
+    def compare(self, hash_: str, geometry: picture_files.Geometry) -> None:
         """Compare a good geometry file with its row, if it has one."""
         if hash_ in self._left_out:
             self._texts.append(
@@ -266,7 +268,7 @@ class _Packed:
         row = self._rows.pop(hash_, None)
         if row is None:
             return
-        same = np.array_equal(self._normals[row], arrays.pack_normals(geometry.normals))
+        same = np.array_equal(self._normals[row], packed_geometry.pack_normals(geometry.normals))
         if not (same and np.array_equal(self._segments[row], geometry.segments)):
             self._texts.append(
                 f"expected the geometry with hash {hash_[:12]} in row {row}, found other normals or"

@@ -13,7 +13,8 @@ import msgspec
 from manifests import materials
 from manifests.errors import InputError
 from manifests.files import write_lines
-from manifests.store import LINES, Store, geometry_path, image_path, light_path, lines_of
+from manifests.line_files import lines_of
+from manifests.store import LINES, Store, geometry_path, image_path, light_path
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 

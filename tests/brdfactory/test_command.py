@@ -39,6 +39,25 @@ def test_every_commands_help_has_an_example():
     assert not without
 
 
+def test_help_and_errors_name_commands_as_they_are_typed(capsys, tmp_path):
+    for words in (["edit", "--help"], ["materials", "--help"], ["shapes", "list", "--help"]):
+        with pytest.raises(SystemExit):
+            command_line.run(words)
+        text = " ".join(capsys.readouterr().out.split())
+        assert "brdfactory" in text and "python -m factory" not in text
+        assert "python -m learn " not in text
+    assert command_line.run(["preview", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+    assert "make one with: brdfactory render JOB" in capsys.readouterr().err
+    assert command_line.reworded("python -m learn.experiments exposure") == (
+        "python -m learn.experiments exposure"
+    )
+
+
+def test_without_a_command_all_are_listed(capsys):
+    assert command_line.run([]) == 2
+    assert "edit a photograph:" in capsys.readouterr().err
+
+
 def test_an_unknown_command_names_the_closest_ones(capsys):
     assert command_line.run(["edti", "x"]) == 2
     line = capsys.readouterr().err

@@ -73,9 +73,10 @@ def ours(options, folder):
     from factory.execution.run import assign, planned, shape_sources
     from factory.planning.assets import resolve
     from factory.render.studio import Studio
+    from manifests.line_files import Lines
     from manifests.materials import load_catalogue
     from manifests.schema import Job
-    from manifests.store import Lines, Store
+    from manifests.store import Store
 
     job = Job(
         shapes=(options.shape,),

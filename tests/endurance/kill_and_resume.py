@@ -22,7 +22,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from manifests.arrays import read_picture
+from manifests.picture_files import read_picture
 from manifests.store import Store
 
 # relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding

@@ -35,8 +35,8 @@ from factory.planning import jobs
 from factory.planning.assets import resolve
 from factory.planning.plan import Plan
 from manifests import files
+from manifests.line_files import Lines
 from manifests.provenance import provenance, shortened
-from manifests.store import Lines
 from manifests.subprocesses import processors
 
 RUN = 30

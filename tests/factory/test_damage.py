@@ -13,9 +13,10 @@ import pytest
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning.assets import resolve
 from manifests import exr
-from manifests.arrays import encode_geometry, read_geometry, read_light, read_scale
 from manifests.errors import InputError
+from manifests.light_files import read_light, read_scale
 from manifests.materials import read_catalogue
+from manifests.picture_files import encode_geometry, read_geometry
 from manifests.schema import Camera, Job
 from manifests.store import Store, file_hash
 from manifests.verification import Verification, faults_of, repair

@@ -14,8 +14,8 @@ from factory.execution.forecast import expected_events, probe_shots, probed
 from factory.execution.run import RunOptions, carry_out, planned
 from factory.preview.contact_sheet import labelled, stored_light
 from factory.preview.shading import lights, mirror_sphere, shade
-from manifests.arrays import read_geometry, read_picture
 from manifests.materials import load_catalogue
+from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera, Job
 from manifests.store import Store
 from manifests.verification import faults_of

@@ -85,6 +85,15 @@ def test_presets_have_the_papers_counts(stub, preset, count):
     assert len(stub(jobs.load(preset)[0])) == count
 
 
+def test_a_preset_is_found_beside_a_data_set_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo").mkdir()
+    assert jobs.load("demo")[1] == jobs.presets()["demo"].parent
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(InputError, match="a folder"):
+        jobs.load("mine")
+
+
 def test_over_the_whole_paper_plan_training_and_test_share_no_shape_and_no_material(stub):
     """All 760,000 pictures, as (shape, material) pairs: one group under one light has every pair of
     a shape.

@@ -18,8 +18,9 @@ from factory.execution.registration import register
 from factory.execution.run import RunOptions, assign, carry_out, shape_sources, worker_config
 from factory.execution.worker import Chunk, Reply
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.ray_cluster import MOST_LOSSES, _require_answer
-from manifests.store import Lines, Store
+from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support.tetrahedron import FAKE, ROOT
 
@@ -254,7 +255,8 @@ def test_an_actor_s_chunk_ends_with_a_shot_that_fails(plan_of, small_job, tmp_pa
 def holder(path):
     """A process that holds a file of records until its input ends."""
     hold = (
-        "import sys; from manifests.store import Lines; x = Lines(sys.argv[1]); print(flush=True)"
+        "import sys; from manifests.line_files import Lines;"
+        " x = Lines(sys.argv[1]); print(flush=True)"
     )
     return subprocess.Popen(
         [sys.executable, "-c", f"{hold}; sys.stdin.read()", path],
@@ -290,7 +292,8 @@ def test_a_run_waits_for_a_worker_on_another_machine(render, small_job, tmp_path
     render(small_job, tmp_path)
     path = Store(tmp_path).record_files()[0]
     hold = (
-        "import sys; from manifests.store import Lines; x = Lines(sys.argv[1]); print(flush=True)"
+        "import sys; from manifests.line_files import Lines;"
+        " x = Lines(sys.argv[1]); print(flush=True)"
     )
     other = subprocess.Popen(
         [sys.executable, "-c", f"{hold}; sys.stdin.read()", path],
@@ -317,7 +320,7 @@ def test_a_lock_that_is_held_lasts_while_its_lines_are_read(render, small_job, t
         file.write(b'{"id"')  # torn: cut off when the file is opened
     mine = Lines(path)
     assert mine.read().endswith(b"\n") and mine.read().count(b"\n") == 12
-    hold = "import sys; from manifests.store import Lines; Lines(sys.argv[1])"
+    hold = "import sys; from manifests.line_files import Lines; Lines(sys.argv[1])"
     done = subprocess.run(
         [sys.executable, "-c", hold, path], cwd=ROOT, capture_output=True, check=False
     )

@@ -8,8 +8,8 @@ import pytest
 from factory.commands.plan import described
 from factory.commands.status import counted
 from manifests import ids
-from manifests.arrays import read_geometry
 from manifests.errors import InputError
+from manifests.picture_files import read_geometry
 from manifests.schema import CameraRanges, Draw, View
 from manifests.splits import light_side
 from manifests.store import Store

@@ -99,14 +99,14 @@ def command(role, path, room, exposure, balance, rng):
 
 def opened(role, path, room, exposure, balance):
     """The Framed of a photograph that the file is, or is the mask or the regions of."""
-    from learn.data import photographs
+    from learn.data import framing
     from learn.editing import photograph
 
     there = seeds.of(room)
     masks = [there / "mask.png"] if role == "photograph" else [path] if role == "mask" else []
     what = path if role in ("photograph", "material") else there / "photograph.png"
     result = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
-    return photographs.framed(result.balanced, result.mask, 32, result.exposure)
+    return framing.framed(result.balanced, result.mask, 32, result.exposure)
 
 
 def not_finite(result: Result) -> str | None:

@@ -38,7 +38,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from manifests import arrays, exr, ids
+from manifests import arrays, exr, ids, picture_files
 from manifests.files import npz_bytes
 from manifests.schema import Camera, Job
 from manifests.store import Store, geometry_path, image_path, light_path
@@ -128,11 +128,11 @@ class Folder:
         for file in (self.path / "dataset.json", self.lines_file):
             file.write_text(file.read_text().replace(before, after))
 
-    def geometry_of(self, line: dict) -> arrays.Geometry:
+    def geometry_of(self, line: dict) -> picture_files.Geometry:
         """A line's geometry, unchecked."""
         channels = exr.read(self.path / line["geometry"])
         normals = np.stack([channels[name] for name in arrays.NORMAL_CHANNELS], -1)
-        return arrays.Geometry(
+        return picture_files.Geometry(
             normals, channels[arrays.DEPTH_CHANNEL], channels[arrays.SEGMENT_CHANNEL]
         )
 

@@ -10,7 +10,7 @@ Run it:
 PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine] [--weights FILE]
     [--download]
 
-`make gallery` does so. docs/site_pages.py makes the site's gallery of the committed index.html.
+`make gallery` does so. docs/site_results.py makes the site's gallery of the committed index.html.
 
 OUT also gets hero.jpg, the README's picture: the photograph `example:espresso-cup` and two edits.
 """

@@ -11,9 +11,11 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from learn.app import choices, gallery
+from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
-from learn.app.session import Network, Session, Sessions, Stopped
+from learn.app.session import Session
+from learn.app.sessions import Sessions
 from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
 from learn.data import photographs

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from learn.data import augmentation, camera_model
-from learn.data.photographs import DEPENDENCE, TYPICAL
+from learn.data.framing import DEPENDENCE, TYPICAL
 from manifests.training_runs import Data
 from shaders.tone import LUMINANCE
 

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from learn.__main__ import COMMANDS
-from learn.data import photographs
+from learn.data import framing, photographs
 from learn.editing import photograph, targets
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -435,9 +435,9 @@ def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
     values = np.zeros((3648, 5472, 4), np.uint8)
     values[1000:2000, 3000:4500] = (200, 100, 50, 255)
     Image.fromarray(values).save(files / "large.png", compress_level=1)
-    framed = photographs.framed(*photographs.read(files / "large.png"), 128, 1.0)
+    framed = framing.framed(*photographs.read(files / "large.png"), 128, 1.0)
     assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(
-        1500 * photographs.MARGIN, rel=0.02
+        1500 * framing.MARGIN, rel=0.02
     )
     seen = tone.display(framed.radiance[60:68, 60:68], 1.0)
     np.testing.assert_allclose(seen, np.broadcast_to([200, 100, 50], seen.shape), atol=1)

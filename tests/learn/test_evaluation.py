@@ -23,7 +23,7 @@ from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
 from manifests import exr, files
 from manifests.errors import InputError
-from manifests.store import Lines
+from manifests.line_files import Lines
 from shaders import tone
 from shaders.mixture import Mixture
 from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset

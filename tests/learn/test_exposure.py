@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from learn.data import photographs
+from learn.data import framing
 from learn.experiments import exposure_rule
 from learn.experiments.__main__ import COMMANDS
 from manifests.cli import main
@@ -75,4 +75,4 @@ def test_the_command_fits_one_dataset_and_measures_the_rule_in_use_on_another(tm
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["pictures"] == 4
     assert set(report["missed"]) == {"fit", "check"}
-    assert report["rules"]["in use"] == [photographs.TYPICAL, photographs.DEPENDENCE]
+    assert report["rules"]["in use"] == [framing.TYPICAL, framing.DEPENDENCE]

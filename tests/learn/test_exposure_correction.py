@@ -7,7 +7,8 @@ import pytest
 import torch
 from PIL import Image
 
-from learn.data.photographs import Framed, exposure_of, read
+from learn.data.framing import Framed, exposure_of
+from learn.data.photographs import read
 from learn.editing import decomposition, exposure, photograph
 from learn.networks.prediction import Prediction
 

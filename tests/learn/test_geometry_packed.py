@@ -11,7 +11,7 @@ from learn.data.light_copies import without_duplicates
 from learn.data.records import Records
 from manifests import exr
 from manifests.errors import InputError
-from manifests.store import Lines
+from manifests.line_files import Lines
 from shaders import envmap, frames
 from tests.support import synthetic
 

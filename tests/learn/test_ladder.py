@@ -19,11 +19,11 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
-from manifests import arrays, exr
+from manifests import exr, picture_files
 from manifests.errors import InputError
+from manifests.line_files import Lines
 from manifests.reading import read
 from manifests.schema import Camera, Job
-from manifests.store import Lines
 from shaders import frames, tone
 from tests.support import fake_ray
 from tests.support.synthetic import SHAPE, add_shape, matte, named, with_picture, write_dataset
@@ -76,7 +76,7 @@ def data(tmp_path_factory, job):
     lines = Lines(path)
     for set_, camera in ladder_design.cameras(job).items():
         for record in first:
-            image = arrays.read_picture(
+            image = picture_files.read_picture(
                 folder / record.image, record.camera.size, record.image_hash
             )
             made = msgspec.structs.replace(record, camera=camera)

@@ -18,7 +18,7 @@ from learn.evaluation import overlap
 from learn.networks import tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from manifests import arrays
+from manifests import light_files
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import LightEntry
@@ -59,7 +59,7 @@ def store(tmp_path_factory):
     synthetic.add_shape(store, "cube:1", "test")
     L, scale = envmap.unit_mean(np.exp(np.random.default_rng(2).standard_normal((64, 128, 3))))
     stored = light_path("dusk", HELD_LIGHT)
-    digest = store.place(stored, arrays.encode_light(L, scale), "test")
+    digest = store.place(stored, light_files.encode_light(L, scale), "test")
     entry = LightEntry(hash=HELD_LIGHT, file=stored, file_hash=digest, scale=scale, licence="CC0")
     dataset = store.dataset()
     lights = {**dataset.lights, "dusk": entry}

@@ -5,7 +5,7 @@ judged.
 import numpy as np
 import pytest
 
-from learn.evaluation import tables
+from learn.evaluation import layer_table, refinement_table, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
 
 FAMILIES = {"brass": "metal", "chrome": "metal", "pink-felt": "fabric"}
@@ -147,7 +147,7 @@ def test_refinements_that_end_above_their_start_or_are_not_finite_are_counted():
         refined(1.0, 1.01, 300.0, 310.0, 3.0),
         refined(2.0, 2.0, 200.0, 100.0, 9.0, finite=False),
     ]
-    (row,) = tables.refinement(tables.Rows(result, "materials"))["rows"]
+    (row,) = refinement_table.refinement(tables.Rows(result, "materials"))["rows"]
     report = row["cells"]
     assert (report["starts"], report["above"], report["not_finite"], report["worse_l2"]) == (
         3,
@@ -170,7 +170,9 @@ def test_starts_of_several_methods_are_counted_together():
         name.replace(OURS, "Baseline 2"): figures for name, figures in second["methods"].items()
     }
     result = cells(
-        tables.refinement(tables.Rows([first | {"methods": first["methods"] | other}], "materials"))
+        refinement_table.refinement(
+            tables.Rows([first | {"methods": first["methods"] | other}], "materials")
+        )
     )
     assert set(result) == {OURS_REFINED, "Baseline 2, refined", "all initialisations"}
     assert (result["all initialisations"]["starts"], result["all initialisations"]["above"]) == (
@@ -206,7 +208,7 @@ def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_t
         edit("c", "clay", None, None),
         edit("d", "wax", 0.1, 1.0),
     ]
-    report = cells(tables.layer(tables.Rows(result, "wanted")))
+    report = cells(layer_table.layer(tables.Rows(result, "wanted")))
     assert (report["brass"]["within"], report["brass"]["within_here"]) == ("yes", "no")
     assert (report["felt"]["within"], report["felt"]["within_here"]) == ("no", "yes")
     assert "within" not in report["clay"] and "within_here" not in report["clay"]
@@ -226,7 +228,7 @@ def test_edits_that_share_a_truth_judge_the_layer_once():
         edit("a", "brass", 1.0, 1.0, truth="x"),
         edit("b", "brass", 4.0, 1.0, truth="y"),
     ]
-    report = cells(tables.layer(tables.Rows(thrice, "wanted")))["brass"]
+    report = cells(layer_table.layer(tables.Rows(thrice, "wanted")))["brass"]
     assert (report["truths"], report["judged"]) == (2, 2)
     assert report["net_inner"] == pytest.approx(2.5)
     assert report["net_error"] == pytest.approx(0.3 / np.sqrt(2))

@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import save
 
 from learn.baselines import priors
-from learn.data.photographs import Framed
+from learn.data.framing import Framed
 from learn.editing.decomposition import predict_framed
 from learn.metrics import lpips as perceptual
 from learn.networks import features, tensor_file, weights

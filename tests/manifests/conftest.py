@@ -3,6 +3,7 @@
 import msgspec
 import pytest
 
+from manifests.line_files import Lines
 from manifests.schema import (
     Camera,
     Dataset,
@@ -12,7 +13,7 @@ from manifests.schema import (
     ShapeEntry,
     Statistics,
 )
-from manifests.store import Lines, Store, file_hash, geometry_path, image_path
+from manifests.store import Store, file_hash, geometry_path, image_path
 from tests.support.whole_dataset import JOB, entry, write_dataset
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from manifests import archives
 from manifests.archives import ArrayHeader
-from manifests.arrays import encode_light, read_light, read_scale
 from manifests.errors import InputError
+from manifests.light_files import encode_light, read_light, read_scale
 
 HEADER = "{'descr': '<f4', 'fortran_order': False, 'shape': (64, 128, 3), }\n"
 VERSIONS = ((1, 0), (2, 0), (3, 0))

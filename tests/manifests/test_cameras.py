@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from manifests import ids
+from manifests.line_files import encoded
 from manifests.schema import Camera, CameraRanges, Job
-from manifests.store import encoded
 
 RANGES = CameraRanges(
     elevation_deg=(-10.0, 60.0), roll_deg=(-15.0, 15.0), fov_deg=(15.0, 60.0), perspective_share=0.5

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from manifests import arrays, materials, publish, schema
+from manifests import arrays, exr, light_files, materials, picture_files, publish, schema
 from manifests.store import Store
 from shaders import envmap
 from tests.support import whole_dataset
@@ -103,12 +103,14 @@ def test_the_pages_code_reads_what_our_own_readers_read(page, camera, tmp_path, 
         exec(compile(block, "docs/dataset.md", "exec"), read)
     record = min(Store(store.folder).records(), key=lambda record: record.id)
     assert read["record"]["id"] == record.id
-    np.testing.assert_array_equal(read["picture"], arrays.read_picture(store.folder / record.image))
-    geometry = arrays.read_geometry(store.folder / record.geometry)
+    np.testing.assert_array_equal(
+        read["picture"], picture_files.read_picture(store.folder / record.image)
+    )
+    geometry = picture_files.read_geometry(store.folder / record.geometry)
     for name in ("normals", "depth", "segments", "mask"):
         np.testing.assert_array_equal(read[name], getattr(geometry, name), err_msg=name)
     entry = store.dataset().lights[record.light]
-    L = envmap.roll(arrays.read_light(store.folder / entry.file), record.rotation_texels)
+    L = envmap.roll(light_files.read_light(store.folder / entry.file), record.rotation_texels)
     np.testing.assert_array_equal(read["light"], L)
     assert read["label"].shape == (2, 108)
 
@@ -128,7 +130,7 @@ def test_files_hold_the_arrays_that_the_table_says(name, tmp_path):
             a.name: (a.type, arrays.LIGHT_MEMBERS[a.name][0]) for a in arrays.FILES[name]
         }
     else:
-        assert {key: v.dtype for key, v in arrays.exr.read(path).items()} == {
+        assert {key: v.dtype for key, v in exr.read(path).items()} == {
             # facets are in files of points alone (tests/manifests/test_stored_arrays.py)
             a.name: a.type
             for a in arrays.FILES[name]

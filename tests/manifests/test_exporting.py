@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from manifests.arrays import read_geometry, read_picture
 from manifests.errors import InputError
 from manifests.exporting import FORMATS
 from manifests.exporting.folders import export
 from manifests.exporting.samples import Samples
+from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera
 from manifests.store import Store
 

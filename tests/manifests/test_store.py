@@ -10,17 +10,9 @@ import msgspec
 import pytest
 
 from manifests.errors import InputError
+from manifests.line_files import Lines, encoded
 from manifests.schema import Record
-from manifests.store import (
-    Lines,
-    Store,
-    encoded,
-    file_hash,
-    geometry_path,
-    image_path,
-    inside,
-    light_path,
-)
+from manifests.store import Store, file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
 from tests.support.work_count import calls
 

@@ -8,20 +8,12 @@ import OpenEXR
 import pytest
 
 from manifests import exr
-from manifests.arrays import (
-    DEPTH_CHANNEL,
-    NORMAL_CHANNELS,
-    SEGMENT_CHANNEL,
-    encode_geometry,
-    encode_light,
-    encode_picture,
-    read_geometry,
-    read_light,
-    read_picture,
-)
+from manifests.arrays import DEPTH_CHANNEL, NORMAL_CHANNELS, SEGMENT_CHANNEL
 from manifests.errors import InputError
 from manifests.facets import OTHER_NORMALS, OTHERS, SHARE, Facets, numbered
 from manifests.files import npz_bytes, write_bytes
+from manifests.light_files import encode_light, read_light
+from manifests.picture_files import encode_geometry, encode_picture, read_geometry, read_picture
 from shaders.envmap import unit_mean
 
 

@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from manifests import arrays, ids
+from manifests import exr, ids, light_files, packed_geometry, picture_files
 from manifests.errors import InputError
+from manifests.files import npz_bytes
 from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
 from manifests.store import Store, file_hash, geometry_path, image_path
@@ -222,9 +223,11 @@ def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(
     shutil.copytree(whole(camera=Camera(size=(16, 16), pixel="centre")), tmp_path / "data")
     store = Store(tmp_path / "data")
     record = lines(store)[0]
-    mask = arrays.read_geometry(store.folder / record.geometry).mask
-    picture = spoil(arrays.read_picture(store.folder / record.image), mask).astype(np.float16)
-    data = arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")})
+    mask = picture_files.read_geometry(store.folder / record.geometry).mask
+    picture = spoil(picture_files.read_picture(store.folder / record.image), mask).astype(
+        np.float16
+    )
+    data = exr.encode({name: picture[..., k] for k, name in enumerate("RGB")})
     replace_file(store, record.image, data)
     assert message in "\n".join(texts(store))
 
@@ -232,19 +235,19 @@ def test_a_picture_that_none_can_be_is_found_though_its_hash_was_written_again(
 @pytest.mark.parametrize("channels", ["RGBA", "XYZ", "R"])
 def test_other_channels_are_found(store, channels):
     record = lines(store)[0]
-    picture = arrays.read_picture(store.folder / record.image).astype(np.float16)
-    data = arrays.exr.encode({name: picture[..., k % 3] for k, name in enumerate(channels)})
+    picture = picture_files.read_picture(store.folder / record.image).astype(np.float16)
+    data = exr.encode({name: picture[..., k % 3] for k, name in enumerate(channels)})
     replace_file(store, record.image, data)
     assert "channels R" in "\n".join(texts(store))
 
 
 def test_a_type_that_is_not_written_is_found(store):
     record = lines(store)[0]
-    picture = arrays.read_picture(store.folder / record.image)
+    picture = picture_files.read_picture(store.folder / record.image)
     replace_file(
         store,
         record.image,
-        arrays.exr.encode({name: picture[..., k] for k, name in enumerate("RGB")}),
+        exr.encode({name: picture[..., k] for k, name in enumerate("RGB")}),
     )
     assert "channels R float16" in "\n".join(texts(store))
 
@@ -254,7 +257,7 @@ def encoded(normals, depth, segments):
     channels = {
         f"normal.{axis}": normals[..., k].astype(np.float32) for k, axis in enumerate("XYZ")
     }
-    return arrays.exr.encode(
+    return exr.encode(
         channels | {"depth.Z": depth.astype(np.float32), "segment": segments.astype(np.uint32)}
     )
 
@@ -288,7 +291,7 @@ def test_geometry_that_none_can_be_is_found_though_its_hash_was_written_again(
     shutil.copytree(whole(camera=Camera(size=(32, 32), fov_deg=fov)), tmp_path / "data")
     store = Store(tmp_path / "data")
     record = lines(store)[0]
-    geometry = arrays.read_geometry(store.folder / record.geometry)
+    geometry = picture_files.read_geometry(store.folder / record.geometry)
     replace_file(
         store, record.geometry, encoded(*spoil(*(np.asarray(a, np.float64) for a in geometry[:3])))
     )
@@ -300,9 +303,9 @@ def test_a_bad_geometry_file_condemns_every_record_that_uses_it_and_is_read_once
 ):
     (store.folder / lines(store)[0].geometry).write_bytes(b"other")
     calls = []
-    read = arrays.read_geometry
+    read = picture_files.read_geometry
     monkeypatch.setattr(
-        arrays, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k)
+        picture_files, "read_geometry", lambda *a, **k: calls.append(a[0]) or read(*a, **k)
     )
     result = faults_of(store)
     using = {record.id for record in lines(store) if record.geometry == lines(store)[0].geometry}
@@ -328,19 +331,19 @@ def test_a_light_map_that_none_can_be_is_found_though_its_hash_was_written_again
 ):
     entry = store.dataset().lights["lamp"]
     L, scale = (
-        arrays.read_light(store.folder / entry.file),
-        np.float64(arrays.read_scale(store.folder / entry.file)),
+        light_files.read_light(store.folder / entry.file),
+        np.float64(light_files.read_scale(store.folder / entry.file)),
     )
-    replace_file(store, entry.file, arrays.npz_bytes(spoil(L, scale)))
+    replace_file(store, entry.file, npz_bytes(spoil(L, scale)))
     assert message in "\n".join(texts(store))
 
 
 def test_a_light_that_the_program_knows_is_compared_with_it(store):
     entry = store.dataset().lights["lamp"]
-    L = arrays.read_light(store.folder / entry.file)
+    L = light_files.read_light(store.folder / entry.file)
     known = {("lamp", hash_of("lamp")): (L * (1 + 1e-6), entry.scale)}  # another machine's rounding
     assert faults_of(store, reference=lambda *key: known.get(key)) == []
-    replace_file(store, entry.file, arrays.encode_light(np.roll(L, 1, axis=1), entry.scale))
+    replace_file(store, entry.file, light_files.encode_light(np.roll(L, 1, axis=1), entry.scale))
     # another light, as good as the first, to whoever does not know it
     assert faults_of(store) == []
     assert "found another" in faults_of(store, reference=lambda *key: known.get(key))[0].text
@@ -701,8 +704,8 @@ def test_the_cache_of_packed_geometry_is_compared_with_the_files(store):
     folder = store.folder / "packed"
     folder.mkdir()
     files = {record.geometry_hash: record.geometry for record in lines(store)}
-    geometry = [arrays.read_geometry(store.folder / path) for path in files.values()]
-    normals = np.stack([arrays.pack_normals(each.normals) for each in geometry])
+    geometry = [picture_files.read_geometry(store.folder / path) for path in files.values()]
+    normals = np.stack([packed_geometry.pack_normals(each.normals) for each in geometry])
     segments = np.stack([each.segments for each in geometry])
 
     def pack(normals, segments, skipped=()):

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from factory.render import studio as studio_module
+from factory.render import camera
 from factory.render.validation import reference
 from factory.shapes.primitives import sphere
 from manifests.materials import load_catalogue
@@ -82,7 +82,7 @@ def test_facets_are_those_of_the_mesh(studio):
     corners = mesh.vertices[mesh.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    rotation = studio_module.camera.camera_from_fixed_world(studio._lens)
+    rotation = camera.camera_from_fixed_world(studio._lens)
     cosines = (surface.facets @ (across @ rotation.T).T).max(1)
     assert cosines.min() > 1 - 1e-5
     np.testing.assert_allclose(np.linalg.norm(surface.facets, axis=1), 1, atol=1e-5)

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from factory.render import studio as studio_module
+from factory.render import direct_light
 from factory.render.estimators import choice
 from factory.render.estimators.halves import Halves, Shown
 from factory.render.settings import PORTION
@@ -104,7 +104,7 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
     try:
         chair.set_materials([shiny] * len(earlier))
         for most, across in ((1 << 22, 8), (9 * SIZE**2, 3), (4 * SIZE**2 - 1, None)):
-            monkeypatch.setattr(studio_module, "MOST_POINTS", most)
+            monkeypatch.setattr(direct_light, "MOST_POINTS", most)
             assert (chair.direct_light() is None) == (across is None)
             if across:
                 assert shown[-1] == (SIZE * across, SIZE * across)

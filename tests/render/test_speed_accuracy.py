@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
 from factory.render.estimators.halves import Shown
-from factory.render.validation import error_target, speed_accuracy, speed_accuracy_report
+from factory.render.validation import error_target_report, speed_accuracy, speed_accuracy_report
 from manifests.errors import InputError
 from manifests.schema import Camera
 from shaders.mixture import Mixture
@@ -87,7 +87,7 @@ def test_the_cause_of_an_error_above_its_limit_is_named(change, reason):
         "achieved_standard_error": 0.5,
         "squared_bias": 0.1,
     }
-    assert error_target.cause(shot | change) == reason
+    assert error_target_report.cause(shot | change) == reason
 
 
 def test_direct_light_is_compared_with_the_time_of_path_tracing_at_its_error():

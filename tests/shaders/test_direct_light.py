@@ -120,10 +120,10 @@ def test_near_the_horizon_no_map_blurs_where_a_closure_ends(light, kind, alpha, 
 
 def test_blocks_of_texels_carry_the_energy_of_all(light):
     direct = DirectLight(Mixture.lambert([0.5] * 3), light, ROTATION)
-    total = direct.lights(ROWS)[6:].sum(1)
+    total = direct.blocks.lights(ROWS)[6:].sum(1)
     for _, rows in direct_light.BLOCKS:
-        np.testing.assert_allclose(direct.lights(rows)[6:].sum(1), total, rtol=1e-4)
-        lengths = np.linalg.norm(direct.lights(rows)[:3], axis=0)
+        np.testing.assert_allclose(direct.blocks.lights(rows)[6:].sum(1), total, rtol=1e-4)
+        lengths = np.linalg.norm(direct.blocks.lights(rows)[:3], axis=0)
         np.testing.assert_allclose(lengths, 1, rtol=1e-5)
 
 
@@ -295,9 +295,10 @@ def test_no_light_below_a_facet_is_passed_over_with_its_block(light):
     direct = DirectLight(Mixture.constant("ggx", 0.3, [0.5] * 3), light * sparse, ROTATION)
     n, facets = at_facets(24)
     lost = direct._leaning(n, facets, away=False)
-    lights, density, *_ = direct.texels(1)
+    lights, density, *_ = direct.blocks.texels(1)
     firsts, centre = np.array([0, len(density)]), np.array([[0, 0, 1]], np.float32)
-    direct._texels[1] = (lights, density, firsts, centre, np.ones(1, np.float32))  # a single block
+    # a single block
+    direct.blocks._texels[1] = (lights, density, firsts, centre, np.ones(1, np.float32))
     np.testing.assert_allclose(lost, direct._leaning(n, facets, away=False), rtol=1e-4)
     assert (lost > 0).all() and len(density) < 0.25 * light[..., 0].size
 

@@ -48,7 +48,7 @@ def counted(most=None):
     """A block in which what is written is counted, in a list of one number; beyond `most` bytes the
     disk is full.
 
-    It sees what goes through os.write: all that manifests.files and manifests.store write.
+    It sees what goes through os.write: all that manifests.files and manifests.line_files write.
     """
     write, total = os.write, [0]
 

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 
 from learn.evaluation import ladder_design
-from manifests import arrays
-from manifests.store import Lines
+from manifests import picture_files
+from manifests.line_files import Lines
 from tests.support.synthetic import add_shape, matte, named, with_picture, write_dataset
 
 TURNS = (0, 30, 70)  # of the light, in texels
@@ -24,7 +24,9 @@ def written(folder, size):
     cameras = ladder_design.cameras(ladder_design.preset("development"))
     lines = Lines(path)
     for record in records:
-        image = arrays.read_picture(folder / record.image, record.camera.size, record.image_hash)
+        image = picture_files.read_picture(
+            folder / record.image, record.camera.size, record.image_hash
+        )
         geometry = (folder / record.geometry).read_bytes()
         for rung in ladder_design.RUNGS:
             if rung.name in ("direct", "8-bit"):

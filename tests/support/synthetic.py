@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from learn.layer import render
-from manifests import arrays, exr, ids
+from manifests import exr, ids, light_files
 from manifests import materials as catalogue
+from manifests.line_files import Lines
 from manifests.schema import (
     Camera,
     Dataset,
@@ -22,7 +23,7 @@ from manifests.schema import (
     View,
 )
 from manifests.splits import split_of
-from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from manifests.store import Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
 from shaders.mixture import Mixture
@@ -98,7 +99,7 @@ def write_dataset(
     store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg, roll_deg=roll_deg)
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     stored = light_path("sky", LIGHT)
-    digest = store.place(stored, arrays.encode_light(L, scale), "test")
+    digest = store.place(stored, light_files.encode_light(L, scale), "test")
     shape = ShapeEntry(
         hash=SHAPE, category=category, side=side, role=side, segments=1, licence="CC0"
     )

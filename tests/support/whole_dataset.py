@@ -12,7 +12,8 @@ from itertools import product
 import numpy as np
 
 from manifests import ids
-from manifests.arrays import Geometry, encode_geometry, encode_light, encode_picture, read_geometry
+from manifests.light_files import encode_light
+from manifests.line_files import Lines
 from manifests.materials import (
     Catalogue,
     Distance,
@@ -22,6 +23,7 @@ from manifests.materials import (
     encode,
     material_hash,
 )
+from manifests.picture_files import Geometry, encode_geometry, encode_picture, read_geometry
 from manifests.schema import (
     Camera,
     Dataset,
@@ -35,7 +37,7 @@ from manifests.schema import (
     View,
 )
 from manifests.splits import SIDES, light_side, role_of, split_of
-from manifests.store import Lines, Store, geometry_path, image_path, light_path
+from manifests.store import Store, geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
 from shaders.tone import LUMINANCE

@@ -2,7 +2,7 @@
 
 python -m factory.render.validation.adaptive_sampling --shots 36 --out DIR
 
-shots    drawn from a seed as in error_target, tiers in turn
+shots    drawn from a seed (validation.scenes), tiers in turn
 noise    the variance of each pixel's display value at one sample, by PORTIONS independent pictures
 best     mean(σ²) / mean(σ)² over the object: by how much the division of samples with the least
          mean error, n ∝ σ, needs fewer of them than the same number for all pixels
@@ -10,7 +10,7 @@ piloted  the same of a division by the first two of these pictures, whose own sa
          counted, at the noise of the others; σ is averaged over 3×3 pixels
 Cycles   its own adaptive sampling, against path tracing with as many samples for all pixels as take
          the same processor time. Both are rendered by two seeds; errors and squared biases are
-         those of error_target.compared
+         those of scenes.compared
 """
 
 from __future__ import annotations
@@ -19,16 +19,14 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.studio import Studio
-from factory.render.validation.error_target import TIERS, Scene, Stage, compared, drawn
-from manifests.files import write_json, write_text
-from manifests.option_types import positive, whole
+from factory.render.validation import command_line
+from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
 from manifests.provenance import provenance
 from shaders import tone
 
@@ -237,22 +235,11 @@ def report(result: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measure, and write report.json and report.md."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--shots", type=positive, default=36, metavar="N")
-    parser.add_argument("--seed", type=whole, default=7, metavar="N", help="from which shots come")
-    parser.add_argument("--size", type=positive, default=64, metavar="PIXELS")
-    parser.add_argument(
-        "--reference", type=positive, default=256, metavar="N", help="samples of each half"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
+    parser = command_line.parser(__doc__, "shots", 36, seed=7, size=64, reference=256)
+    options = command_line.parse(parser)
     rows = measure(options)
     result = {**provenance(), "size": options.size, "figures": figures(rows), "rows": rows}
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "report.json", result)
-    write_text(options.out / "report.md", report(result))
+    command_line.write_report(options.out, result, report(result))
     print(f"See {options.out / 'report.md'}")
 
 

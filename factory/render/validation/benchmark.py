@@ -26,7 +26,8 @@ import numpy as np
 from manifests.provenance import provenance
 
 if TYPE_CHECKING:
-    from factory.render.studio import Geometry, Studio
+    from factory.render.geometry import Geometry
+    from factory.render.studio import Studio
     from factory.shapes.mesh import Mesh
 
 VIEWS = 24
@@ -150,7 +151,7 @@ class _StudioLoop:
 
     def run(self, geometry: bool) -> None:
         """Render all views; geometry: whether to render their geometry, too."""
-        from manifests.store import Lines
+        from manifests.line_files import Lines
 
         with contextlib.closing(Lines(f"{self.folder}/records.jsonl")) as records:
             for view in range(VIEWS):
@@ -159,8 +160,8 @@ class _StudioLoop:
 
     def _record(self, view: int, geometry: bool) -> dict[str, Any]:
         from factory.render import checks
-        from manifests.arrays import encode_geometry, encode_picture
         from manifests.files import write_bytes
+        from manifests.picture_files import encode_geometry, encode_picture
 
         faults: list[str] = []
         paths = [f"{self.folder}/picture{view:02}.exr"]

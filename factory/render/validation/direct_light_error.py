@@ -3,7 +3,7 @@
 python -m factory.render.validation.direct_light_error --shots 24 --out DIR
 python -m factory.render.validation.direct_light_error --shots 24 --meshes FOLDER --out DIR
 
-shots    drawn from a seed as in error_target, all of the tier `direct`
+shots    drawn from a seed (validation.scenes), all of the tier `direct`
 error    display L2 over the mask against a reference in two halves, whose noise cancels in the
          mean; "facing" is the part of pixels with n·v above 0.3
 seconds  of one thread: of a first view under a new light, and of a second one, for which most of
@@ -16,14 +16,12 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from factory.render.validation.error_target import Stage, drawn, meshes_of, named
-from manifests.files import write_json, write_text
-from manifests.option_types import positive, whole
+from factory.render.validation import command_line
+from factory.render.validation.scenes import Stage, drawn, meshes_of, named
 from manifests.provenance import provenance
 from shaders import tone
 
@@ -116,23 +114,11 @@ def report(result: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measure, and write report.json and report.md."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--shots", type=positive, default=24, metavar="N")
-    parser.add_argument("--seed", type=whole, default=3, metavar="N", help="from which shots come")
-    parser.add_argument("--size", type=positive, default=128, metavar="PIXELS")
-    parser.add_argument(
-        "--reference", type=positive, default=256, metavar="N", help="samples of each half"
-    )
-    parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
+    parser = command_line.parser(__doc__, "shots", 24, seed=3, size=128, reference=256, meshes=True)
+    options = command_line.parse(parser)
     rows = measure(options)
     result = {**provenance(), "size": options.size, "rows": rows}
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "report.json", result)
-    write_text(options.out / "report.md", report(result))
+    command_line.write_report(options.out, result, report(result))
     print(f"See {options.out / 'report.md'}")
 
 

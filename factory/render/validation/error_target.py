@@ -21,119 +21,24 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from factory.lights import load as load_light
 from factory.render.estimators import blends, choice
-from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves, Shown, mean_over
-from factory.render.studio import Studio
-from factory.shapes.catalogue import load as load_shape
+from factory.render.estimators.halves import Halves, Shown
+from factory.render.validation import command_line
+from factory.render.validation.error_target_report import FIXED, group, report
+from factory.render.validation.scenes import ERRORS, TIERS, Stage, compared, drawn, meshes_of, named
 from manifests.errors import InputError
-from manifests.files import write_json, write_text
-from manifests.materials import load_catalogue
-from manifests.option_types import positive, whole
+from manifests.line_files import Lines
+from manifests.option_types import positive
 from manifests.provenance import provenance
-from manifests.schema import Camera, Tier
-from manifests.store import Lines
-from shaders import tone
 
-SHAPES = ("chair", "car", "sofa", "monitor", "vessel", "lamp", "blob", "sphere", "cube", "torus")
-LIGHTS = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
-TIERS: tuple[Tier, ...] = ("direct", "shadow", "full")
-ERRORS = (5.0, 20.0, 60.0)
 LEAST_REFERENCE = 256  # samples of each half of a reference
 MOST_REFERENCE = 2048
-FIXED = 64  # samples of the pictures that are made as without an error
 TRIED = (4, 8, 16, 32)  # samples of each half at which `law` denoises
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A shot by names; requested: the error."""
-
-    shape: str
-    material: str
-    light: str
-    rotation: int
-    azimuth: float
-    tier: Tier
-    requested: float
-    seed: int
-
-
-def drawn(number: int, seed: int, materials: list[str], meshes: Sequence[Path] = ()) -> Scene:
-    """Return shot `number` of a seed; other shots do not change it.
-
-    meshes  files whose shapes are shown instead of the program's own
-    """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-    family = SHAPES[rng.integers(len(SHAPES))]
-    shape = family if family in ("sphere", "cube", "torus") else f"{family}:{rng.integers(100)}"
-    return Scene(
-        shape=str(meshes[number * 7 % len(meshes)]) if meshes else shape,
-        material=materials[rng.integers(len(materials))],
-        light=LIGHTS[rng.integers(len(LIGHTS))],
-        rotation=int(rng.integers(128)),
-        azimuth=float(rng.integers(24) * np.pi / 12),
-        tier=TIERS[rng.integers(len(TIERS))],
-        requested=ERRORS[number % len(ERRORS)],
-        seed=int(rng.integers(2**31)),
-    )
-
-
-def meshes_of(folder: Path | None) -> list[Path]:
-    """Return the .obj files of a folder; none without a folder. Raises InputError: it has none."""
-    meshes = sorted(folder.rglob("*.obj")) if folder else []
-    if folder and not meshes:
-        raise InputError("--meshes", "a folder with .obj files", "none", "name another folder")
-    return meshes
-
-
-class Stage:
-    """A studio that shows scenes, and a clock."""
-
-    def __init__(self, size: int, threads: int):
-        self.studio = Studio("cpu", threads)
-        self.studio.set_camera(Camera(size=(size, size)))
-        self._catalogue = load_catalogue()
-        self.materials = sorted(self._catalogue)
-
-    def show(self, scene: Scene) -> np.ndarray:
-        """Set a scene up and return its mask (height, width)."""
-        mesh = load_shape(scene.shape)
-        self.studio.set_shape(mesh)
-        self.studio.set_light(load_light(scene.light).L64, scene.rotation)
-        self.studio.set_materials([self._catalogue[scene.material].mixture] * mesh.segments)
-        self.studio.set_view(scene.azimuth)
-        mask = self.studio.geometry().mask
-        self.studio.picture(1, 0, scene.tier)  # Cycles sends mesh and materials with the first
-        return mask
-
-    def reference(self, scene: Scene, mask: np.ndarray, samples: int) -> Halves:
-        """Return halves of many samples by a seed that no picture has."""
-        halves = Halves(Shown(self.studio, (scene.seed + 1) % 2**31, scene.tier, mask))
-        halves.grow(samples)
-        return halves
-
-
-def compared(one: np.ndarray, other: np.ndarray, reference: Halves) -> Estimate:
-    """Return the mean of (one − R1)(other − R2) in display values: an error, or a squared bias."""
-    mask = reference.shown.mask
-    exposure = tone.auto_exposure(reference.picture, mask)
-    a, b, r1, r2 = (
-        tone.display(each[mask], exposure) for each in (one, other, *reference.pictures)
-    )
-    return mean_over(((a - r1) * (b - r2)).mean(-1))
-
-
-def named(scene: Scene) -> Scene:
-    """Return a scene whose shape is the name of its file, where it is a file's."""
-    return replace(scene, shape=Path(scene.shape).name)
 
 
 def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
@@ -257,147 +162,21 @@ def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
             flush=True,
         )
     rows = rows[: options.shots]
-    return {"groups": [_group(rows, requested) for requested in (*ERRORS, None)], "rows": rows}
-
-
-def _group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any]:
-    """Return the figures of the shots that requested an error; None: of all."""
-    of = [row for row in rows if requested in (None, row["requested"])]
-    column = {
-        name: np.array([row[name] for row in of])
-        for name in ("requested", "achieved", "estimated", "predicted", "squared_bias", "seconds")
-    }
-    kept = column["achieved"] <= column["requested"]
-    fixed = np.array([row["fixed"] for row in of])
-    per_sample = float(np.mean([row["fixed_seconds"] for row in of])) / FIXED
-    result = {
-        "requested": requested,
-        "shots": len(of),
-        "estimators": {name: sum(row["estimator"] == name for row in of) for name in choice.ALL},
-        "kept": int(kept.sum()),
-        "missed_beyond_doubt": sum(
-            row["achieved"] - CONFIDENCE * row["achieved_standard_error"] > row["requested"]
-            for row in of
-        ),
-        "bias_above_a_third": int((column["squared_bias"] > column["requested"] / 3).sum()),
-        "achieved_over_requested": float((column["achieved"] / column["requested"]).mean()),
-        "bias_over_requested": float((column["squared_bias"] / column["requested"]).mean()),
-        "estimated_over_achieved": _spread(column["estimated"] / column["achieved"]),
-        "predicted_over_achieved": _spread(column["predicted"] / column["achieved"]),
-        "samples": float(np.mean([row["samples"] for row in of])),
-        "seconds": float(column["seconds"].mean()),
-    }
-    if requested is not None:
-        equal = FIXED * float(fixed.mean() / column["achieved"].mean())
-        keeping = FIXED * float(np.quantile(fixed / requested, kept.mean()))
-        result |= {
-            "fixed_samples_of_the_same_mean": equal,
-            "fixed_seconds_of_the_same_mean": equal * per_sample,
-            "fixed_samples_that_keep_as_often": keeping,
-            "fixed_seconds_that_keep_as_often": keeping * per_sample,
-        }
-    return result
-
-
-def _spread(values: np.ndarray) -> list[float]:
-    """Return the 5th percentile, the median and the 95th percentile."""
-    return [float(v) for v in np.percentile(values, [5, 50, 95])]
-
-
-def cause(row: dict[str, Any]) -> str:
-    """Return why a shot's error was not kept."""
-    if row["estimated"] + CONFIDENCE * row["standard_error"] > row["requested"]:
-        return "the most samples did not suffice"
-    if row["achieved"] - CONFIDENCE * row["achieved_standard_error"] <= row["requested"]:
-        return "within the uncertainty of the reference"
-    if row["squared_bias"] > row["achieved"] / 2:
-        return "bias that the estimate missed"
-    return "noise that the halves' difference missed"
-
-
-def report(result: dict[str, Any]) -> str:
-    """Return the page of a `check`."""
-    lines = [
-        "# Errors to which jobs limit pictures",
-        "",
-        f"    {result['command']}",
-        "",
-        f"Commit {result['commit']}, {result['date']}, {result['machine']};"
-        f" pictures of {result['size']}×{result['size']}.",
-        "",
-        "| requested | shots | path traced, denoised, ratio, closed form | kept"
-        " | beyond doubt not | achieved ÷ requested, mean"
-        " | squared bias ÷ requested, mean | bias above a third"
-        " | estimated ÷ achieved, 5 %, median, 95 % | predicted ÷ achieved |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-
-    def three(values: list[float]) -> str:
-        return ", ".join(f"{v:.2f}" for v in values)
-
-    for g in result["figures"]["groups"]:
-        lines.append(
-            f"| {'all' if g['requested'] is None else format(g['requested'], 'g')} | {g['shots']}"
-            f" | {', '.join(str(n) for n in g['estimators'].values())}"
-            f" | {g['kept']} ({g['kept'] / g['shots']:.1%})"
-            f" | {g['missed_beyond_doubt']} | {g['achieved_over_requested']:.2f}"
-            f" | {g['bias_over_requested']:.3f} | {g['bias_above_a_third']}"
-            f" | {three(g['estimated_over_achieved'])} | {three(g['predicted_over_achieved'])} |"
-        )
-    lines += [
-        "",
-        "Cost in processor seconds a picture, against one number of samples for all shots:",
-        "",
-        "| requested | samples | cost | fixed, same mean error: samples | cost | fixed, kept as"
-        " often: samples | cost |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for g in result["figures"]["groups"]:
-        if g["requested"] is not None:
-            lines.append(
-                f"| {g['requested']:g} | {g['samples']:.0f} | {g['seconds']:.3f}"
-                f" | {g['fixed_samples_of_the_same_mean']:.0f}"
-                f" | {g['fixed_seconds_of_the_same_mean']:.3f}"
-                f" | {g['fixed_samples_that_keep_as_often']:.0f}"
-                f" | {g['fixed_seconds_that_keep_as_often']:.3f} |"
-            )
-    missed = [row for row in result["figures"]["rows"] if row["achieved"] > row["requested"]]
-    lines += ["", f"Shots whose error was not kept ({len(missed)}):", ""]
-    lines += [
-        "| shot | estimator, samples | requested | estimated | achieved | cause |",
-        "|---|---|---|---|---|---|",
-    ]
-    for row in sorted(missed, key=lambda row: row["requested"] / row["achieved"]):
-        lines.append(
-            f"| {row['shape']}, {row['material']}, {row['light']}, {row['tier']}"
-            f" | {row['estimator']}, {row['samples']} | {row['requested']:g}"
-            f" | {row['estimated']:.3g}"
-            f" | {row['achieved']:.3g} ± {row['achieved_standard_error']:.2g} | {cause(row)} |"
-        )
-    return "\n".join(lines) + "\n"
+    return {"groups": [group(rows, requested) for requested in (*ERRORS, None)], "rows": rows}
 
 
 def main() -> None:
     """Measure what the arguments name; print the figures, or write them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = command_line.parser(__doc__, "shots", 60, seed=0, size=64, meshes=True)
     parser.add_argument("measure", choices=("law", "check"))
-    parser.add_argument("--shots", type=positive, default=60, metavar="N")
-    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
-    parser.add_argument("--size", type=positive, default=64, metavar="PIXELS")
     parser.add_argument("--threads", type=positive, default=2, metavar="N")
-    parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="of report.json and report.md")
-    options = parser.parse_args()
+    options = command_line.parse(parser, out_required=False)
     stage = Stage(options.size, options.threads)
     figures = (law if options.measure == "law" else check)(stage, options)
     result = {"size": options.size, **provenance(), "figures": figures}
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        write_json(options.out / "report.json", result)
-        if options.measure == "check":
-            write_text(options.out / "report.md", report(result))
+        page = report(result) if options.measure == "check" else None
+        command_line.write_report(options.out, result, page)
     shown = figures["groups"] if options.measure == "check" else [figures | {"rows": None}]
     for each in shown:
         print(each)

@@ -7,7 +7,7 @@ A measurement that was stopped is continued by the same command.
 Light is added up linearly, so a picture under any light is a sum of pictures under a basis of
 lights, in so far as the basis can show that light (factory.render.validation.light_bases).
 
-scenes    drawn from a seed as in error_target, in the tier `full`, each with LIGHTS lights: the
+scenes    drawn from a seed (validation.scenes), in the tier `full`, each with LIGHTS lights: the
           maps that come with the program, each turned eight ways
 sums      of pictures of the basis, rendered once
 ratios    the closed form of each light's direct light, times the ratio of two such sums, with and
@@ -28,7 +28,6 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,13 +37,11 @@ from factory.render import light as worlds
 from factory.render.estimators import ratio
 from factory.render.estimators.halves import Portion, Shown
 from factory.render.studio import Studio
-from factory.render.validation import error_target, speed_accuracy
+from factory.render.validation import command_line, scenes, speed_accuracy
 from factory.render.validation.light_bases import Basis, cells, factors, harmonics
 from factory.render.validation.relighting_report import chart, figures, report
-from manifests.files import write_json, write_text
-from manifests.option_types import positive, whole
+from manifests.line_files import Lines
 from manifests.provenance import provenance
-from manifests.store import Lines
 
 LIGHTS = 64
 SHOWN = (0, 27)  # of them, of which errors are measured
@@ -54,7 +51,7 @@ BASELINES = {"path tracing": (4, 16, 64), "denoised": (4, 16, 64), "ratio": (4, 
 
 def lights() -> list[np.ndarray]:
     """Return the lights as the camera sees them; successive ones are of other maps."""
-    maps = [load_light(name).L64 for name in error_target.LIGHTS]
+    maps = [load_light(name).L64 for name in scenes.LIGHTS]
     return [worlds.as_seen(maps[k % 8], k // 8 * 16 + 5 * k % 16) for k in range(LIGHTS)]
 
 
@@ -119,13 +116,13 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     Rows of an earlier, stopped measurement are kept.
     """
     lines = Lines(options.out / "rows.jsonl")
-    scenes = [json.loads(line) for line in lines.read().splitlines()][: options.scenes]
-    stage, all_lights = error_target.Stage(options.size, 1), lights()
+    measured = [json.loads(line) for line in lines.read().splitlines()][: options.scenes]
+    stage, all_lights = scenes.Stage(options.size, 1), lights()
     studio, some = stage.studio, [all_lights[k] for k in SHOWN]
     bases = [cells(4, 8), cells(8, 16), harmonics(), factors(all_lights, 32)]
-    for number in range(len(scenes), options.scenes):
+    for number in range(len(measured), options.scenes):
         rows: list[dict[str, Any]] = []
-        scene = replace(error_target.drawn(number, options.seed, stage.materials), tier="full")
+        scene = replace(scenes.drawn(number, options.seed, stage.materials), tier="full")
         mask = stage.show(scene)
         studio.direct_light()  # compiles its kernels
         made = []
@@ -150,28 +147,19 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
                             "samples": samples,
                             "once": once,
                             "each": each,
-                            "error": error_target.compared(picture, picture, reference).error,
+                            "error": scenes.compared(picture, picture, reference).error,
                         }
                     )
         lines.append(rows)
-        scenes.append(rows)
+        measured.append(rows)
         print(f"{number + 1} of {options.scenes}: {scene}", flush=True)
-    return [row for rows in scenes for row in rows]
+    return [row for rows in measured for row in rows]
 
 
 def main() -> None:
     """Measure, and write report.json, report.md and chart.png."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--scenes", type=positive, default=6, metavar="N")
-    parser.add_argument("--seed", type=whole, default=7, metavar="N", help="from which scenes come")
-    parser.add_argument("--size", type=positive, default=96, metavar="PIXELS")
-    parser.add_argument(
-        "--reference", type=positive, default=256, metavar="N", help="samples of each half"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
+    parser = command_line.parser(__doc__, "scenes", 6, seed=7, size=96, reference=256)
+    options = command_line.parse(parser)
     rows = measure(options)
     result = {
         **provenance(),
@@ -179,9 +167,7 @@ def main() -> None:
         "figures": figures(rows),
         "rows": rows,
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "report.json", result)
-    write_text(options.out / "report.md", report(result))
+    command_line.write_report(options.out, result, report(result))
     chart(result["figures"], options.out / "chart.png")
     print(f"See {options.out / 'report.md'}")
 

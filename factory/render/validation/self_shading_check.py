@@ -29,12 +29,11 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import camera
 from factory.render.studio import Studio
-from factory.render.validation.error_target import meshes_of
+from factory.render.validation import command_line
+from factory.render.validation.scenes import meshes_of
 from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError
-from manifests.files import write_json, write_text
-from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 from manifests.schema import Camera
 from shaders import tone
@@ -177,21 +176,12 @@ def report(result: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measure, and write report.json and report.md."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--shots", type=positive, default=1000, metavar="N")
-    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="from which shots come")
-    parser.add_argument("--size", type=positive, default=96, metavar="PIXELS")
-    parser.add_argument("--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes")
+    parser = command_line.parser(__doc__, "shots", 1000, seed=0, size=96, meshes=True)
     parser.add_argument("--perspective", action="store_true", help="a drawn field of view")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
+    options = command_line.parse(parser)
     rows = measure(options)
     result = {**provenance(), "figures": figures(rows), "rows": rows}
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "report.json", result)
-    write_text(options.out / "report.md", report(result))
+    command_line.write_report(options.out, result, report(result))
     print(f"See {options.out / 'report.md'}")
 
 

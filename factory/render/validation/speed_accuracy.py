@@ -6,7 +6,7 @@ python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --blend
 
 A measurement that was stopped is continued by the same command, scene by scene.
 
-scenes     drawn from a seed as in error_target; tiers in turn, or the one that --tier names
+scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that --tier names
 error      display L2 over the mask against a reference in two independent halves, whose noise
            cancels in the mean; a negative error is one below the reference's noise
 time       processor seconds per picture in one thread, without loading shape, light and materials.
@@ -39,11 +39,11 @@ from factory.render.estimators import choice, ratio
 from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.estimators.halves import Shown
 from factory.render.studio import Studio
-from factory.render.validation.error_target import TIERS, Scene, Stage, compared, drawn
+from factory.render.validation import command_line
+from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
 from factory.render.validation.speed_accuracy_report import chart, report, summary
 from manifests.errors import InputError
-from manifests.files import write_json, write_text
-from manifests.option_types import positive, whole
+from manifests.files import write_json
 from manifests.provenance import provenance
 
 SAMPLES = (4, 16, 64, 256)
@@ -250,22 +250,13 @@ def rendered_by_peer(blend: Path, python: str) -> list[tuple[str, str, np.ndarra
 
 def main() -> None:
     """Measure, and write report.json, report.md and chart.png."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--scenes", type=positive, default=24, metavar="N")
-    parser.add_argument("--seed", type=whole, default=7, metavar="N", help="from which scenes come")
-    parser.add_argument("--size", type=positive, default=128, metavar="PIXELS")
+    parser = command_line.parser(__doc__, "scenes", 24, seed=7, size=128, reference=512)
     parser.add_argument("--tier", choices=TIERS, help="of all scenes (default: each in turn)")
-    parser.add_argument(
-        "--reference", type=positive, default=512, metavar="N", help="samples of each half"
-    )
     parser.add_argument("--blenderproc", metavar="PYTHON", help="compare with BlenderProc, too")
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
+    options = command_line.parse(parser)
     rows = measure(options)
     result = {
         **provenance(),
@@ -274,9 +265,7 @@ def main() -> None:
         "figures": summary(rows),
         "rows": rows,
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_json(options.out / "report.json", result)
-    write_text(options.out / "report.md", report(result))
+    command_line.write_report(options.out, result, report(result))
     chart(result["figures"], options.out / "chart.png")
     print(f"See {options.out / 'report.md'}")
 

@@ -1,0 +1,245 @@
+"""Tab 1 of the page: a photograph, what in it is the object, and its decomposition."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from learn.app.background_decomposition import Stopped
+from learn.app.download_tab import DownloadTab
+from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
+from learn.app.material_tab import MaterialTab
+from learn.app.offline_gradio import gr
+from learn.app.page_html import progress_bar
+from learn.app.session import Session
+from manifests.errors import InputError
+
+REGIONS_OFFERED = 4
+DONE = "Done."
+# Tabs that were an output of Python would be asked for all that they hold at each later change.
+OPEN_EDIT = """
+said => {
+  const tabs = [...document.querySelectorAll('[role=tab]')];
+  if (said === 'DONE') tabs.find(tab => tab.innerText.includes('Material and light')).click();
+}
+""".replace("DONE", DONE)
+
+
+class ObjectTab:
+    """Lays the tab out when it is made, inside gr.Tabs; `connect` then says what its parts do.
+
+    All other methods handle one event each. They return the new values of the components that
+    `connect` names for them: `marks`, the picture with its regions and what depends on them, or
+    those of the tabs that a photograph fills or empties.
+    """
+
+    def __init__(self, session_of: SessionOf):
+        self.session_of = session_of
+        with gr.Tab("1  Photograph and object", id="object"), gr.Row():
+            with gr.Column(scale=1, min_width=280):
+                self._lay_out_controls()
+            with gr.Column(scale=3, min_width=320):
+                self._lay_out_picture()
+        self.marks = [self.marking, self.status, self.decompose]
+
+    def _lay_out_controls(self) -> None:
+        self.photo = gr.UploadButton(
+            "Choose a photograph", variant="primary", elem_id="photo", size="md"
+        )
+        self.example = gr.Button("Or take the example, a cup", elem_id="example", size="md")
+        gr.Markdown("**What is the object?** Click on it in the picture, or:")
+        with gr.Row():
+            self.mask = gr.UploadButton("Mask file", elem_id="mask", size="sm", min_width=90)
+            self.regions_file = gr.UploadButton(
+                "Regions file", elem_id="regions-file", size="sm", min_width=90
+            )
+        self.marked = gr.Radio(
+            [("The object", 1)]
+            + [(f"Region {k}", k) for k in range(2, REGIONS_OFFERED + 1)]
+            + [("Background", 0)],
+            value=1,
+            label="A click says: this is …",
+            info="Regions can have different materials.",
+            elem_id="marked",
+        )
+        with gr.Row():
+            self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
+            self.clear = gr.Button("Clear", elem_id="clear", size="sm", min_width=80)
+        self.refine = gr.Checkbox(
+            True,
+            label="Refine",
+            info="Closer to the photograph; takes about half a minute longer.",
+            elem_id="refine",
+        )
+        with gr.Row():
+            self.decompose = gr.Button(
+                "Decompose", variant="primary", elem_id="decompose", interactive=False
+            )
+            self.stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False)
+        self.progress = gr.HTML("", elem_id="progress")
+
+    def _lay_out_picture(self) -> None:
+        self.status = gr.Markdown(
+            "Choose a photograph of one object, or the example.", elem_id="status"
+        )
+        with gr.Tabs():
+            with gr.Tab("Click", id="click"):
+                self.marking = gr.Image(
+                    interactive=False,
+                    show_label=False,
+                    height=520,
+                    buttons=[],
+                    elem_id="marking",
+                    type="filepath",
+                )
+            with gr.Tab("Brush", id="brush"):
+                gr.Markdown(
+                    "Paint over the object, then press the button. Strokes count for"
+                    " what is chosen on the left."
+                )
+                self.use_brush = gr.Button("Use the strokes", elem_id="use-brush", size="sm")
+                self.brush = gr.ImageEditor(
+                    show_label=False,
+                    sources=(),
+                    transforms=(),
+                    layers=False,
+                    type="numpy",
+                    height=520,
+                    brush=gr.Brush(default_size=40, colors=["#ff00ff"], color_mode="fixed"),
+                    elem_id="brush",
+                )
+
+    def connect(self, materials: MaterialTab, download: DownloadTab) -> None:
+        """Connect the events of this tab; `materials` and `download` show what they result in."""
+        on_load = [*self.marks, self.brush, self.progress, *materials.views, *download.outputs]
+        waiting = progress_on(self.marking)
+        self.photo.upload(self.take_photo, self.photo, on_load, **waiting)
+        self.example.click(self.take_example, None, on_load, **waiting)
+        self.mask.upload(self.take_mask, self.mask, self.marks, **waiting)
+        self.regions_file.upload(self.take_regions, self.regions_file, self.marks, **waiting)
+        self.marking.select(self.click, self.marked, self.marks, trigger_mode="multiple", **QUIET)
+        self.use_brush.click(self.stroke, [self.marked, self.brush], self.marks, **waiting)
+        self.undo.click(self.take_back, None, self.marks, trigger_mode="multiple", **QUIET)
+        self.clear.click(self.take_back_all, None, self.marks, **QUIET)
+
+        decomposed_to = [self.progress, self.decompose, self.stop, *materials.filled]
+        self.materials = materials
+        self.decompose.click(
+            self.run, self.refine, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
+        ).success(None, self.progress, js=OPEN_EDIT)
+        self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
+
+    def _marks_of(self, session: Session, text: str) -> tuple[Any, ...]:
+        selection = session.opened()
+        path = session.write_view(session.overlay())
+        return str(path), text, gr.Button(interactive=bool(selection.labels().any()))
+
+    def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
+        canvas = {
+            "background": session.opened().display,
+            "layers": [],
+            "composite": session.opened().display,
+        }
+        others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
+        return (*self._marks_of(session, text), canvas, "", *others)
+
+    @one_line
+    def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
+        """Open a photograph that was sent."""
+        session = self.session_of(request)
+        return self._loaded(session, read_and_delete(sent, session.load))
+
+    @one_line
+    def take_example(self, request: gr.Request) -> tuple[Any, ...]:
+        """Open the program's example."""
+        session = self.session_of(request)
+        return self._loaded(session, session.load_example())
+
+    @one_line
+    def take_mask(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
+        """Use a mask file that was sent."""
+        session = self.session_of(request)
+        return self._marks_of(session, read_and_delete(sent, session.give_mask))
+
+    @one_line
+    def take_regions(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
+        """Use a regions file that was sent."""
+        session = self.session_of(request)
+        return self._marks_of(session, read_and_delete(sent, session.give_regions))
+
+    @one_line
+    def click(self, number: int, event: gr.SelectData, request: gr.Request) -> tuple[Any, ...]:
+        """Use a click on the picture, which says that its place belongs to region `number`."""
+        session = self.session_of(request)
+        column, row = event.index
+        session.click(float(column), float(row), int(number))
+        return self._marks_of(session, covered_text(session))
+
+    @one_line
+    def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
+        """Use the strokes of the brush, which say that they cover region `number`."""
+        session = self.session_of(request)
+        selection = session.opened()
+        layers = [] if drawn is None else drawn.get("layers") or []
+        covered = np.zeros(selection.size, bool)
+        for layer in layers:
+            if layer.shape[:2] != covered.shape:
+                selection.paint(np.zeros(layer.shape[:2], bool), int(number))
+            covered |= layer[..., 3] > 127
+        if not covered.any():
+            rule = ("the brush", "strokes over the object", "none", "paint on the picture")
+            raise InputError(*rule)
+        selection.paint(covered, int(number))
+        return self._marks_of(session, covered_text(session))
+
+    @one_line
+    def take_back(self, request: gr.Request) -> tuple[Any, ...]:
+        """Take back the last click or strokes."""
+        session = self.session_of(request)
+        session.opened().undo()
+        return self._marks_of(session, covered_text(session))
+
+    @one_line
+    def take_back_all(self, request: gr.Request) -> tuple[Any, ...]:
+        """Take back all clicks and strokes."""
+        session = self.session_of(request)
+        session.opened().clear()
+        return self._marks_of(session, covered_text(session))
+
+    @one_line
+    def run(self, refined: bool, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        """Decompose the photograph; yield the progress, and at last what tab 2 shows."""
+        session = self.session_of(request)
+        go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
+        rest = (gr.skip(),) * len(self.materials.filled)
+        try:
+            session.marked()  # what is wrong with the mask is said at once
+            yield progress_bar(0.01, "waiting for a free place"), halt, go, *rest
+            for report in session.decompose(refined):
+                yield progress_bar(report.share, report.text), halt, go, *rest
+        except Stopped:
+            yield "Stopped. The photograph and its mask are still here.", go, halt, *rest
+            return
+        except InputError:
+            yield "", go, halt, *rest
+            raise
+        yield (DONE, go, halt, *self.materials.fill(session))
+
+    def halt(self, request: gr.Request) -> tuple[Any, ...]:
+        """Stop the decomposition."""
+        self.session_of(request).stop.set()
+        return "Stopping …", gr.Button(interactive=False)
+
+
+def covered_text(session: Session) -> str:
+    """Return what is marked, and what to do next, as a sentence or two."""
+    labels = session.opened().labels()
+    covered = f"{(labels > 0).mean():.0%} of the picture"
+    if not labels.any():
+        return "Click on the object."
+    count = int(labels.max())
+    several = f", {count} regions" if count > 1 else ""
+    return (
+        f"The object covers {covered}{several}. Click where it is missing, or choose"
+        " Background and click where it is too much. Then press Decompose."
+    )

@@ -1,0 +1,62 @@
+"""The sessions of all users of the page: which belongs to whom, and when each ends.
+
+A user is one open page, by the random name that the page has. A session ends, and its files are
+deleted, when the page is closed, after IDLE_SECONDS without a request, when MOST_SESSIONS newer
+ones are open, or when the server ends.
+"""
+
+import secrets
+import threading
+import time
+from collections import OrderedDict
+from pathlib import Path
+
+from learn.app.background_decomposition import Network
+from learn.app.session import Session
+
+MOST_SESSIONS = 16
+IDLE_SECONDS = 3600.0
+
+
+class Sessions:
+    """The sessions of all users, by the names of their pages."""
+
+    def __init__(self, folder: Path, network: Network):
+        self.folder, self.network = folder, network
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, name: str) -> Session:
+        """Return the session of a page, a new one for a new page."""
+        now = time.monotonic()
+        with self._lock:
+            session = self._sessions.get(name)
+            if session is None:
+                folder = self.folder / secrets.token_hex(
+                    16
+                )  # so that its address cannot be guessed
+                folder.mkdir(mode=0o700)
+                session = self._sessions[name] = Session(folder, self.network)
+            session.used = now
+            self._sessions.move_to_end(name)
+            old = [k for k, each in self._sessions.items() if now - each.used > IDLE_SECONDS]
+            more = list(self._sessions)[: max(0, len(self._sessions) - MOST_SESSIONS)]
+            ended = [self._sessions.pop(each) for each in dict.fromkeys([*old, *more])]
+        for each in ended:
+            each.close()
+        return session
+
+    def close(self, name: str) -> None:
+        """End the session of a page, if there is one."""
+        with self._lock:
+            session = self._sessions.pop(name, None)
+        if session is not None:
+            session.close()
+
+    def close_all(self) -> None:
+        """End all sessions."""
+        for name in list(self._sessions):
+            self.close(name)
+
+    def __len__(self) -> int:
+        return len(self._sessions)
