@@ -1,8 +1,8 @@
 """Radiance for a view per pixel as `auto` plans it: each group of lobes by a strategy of its own.
 
 Lobes whose highlights are narrower than a map's nodes could follow are summed at the pixels
-(learn/methods/viewed_lists.py). The others are summed at the nodes of one to six reflectance maps,
-of which learn/methods/view_places.py tells where the pixels read them.
+(learn/methods/viewed_lists.py). The others are summed at the nodes of reflectance maps
+(learn/methods/view_maps.py), which pixels read at the places of learn/methods/view_places.py.
 
 n, view (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at
 hand.
@@ -11,6 +11,7 @@ hand.
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -19,12 +20,18 @@ from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
 from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
 from learn.methods.planned import Strategy
-from learn.methods.view_places import Chart, Places, Views, dot
+from learn.methods.view_maps import Maps, beside_size
+from learn.methods.view_places import Chart, Places, Views
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
 # longest difference of a view from that of the run that it shares, at a tolerance of 1e-2; the
 # error is of second order in it
 VIEW_GAP = 0.15
+IGNORED = 0.1  # of the tolerance, the light of control values whose sharpness does not count
+COUNTED = 40  # size of the map whose nodes are counted
+# of the tolerance, the bound of what may be missing from what parts of a picture are compared with;
+# what is missing is far less
+CLOSE = 1.0
 
 
 class Scene:
@@ -51,10 +58,10 @@ class Scene:
         self.places: dict[bool, Places] = {}
         self.charts: dict[bool, Chart] = {}
         self.list_bytes = 0
-        self.pick = np.empty(0, np.int64)  # the sample on which the picture is checked
         self.truths: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
         sharpness, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
-        self.sharpness = np.where(sharpness > 0, sharpness, lobe_shapes.sharpness(m, dark=True))
+        visible = lobe_shapes.visible_sharpness(m, IGNORED * tolerance)
+        self.sharpness = np.where(sharpness > 0, visible, lobe_shapes.sharpness(m, dark=True))
         self.shares = strength / max(strength.sum(), 1e-300)
         self.steepness = lobe_shapes.steepness(m)
 
@@ -67,6 +74,16 @@ class Scene:
     def views(self) -> Views:
         """The views and their fit."""
         return Views(self.n, self.view)
+
+    def node_count(self, size: int) -> float:
+        """Nodes that a map of a size will have, by those of a small one."""
+        return self.node_share * size * size
+
+    @functools.cached_property
+    def node_share(self) -> float:
+        """The part of a map's square that has nodes."""
+        _, chart = self.where(False)
+        return len(reflectance_map.nodes_for(chart.drawn, COUNTED)) / COUNTED**2
 
     def where(self, mirrored: bool) -> tuple[Places, Chart]:
         """Where maps are read."""
@@ -98,17 +115,25 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size."""
-        self.pick = pick
+        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size.
+
+        Once the budget is known, CLOSE of it may be missing.
+        """
         if (len(pick), lobes) not in self.truths:
-            sums = self.at(self.n[pick], self.view[pick], lobes)
+            left_out = CLOSE * self.budget
+            sums = self.at(self.n[pick], self.view[pick], lobes, 0, left_out)
             self.truths[len(pick), lobes] = sums.radiance
         return self.truths[len(pick), lobes]
 
-    def light_loss(self, lobes: tuple[int, ...], level: int) -> float:
-        """Mean absolute error on the sample of some lobes by a level of the light."""
-        seen = self.at(self.n[self.pick], self.view[self.pick], lobes, level).radiance
-        return float(np.abs(seen - self.truth(self.pick, lobes)).mean())
+    def light_loss(
+        self, lobes: tuple[int, ...], level: int, pick: np.ndarray, truth: np.ndarray
+    ) -> float:
+        """Mean absolute error by a level of the light at pixels pick (S,).
+
+        truth  (S, 3) the sum of the lobes there
+        """
+        n, view, left_out = self.n[pick], self.view[pick], CLOSE * self.budget
+        return float(np.abs(self.at(n, view, lobes, level, left_out).radiance - truth).mean())
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
@@ -118,37 +143,42 @@ class Scene:
 class Sum:
     """One strategy's radiance at the pixels, (P, 3): `values`."""
 
-    def __init__(self, scene: Scene, strategy: Strategy):
+    def __init__(
+        self, scene: Scene, strategy: Strategy, known: "dict[Strategy, Sum] | None" = None
+    ):
+        """known: sums that have been made before; what is equal is taken from them."""
         self.scene, self.strategy = scene, strategy
-        budget, count = strategy.culled * scene.budget, strategy.views
-        lobes, level, size = strategy.lobes, strategy.level, strategy.size
-        if not size:
-            normals, views = scene.n, scene.view
-        else:
-            places, chart = scene.where(strategy.mirrored)
-            self.nodes = reflectance_map.nodes_for(chart.drawn, size)
-            drawn = reflectance_map.normals(self.nodes, size)
-            normals, views = (
-                np.ascontiguousarray(a.reshape(-1, 3))
-                for a in scene.views.beside(chart.normals(drawn), count, strategy.mirrored)
-            )
-        self.listing = scene.at(normals, views, lobes, level, budget, scene.view_gap)
-        self.values = self.listing.radiance
-        if size:
-            self.maps = [
-                reflectance_map.table(values, self.nodes, size)
-                for values in self.values.reshape(count, -1, 3)
-            ]
-            self.read = [reflectance_map.read(chart.drawn, table, size) for table in self.maps]
-            self.weights = places.weights(count)[:, :, None] if count > 1 else np.ones((1, 1, 1))
-            self.values = functools.reduce(
-                np.add,
-                (w.astype(np.float32) * r for w, r in zip(self.weights, self.read, strict=True)),
-            )
+        self.maps: list[Maps] = []
+        if not strategy.size:
+            budget = strategy.culled * scene.budget
+            lobes, level, gap = strategy.lobes, strategy.level, scene.view_gap
+            self.listing = scene.at(scene.n, scene.view, lobes, level, budget, gap)
+            self.values = self.listing.radiance
+            return
+        before = (known or {}).get(replace(strategy, views=1))
+        self.maps.append(before.maps[0] if before else Maps(scene, strategy, strategy.size, 1))
+        if strategy.views > 1:
+            size = beside_size(strategy.size)
+            self.maps.append(Maps(scene, strategy, size, strategy.views))
+        self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.values[pick] - truth).mean())
+
+    def causes(self, pick: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+        """Errors at pixels pick (S,) by the views that the maps lack, and by the maps' nodes.
+
+        truth  (S, 3) the sum of the strategy's lobes there
+        """
+        scene, (places, _) = self.scene, self.scene.where(self.strategy.mirrored)
+        normals = np.ascontiguousarray(places.n[pick])
+        views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
+        left_out = CLOSE * scene.budget
+        at = scene.at(normals, views, self.strategy.lobes, 0, left_out, scene.view_gap).radiance
+        off = self.maps[0].values[pick] - at
+        by_view = self.values[pick] - off - truth
+        return float(np.abs(by_view).mean()), float(np.abs(off).mean())
 
 
 class Sums:
@@ -159,7 +189,7 @@ class Sums:
         self.scene = scene
         for strategy in strategies:
             if strategy not in known:
-                known[strategy] = Sum(scene, strategy)
+                known[strategy] = Sum(scene, strategy, known)
         self.all = [known[strategy] for strategy in strategies]
 
     def parts(self) -> list[Sum]:
@@ -185,42 +215,29 @@ class Sums:
         by_place: dict[bool, tuple[np.ndarray, np.ndarray]] = {}
         for part in self.all:
             strategy = part.strategy
-            if strategy.size:
-                drawn, slopes, values = self.read_backward(part, g)
+            summed = []
+            for one in part.maps:
+                drawn, offsets, values = one.backward(g)
                 before = by_place.get(strategy.mirrored)
                 by_place[strategy.mirrored] = (
-                    (drawn, slopes) if before is None else (before[0] + drawn, before[1] + slopes)
+                    (drawn, offsets)
+                    if before is None
+                    else (before[0] + drawn, before[1] + offsets)
                 )
-                _, _, by_part_m, by_E = part.listing.backward(values, False)
-            else:
-                by_part_n, by_part_view, by_part_m, by_E = part.listing.backward(g, with_view)
-                by_n += by_part_n
-                if by_part_view is not None:
-                    by_view += by_part_view
-            by_m += by_part_m
-            by_light += self.scene.light.gradient(by_E, strategy.level)
-        for mirrored, (drawn, slopes) in by_place.items():
+                summed.append((one.listing.backward(values, False), one.level))
+            if not part.maps:
+                summed.append((part.listing.backward(g, with_view), strategy.level))
+                by_n += summed[-1][0][0]
+                if summed[-1][0][1] is not None:
+                    by_view += summed[-1][0][1]
+            for (_, _, by_part_m, by_E), level in summed:
+                by_m += by_part_m
+                by_light += self.scene.light.gradient(by_E, level)
+        for mirrored, (drawn, offsets) in by_place.items():
             places, chart = self.scene.where(mirrored)
-            by_part_n, by_part_view = places.backward(chart.backward(drawn), slopes)
+            by_part_n, by_part_view = places.backward(chart.backward(drawn), offsets)
             by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
-
-    def read_backward(self, part: Sum, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives by the drawn places, by the offsets (2, P), and by the nodes' values."""
-        places, chart = self.scene.where(part.strategy.mirrored)
-        by_drawn, by_values, by_weights = np.zeros_like(g), [], []
-        for weight, table, read in zip(part.weights, part.maps, part.read, strict=True):
-            seen = np.ascontiguousarray(weight * g, np.float32)
-            by_part, by_nodes = reflectance_map.read_backward(
-                chart.drawn, table, part.strategy.size, seen, part.nodes
-            )
-            by_drawn += by_part
-            by_values.append(by_nodes)
-            by_weights.append(dot(read, g)[:, 0])
-        if len(by_weights) == 1:
-            return by_drawn, np.zeros((2, 1), np.float32), by_values[0]
-        by_offsets = places.weights_backward(np.stack(by_weights))
-        return by_drawn, by_offsets, np.concatenate(by_values)
 
 
 # (n, view, m, light, gradients) → `Sums`, all arrays; gradients: which derivatives are requested,
