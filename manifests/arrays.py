@@ -487,6 +487,8 @@ def _channels(
         require_file(path, "an OpenEXR file", AGAIN, HEADER_BYTES + 2 * PIXEL_BYTES * pixels)
         data = Path(path).read_bytes()
     channels = exr.read(path, data)
+    if optional:
+        channels = facets.without_earlier(channels)
     missing = [name for name in types if name not in channels]
     if missing:
         result = f"only {', '.join(sorted(channels))}"

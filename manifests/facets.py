@@ -6,9 +6,10 @@ point, either: its narrowest pixel filter is a bell of 0.0025 pixels, so that ne
 pixel is a mean of several surfaces. On meshes that people made, small bevels that are seen edge-on
 show a dozen normals of three facets within it.
 
-Files that hold one of the channels hold all of them; files of square pixels, of perspective and of
-earlier versions hold none. Channels are float32 but for the segment, and 0 in the background. Where
-a name has a K, there is one channel for each K from 1 to OTHERS.
+Files that hold one of the channels hold all of them; files of square pixels and of perspective hold
+none. Those of earlier versions hold none or others, which are not read. Channels are float32 but
+for the segment, and 0 in the background. Where a name has a K, there is one channel for each K from
+1 to OTHERS.
 """
 
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ SHARE = "other.K.share"
 OTHER_NORMALS = ("other.K.X", "other.K.Y", "other.K.Z")
 OTHER_FACETS = ("other.K.facet.X", "other.K.facet.Y", "other.K.facet.Z")
 OTHER_SEGMENT = "other.K.segment"
+OF_OTHERS = (SHARE, *OTHER_NORMALS, *OTHER_FACETS, OTHER_SEGMENT)
 VECTORS = {
     "triangle's own unit normal": NORMALS,
     "interpolated unit normal of another surface, which may face away": OTHER_NORMALS,
@@ -79,6 +81,18 @@ def numbered(name: str) -> list[str]:
     if ".K." not in name:
         return [name]
     return [name.replace(".K.", f".{k}.") for k in range(1, OTHERS + 1)]
+
+
+def without_earlier(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return a file's channels without those of points as earlier versions wrote them.
+
+    Those describe one other surface at most, and its channels have no number. Such a file serves as
+    one that holds none of these channels.
+    """
+    if any(each in channels for name in OF_OTHERS for each in numbered(name)):
+        return dict(channels)
+    earlier = {*NORMALS, COSINE, *(name.replace(".K.", ".") for name in OF_OTHERS)}
+    return {name: values for name, values in channels.items() if name not in earlier}
 
 
 def layers(facets: Facets) -> dict[str, np.ndarray]:

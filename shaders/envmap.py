@@ -218,13 +218,25 @@ def likeness(L: np.ndarray, other: np.ndarray) -> float:
 
     L, other  (height, width, 3) of one size, any scale
     """
+    return float(highest_correlations(log_spectrum(other)[None], log_spectrum(L), L.shape[1])[0])
 
-    def spectrum(L):
-        log = np.log1p(np.asarray(unit_mean(L)[0], np.float64).mean(axis=-1))
-        log = log - log.mean()
-        # a constant map is like no other
-        return np.fft.rfft(log / max(np.linalg.norm(log), 1e-12), axis=1)
 
-    return float(
-        np.fft.irfft(spectrum(L) * np.conj(spectrum(other)), n=L.shape[1], axis=1).sum(axis=0).max()
-    )
+def log_spectrum(L: np.ndarray) -> np.ndarray:
+    """Return the Fourier series (height, width/2 + 1) along rows of a map's log radiance.
+
+    The log radiance is that of unit mean, averaged over channels, less its mean, of unit length; 0
+    for a constant map, which is like no other.
+    """
+    log = np.log1p(np.asarray(unit_mean(L)[0], np.float64).mean(axis=-1))
+    log = log - log.mean()
+    return np.fft.rfft(log / max(np.linalg.norm(log), 1e-12), axis=1)
+
+
+def highest_correlations(spectra: np.ndarray, spectrum: np.ndarray, width: int) -> np.ndarray:
+    """Return the highest correlations (N,) of N maps with one over rotations by whole texels.
+
+    spectra   (N, height, width/2 + 1) of `log_spectrum`
+    spectrum  (height, width/2 + 1) of one map, which is `width` texels wide
+    """
+    products = np.einsum("nrf,rf->nf", spectra, np.conj(spectrum))
+    return np.fft.irfft(products, n=width, axis=1).max(axis=1)

@@ -5,7 +5,7 @@ materials take the place of its own where the run says so ("materials": "built-i
 """
 
 import hashlib
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from learn.data import preflight
 from learn.data.geometry import Geometry, PackedView
+from learn.data.light_copies import KnownLights, Maps, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
@@ -23,14 +24,11 @@ from manifests import measured_lights, splits
 from manifests.errors import InputError, closest
 from manifests.materials import Material, load_catalogue
 from manifests.schema import Record
-from shaders.envmap import is_same_source
 
-Maps = Mapping[str, np.ndarray]  # {name: L (64, 128, 3)}
 VALIDATION_SHAPES = 25  # one of this many training shapes is for validation instead
 VALIDATION_MATERIALS = 8  # at most, and one of LEAST_FOR_VALIDATION training materials
 LEAST_FOR_VALIDATION = 10
 VALIDATION_LIGHTS = 6  # one of this many training maps, where the run names none
-DUPLICATE_DIFFERENCE = 0.05  # of Fourier amplitudes, relative
 
 
 def by_hash(name: str, parts: int) -> int:
@@ -74,7 +72,8 @@ def data_splits(
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
     known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
-    copies = [(_light_side(L, known), L) for name, L in all_maps.items() if name not in maps]
+    copies = {name: L for name, L in all_maps.items() if name not in maps}
+    side_of_copy = _light_sides(copies, known)
     if pictures is not None or data.source != "relit":
         rendered_splits = _rendered_splits(
             data, pictures or folder, geometry, known, materials, skip_bad, progress
@@ -107,7 +106,7 @@ def data_splits(
             side,
             rendered_splits.get(side),
             bad,
-            tuple(map_hash(L) for of_copy, L in copies if of_copy == side),
+            tuple(map_hash(L) for name, L in copies.items() if side_of_copy[name] == side),
             tuple(sorted(names)),
         )
     return result
@@ -207,7 +206,7 @@ def _rendered_splits(
     good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
     side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
     shape = {view.hash: _side(view) for view in geometry.views}
-    light = {name: _light_side(records.light(name), maps) for name in {r.light for r in good}}
+    light = _light_sides({name: records.light(name) for name in {r.light for r in good}}, maps)
     chosen: dict[str, list[Record]] = {side: [] for side in SIDES}
     for record in good:
         of_materials = {_side_of_material(records, name, side_of) for name in record.materials}
@@ -237,58 +236,16 @@ def _side_of_material(records: Records, name: str, side_of: Mapping[str, str]) -
     return next(side for side in ("test", "validation", "train") if side in sides)
 
 
-def _light_side(L: np.ndarray, maps: dict[str, tuple[str, np.ndarray]]) -> str:
-    """Return the side of a map, under whatever name; unknown maps are for training."""
-    return next(
-        (
-            side
-            for side, other in maps.values()
-            if is_same_source(L, other) or are_duplicates(L, other)
-        ),
-        "train",
-    )
+def _light_sides(
+    lights: Mapping[str, np.ndarray], maps: Mapping[str, tuple[str, np.ndarray]]
+) -> dict[str, str]:
+    """Return {name: side} of lights, under whatever names; unknown maps are for training.
 
-
-def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray]:
-    """Return each map once, under the name by which it is held out if it is.
-
-    A copy under another name would let training see a held-out map.
-
-    maps    {name: L}; held: names of maps that training must not see
-    Raises  InputError if two held-out names mean one map
+    maps  {name: (side, L)} of the known ones
     """
-    result: dict[str, np.ndarray] = {}
-    for name in sorted(maps, key=lambda name: name not in held):
-        L = maps[name]
-        duplicate = next(
-            (
-                other
-                for other, known in result.items()
-                if is_same_source(known, L) or are_duplicates(known, L)
-            ),
-            None,
-        )
-        if duplicate is None:
-            result[name] = L
-        elif name in held:
-            raise InputError(
-                f"held-out light '{name}'",
-                "a map of its own",
-                f"'{duplicate}' again",
-                "name each held-out map once",
-            )
-    return result
-
-
-def are_duplicates(a: np.ndarray, b: np.ndarray) -> bool:
-    """Return whether two maps (64, 128, 3) are one, rotated or mirrored.
-
-    Their Fourier amplitudes along rows are then the same.
-    Averaging to 64×128 by other programs, and half floats, change them by less than
-    DUPLICATE_DIFFERENCE.
-    """
-    A, B = (np.abs(np.fft.rfft(L, axis=1)) for L in (a, b))
-    return float(np.abs(A - B).sum() / B.sum()) < DUPLICATE_DIFFERENCE
+    known = KnownLights({name: L for name, (_, L) in maps.items()})
+    copies = {name: known.copy_of(L) for name, L in lights.items()}
+    return {name: "train" if copy is None else maps[copy][0] for name, copy in copies.items()}
 
 
 def _side(view: PackedView) -> str:

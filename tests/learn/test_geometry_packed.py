@@ -7,8 +7,8 @@ import pytest
 from msgspec import structs
 
 from learn.data.geometry import Geometry
+from learn.data.light_copies import without_duplicates
 from learn.data.records import Records
-from learn.data.sources import without_duplicates
 from manifests import exr
 from manifests.errors import InputError
 from manifests.store import Lines

@@ -6,9 +6,10 @@ import pytest
 
 from factory.lights import load
 from factory.lights.catalogue import names, wheel_maps
+from learn.data.light_copies import without_duplicates
 from learn.data.lights import read_maps
 from learn.data.seen import map_hash
-from learn.data.sources import _held_out, without_duplicates
+from learn.data.sources import _held_out
 from manifests import measured_lights
 from manifests.errors import InputError
 from manifests.training_runs import Data

@@ -82,6 +82,29 @@ def test_facets_come_back_and_files_without_them_hold_none(tmp_path, geometry, f
     np.testing.assert_array_equal(back.segments, geometry.segments)
 
 
+def earlier_name(name):
+    """The name of a channel in files that knew one other surface; None for further surfaces."""
+    if not name.startswith("other."):
+        return name
+    return name.replace(".1.", ".") if ".1." in name else None
+
+
+@pytest.mark.parametrize("knew", [earlier_name, lambda name: None if "other." in name else name])
+def test_geometry_whose_points_are_of_an_earlier_version_is_read_without_them(
+    tmp_path, geometry, facets, knew
+):
+    geometry.facets = facets
+    write_geometry(tmp_path / "g.exr", geometry)
+    channels = exr.read(tmp_path / "g.exr")
+    named = {knew(name): values for name, values in channels.items()}
+    named.pop(None, None)
+    assert "facet.cosine" in named and "other.1.share" not in named
+    exr.write(tmp_path / "g.exr", named)
+    back = read_geometry(tmp_path / "g.exr", exact=True)
+    assert back.facets is None
+    np.testing.assert_array_equal(back.segments, geometry.segments)
+
+
 @pytest.mark.parametrize(
     "wrong", [{numbered(OTHER_NORMALS[0])[2]: None}, {numbered(SHARE)[0]: np.nan}]
 )

@@ -266,3 +266,51 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
         estimates.append(made.estimated.error)
     off = error(known.truth * np.float32(1.03), known)
     assert estimates[1] - estimates[0] == pytest.approx(off, rel=0.4)
+
+
+class Sparse(Known):
+    """A ramp of whose light each sample finds a tenth, and with a chance of 2 % the rest."""
+
+    def portion(self, first, count, seed, tier, denoise=False):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
+        found = rng.binomial(count, 0.02, size=(*MASK.shape, 1)) / (0.02 * count)
+        return Portion(np.float32(self.truth * (0.1 + 0.9 * found)), MASK.astype(np.float32))
+
+
+def test_the_estimate_counts_what_the_display_curve_makes_of_rare_light():
+    known, ratios, without = Sparse(), [], []
+    for seed in range(10):
+        halves = Halves(shown(known, seed))
+        halves.grow(32)
+        estimate, truth = halves.estimate(), error(halves.picture, known)
+        ratios.append(estimate.error / truth)
+        without.append(estimate.noise / truth)
+    assert np.mean(without) < 0.7
+    assert np.mean(ratios) == pytest.approx(1, abs=0.15)
+
+
+def test_a_limit_on_rare_light_is_kept():
+    achieved = []
+    for seed in range(40):
+        known = Sparse()
+        made = choice.picture(shown(known, seed), 4000.0, ("path-tracing",))
+        achieved.append(error(made.radiance, known))
+    assert np.mean(np.array(achieved) <= 4000) >= 0.95
+
+
+def test_path_tracing_plans_the_display_curves_part_by_the_square_of_the_samples():
+    pilot = Estimate(100.0, 0.0, curve=40.0)
+    assert (pilot.noise, pilot.noise_bound) == (60.0, 60.0)
+    assert path_tracing.predicted(pilot, 4, 8) == pytest.approx(30 + 10)
+    needed = path_tracing.needed(pilot, 4, 10.0)
+    at_one = [path_tracing.predicted(pilot, 4, n) for n in (needed, needed - 1)]
+    assert at_one[0] <= 10 < 1.05 * at_one[1]
+    assert needed < path_tracing.needed(Estimate(100.0, 0.0), 4, 10.0)
+    assert denoised.needed(pilot, 4, 10.0) == denoised.needed(Estimate(60.0, 0.0), 4, 10.0)
+    assert denoised.predicted(pilot, 4, 8) == denoised.predicted(Estimate(60.0, 0.0), 4, 8)
+
+
+def test_the_display_curves_part_is_of_the_fingerprint(monkeypatch):
+    before = choice.identity()
+    monkeypatch.setattr(choice, "CURVE", 2.0)
+    assert choice.identity() != before

@@ -21,6 +21,8 @@ from factory.render import self_shading
 from factory.render.estimators import blends, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
     CONFIDENCE,
+    CURVE,
+    OWN,
     DirectPicture,
     Estimate,
     Halves,
@@ -29,7 +31,7 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 6  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 7  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 
@@ -62,6 +64,7 @@ def identity() -> list[object]:
 
     return [
         ["choice", VERSION, PILOT, MOST_SAMPLES],
+        ["halves", OWN, CONFIDENCE, CURVE],
         [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],

@@ -25,13 +25,13 @@ COST = {"direct": 10, "shadow": 8, "full": 5}
 
 def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
     """Return the error of two denoised halves of `samples` each, by the noise of a pilot."""
-    return float(SCALE * (max(pilot.error, 0.0) * pilot_samples / samples) ** POWER)
+    return float(SCALE * (pilot.noise * pilot_samples / samples) ** POWER)
 
 
 def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
     """Return the samples of each half whose denoised mean keeps an error, by the law above."""
     noise = (error / SCALE) ** (1 / POWER)
-    return max(LEAST, math.ceil(pilot_samples * pilot.bound / noise))
+    return max(LEAST, math.ceil(pilot_samples * pilot.noise_bound / noise))
 
 
 def needed_after(tried: Estimate, samples: int, error: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 OWN = 4 / 3  # squared difference over 4 of normal noise: variance 2/3 of its mean square, twice
 CONFIDENCE = 1.645  # standard errors: 95 % of a normal distribution lie below
+# times the squared darkening of the display curve, for the error that the halves' difference lacks.
+# On 22 shots 2 makes estimates right on average, and 3 those of rare light, whose limits are missed
+CURVE = 3.0
 
 
 class Portion(NamedTuple):
@@ -73,10 +76,25 @@ class Shown:
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate of a display L2, and the standard error of the picture's own about it."""
+    """An estimate of a display L2, and the standard error of the picture's own about it.
+
+    curve  what the display curve adds to the error of noise, a part of `error`. It falls with the
+           square of the samples
+    """
 
     error: float
     standard_error: float
+    curve: float = 0.0
+
+    @property
+    def noise(self) -> float:
+        """The error without the display curve's part, in proportion to 1/samples."""
+        return max(self.error, 0.0) - self.curve
+
+    @property
+    def noise_bound(self) -> float:
+        """`bound` without the display curve's part."""
+        return self.bound - self.curve
 
     @property
     def bound(self) -> float:
@@ -145,10 +163,18 @@ class Halves:
         return (self._alphas[0] + self._alphas[1]) / np.float32(2 * self.samples)
 
     def estimate(self) -> Estimate:
-        """Return the error of `picture`: a quarter of the halves' squared difference."""
-        mask = self.shown.mask
-        a, b = (tone.display(half[mask], self._exposure()) for half in self.pictures)
-        return mean_over(tone.squared_difference(a, b) / 4)
+        """Return the error of `picture`: a quarter of the halves' squared difference, and more.
+
+        The display curve is concave. Where one half has found light that few paths find and the
+        other none, the picture is nearer to the bright half in display values, whereas the truth is
+        nearer to the dark one. By how much the picture is brighter there than its halves are on
+        average is by how much noise darkens it, and CURVE times its square is added.
+        """
+        mask, exposure = self.shown.mask, self._exposure()
+        a, b, both = (tone.display(each[mask], exposure) for each in (*self.pictures, self.picture))
+        curve = CURVE * tone.squared_difference(both, (a + b) / 2)
+        estimate = mean_over(tone.squared_difference(a, b) / 4 + curve)
+        return replace(estimate, curve=float(curve.mean(dtype=np.float64)))
 
     def denoised_estimate(
         self, denoised: Sequence[np.ndarray], halves: Sequence[np.ndarray] | None = None

@@ -2,7 +2,7 @@
 
 what      both halves grow until the error that their difference shows is at most the limit
 bias      of the picture none; its display values are those of a noisy mean, which the tone curve
-          darkens
+          darkens. The estimate has a part for that (`Halves.estimate`)
 cost      the samples
 fails     light that few paths find: if neither half has met it, their difference does not show it
 """
@@ -18,10 +18,17 @@ GROWTH = 8  # a few samples say too little to ask for more than so many times th
 
 
 def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
-    """Return the error at `samples` of each half: noise is in proportion to 1/samples."""
-    return max(pilot.error, 0.0) * pilot_samples / samples
+    """Return the error at `samples` of each half.
+
+    Noise is in proportion to 1/samples, and the display curve's part to its square.
+    """
+    share = pilot_samples / samples
+    return pilot.noise * share + pilot.curve * share**2
 
 
 def needed(now: Estimate, samples: int, error: float) -> int:
     """Return the samples of each half that keep an error, by the estimate at `samples`."""
-    return max(samples + 1, math.ceil(AIM * samples * now.bound / error))
+    # noise_bound / growth + curve / growth² = error
+    root = math.sqrt(now.noise_bound**2 + 4 * error * now.curve)
+    growth = (now.noise_bound + root) / (2 * error)
+    return max(samples + 1, math.ceil(AIM * samples * growth))

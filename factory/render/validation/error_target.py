@@ -161,7 +161,7 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
                     "shot": number,
                     "tier": scene.tier,
                     "samples": samples,
-                    "noise_by_pilot": pilot.estimate().error * choice.PILOT / samples,
+                    "noise_by_pilot": pilot.estimate().noise * choice.PILOT / samples,
                     "noise": compared(alone.picture, alone.picture, reference).error,
                     "estimated": blend.estimate.error,
                     "achieved": compared(picture, picture, reference).error,
