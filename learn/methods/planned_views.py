@@ -220,9 +220,7 @@ class Sums:
                 drawn, offsets, values = one.backward(g)
                 before = by_place.get(strategy.mirrored)
                 by_place[strategy.mirrored] = (
-                    (drawn, offsets)
-                    if before is None
-                    else (before[0] + drawn, before[1] + offsets)
+                    (drawn, offsets) if before is None else (before[0] + drawn, before[1] + offsets)
                 )
                 summed.append((one.listing.backward(values, False), one.level))
             if not part.maps:

@@ -29,9 +29,7 @@ def beside_level(scene: Any, lobes: tuple[int, ...]) -> int:
     """The coarsest level of the light that serves the maps of slopes of some lobes."""
     share = np.clip(3 * scene.shares, 0.1, 1.0)
     return min(
-        coarsest(
-            scene.sharpness[s], LIGHT_BESIDE * scene.tolerance / share[s], scene.light.size
-        )
+        coarsest(scene.sharpness[s], LIGHT_BESIDE * scene.tolerance / share[s], scene.light.size)
         for s in lobes
     )
 
