@@ -222,7 +222,7 @@ class Sums:
                 by_place[strategy.mirrored] = (
                     (drawn, offsets) if before is None else (before[0] + drawn, before[1] + offsets)
                 )
-                summed.append((one.listing.backward(values, False), one.level))
+                summed.append((one.listing.backward(values, False, False), one.level))
             if not part.maps:
                 summed.append((part.listing.backward(g, with_view), strategy.level))
                 by_n += summed[-1][0][0]
