@@ -19,6 +19,7 @@ import torch
 from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
 from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
+from learn.methods.cost_model import light_error
 from learn.methods.planned import Strategy
 from learn.methods.view_maps import Maps, beside_size
 from learn.methods.view_places import Chart, Places, Views
@@ -32,6 +33,7 @@ COUNTED = 40  # size of the map whose nodes are counted
 # of the tolerance, the bound of what may be missing from what parts of a picture are compared with;
 # what is missing is far less
 CLOSE = 1.0
+COMPARED = 0.01  # of the tolerance, the predicted error of a coarser light that shows no difference
 
 
 class Scene:
@@ -58,7 +60,7 @@ class Scene:
         self.places: dict[bool, Places] = {}
         self.charts: dict[bool, Chart] = {}
         self.list_bytes = 0
-        self.truths: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
+        self.truths: dict[tuple[int | None, tuple[int, ...]], np.ndarray] = {}
         sharpness, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
         visible = lobe_shapes.visible_sharpness(m, IGNORED * tolerance)
         self.sharpness = np.where(sharpness > 0, visible, lobe_shapes.sharpness(m, dark=True))
@@ -115,15 +117,44 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size.
+        """What `compared` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        return self.compared(self.n[pick], self.view[pick], lobes, len(pick))
 
-        Once the budget is known, CLOSE of it may be missing.
+    def compared(
+        self, n: np.ndarray, view: np.ndarray, lobes: tuple[int, ...], known_as: int | None = None
+    ) -> np.ndarray:
+        """The sum of some lobes (S, 3) with which parts of a picture are compared.
+
+        Lobes that show no difference between the light's own texels and larger ones are summed over
+        these. CLOSE of the budget may be missing; before it is known, of a smaller one, by what
+        these lobes reflect.
+        known_as  the key of sums that were made before for the same n and view (S, 3)
         """
-        if (len(pick), lobes) not in self.truths:
-            left_out = CLOSE * self.budget
-            sums = self.at(self.n[pick], self.view[pick], lobes, 0, left_out)
-            self.truths[len(pick), lobes] = sums.radiance
-        return self.truths[len(pick), lobes]
+        result = np.zeros_like(n)
+        for level in (1, 0):
+            some = tuple(s for s in lobes if self.nearly_smooth[s] == (level == 1))
+            if some and (known_as, some) not in self.truths:
+                left_out = CLOSE * max(self.budget, self.tolerance * float(result.mean()))
+                sums = self.at(n, view, some, level, left_out).radiance
+                if known_as is None:
+                    result = result + sums
+                    continue
+                self.truths[known_as, some] = sums
+            if some:
+                result = result + self.truths[known_as, some]
+        return result
+
+    @functools.cached_property
+    def nearly_smooth(self) -> np.ndarray:
+        """Whether each lobe is as broad as `compared` asks for, (3,) bool."""
+        height, width = self.light.size
+        allowed = COMPARED * self.tolerance / np.maximum(self.shares, 1e-9)
+        return np.array(
+            [
+                coarse.has_level(height, width, 1) and light_error(height >> 1, sharp) <= most
+                for sharp, most in zip(self.sharpness, allowed, strict=True)
+            ]
+        )
 
     def light_loss(
         self, lobes: tuple[int, ...], level: int, pick: np.ndarray, truth: np.ndarray
@@ -174,8 +205,7 @@ class Sum:
         scene, (places, _) = self.scene, self.scene.where(self.strategy.mirrored)
         normals = np.ascontiguousarray(places.n[pick])
         views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
-        left_out = CLOSE * scene.budget
-        at = scene.at(normals, views, self.strategy.lobes, 0, left_out, scene.view_gap).radiance
+        at = scene.compared(normals, views, self.strategy.lobes)
         off = self.maps[0].values[pick] - at
         by_view = self.values[pick] - off - truth
         return float(np.abs(by_view).mean()), float(np.abs(off).mean())
