@@ -82,8 +82,8 @@ def lobe_backward(
 ) -> tuple[Lanes, Lanes, Lanes]:
     """F, dF/dc · c log2 e, and dF/dx / ln 2 of the spline's x, of one lobe and channel.
 
-    The last two are 0 unless with_n. Its derivatives by γ ln² 2 and by κ, and by their slopes, × weight, are added from scratch[sums]
-    on.
+    The last two are 0 unless with_n. F's derivatives by γ ln² 2 and by κ, and by their slopes, ×
+    weight, are added from scratch[sums] on.
     """
     gamma_slope, kappa_slope = (
         load(scratch, o + LANES * RUN_GAMMA_SLOPE),

@@ -134,7 +134,9 @@ def nodes_of(
     size  of the main map
     """
     nodes = scene.node_count(size)
-    if views > 1:
+    if scene.view_gradient:
+        nodes *= views
+    elif views > 1:
         finer = 4.0 ** (level - max(beside_level(scene, lobes), level))
         nodes += views * scene.node_count(beside_size(size)) * finer
     return nodes

@@ -30,8 +30,8 @@ class Miss:
     excess: float
 
 
-# (scene, lobes, tolerance) → strategies; (part of the sums, its miss) → a strategy of smaller error,
-# or the same
+# (scene, lobes, tolerance) → strategies; (part of the sums, its miss) → a strategy of smaller
+# error, or the same
 Plan = Callable[[Any, tuple[int, ...], float], list[Strategy]]
 Better = Callable[[Any, Miss], Strategy]
 

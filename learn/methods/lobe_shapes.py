@@ -26,8 +26,8 @@ def sharpness(m: torch.Tensor | np.ndarray, dark: bool = False) -> np.ndarray:
 def visible_sharpness(m: torch.Tensor | np.ndarray, ignored: float) -> np.ndarray:
     """As `sharpness`, but for control values that reflect little in sum.
 
-    ignored  the part of all lobes' light that may be narrower; control values count by how many of a
-             sphere's pixels have their θ_d
+    ignored  the part of all lobes' light that may be narrower; control values count by how many of
+             a sphere's pixels have their θ_d
     """
     kappa, gamma = controls(m)
     light = strengths(m) * np.maximum(np.sin(2 * KNOTS), LEAST_SEEN)

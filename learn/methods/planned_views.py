@@ -186,11 +186,14 @@ class Sum:
             self.listing = scene.at(scene.n, scene.view, lobes, level, budget, gap)
             self.values = self.listing.radiance
             return
-        before = (known or {}).get(replace(strategy, views=1))
-        self.maps.append(before.maps[0] if before else Maps(scene, strategy, strategy.size, 1))
-        if strategy.views > 1:
-            size = beside_size(strategy.size)
-            self.maps.append(Maps(scene, strategy, size, strategy.views))
+        size, views = strategy.size, strategy.views
+        if scene.view_gradient:
+            self.maps.append(Maps(scene, strategy, size, views))
+        else:
+            before = (known or {}).get(replace(strategy, views=1))
+            self.maps.append(before.maps[0] if before else Maps(scene, strategy, size, 1))
+            if views > 1:
+                self.maps.append(Maps(scene, strategy, beside_size(size), views, slopes=True))
         self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
@@ -206,7 +209,7 @@ class Sum:
         normals = np.ascontiguousarray(places.n[pick])
         views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
         at = scene.compared(normals, views, self.strategy.lobes)
-        off = self.maps[0].values[pick] - at
+        off = self.maps[0].read[0][pick] - at
         by_view = self.values[pick] - off - truth
         return float(np.abs(by_view).mean()), float(np.abs(off).mean())
 

@@ -4,6 +4,7 @@ What maps hold and where they are read is described in learn/methods/view_places
 a small part of a picture, so that a map of far fewer nodes serves them.
 """
 
+import functools
 import math
 from typing import Any
 
@@ -35,14 +36,16 @@ def beside_level(scene: Any, lobes: tuple[int, ...]) -> int:
 
 
 class Maps:
-    """Maps of some lobes, read at the pixels: M for one view, or the sum over t_j C_j for more.
+    """Maps of some lobes, read at the pixels: the sum of a polynomial's terms t_j times maps C_j.
 
+    With one view it has the constant alone, whose map is M; maps of slopes lack the constant.
     values   (P, 3)
+    read     of each map, (P, 3)
     listing  the sums at the nodes (K·N, 3)
     level    of the light's detail
     """
 
-    def __init__(self, scene: Any, strategy: Strategy, size: int, views: int):
+    def __init__(self, scene: Any, strategy: Strategy, size: int, views: int, slopes: bool = False):
         """scene: a learn.methods.planned_views.Scene; views: K, of which 1 is V itself."""
         self.size, self.views = size, views
         self.places, self.chart = scene.where(strategy.mirrored)
@@ -53,35 +56,30 @@ class Maps:
             for a in scene.views.beside(at, views, strategy.mirrored)
         )
         lobes, self.level, culled = strategy.lobes, strategy.level, strategy.culled
-        if views > 1 and not scene.view_gradient:
+        if slopes:
             self.level, culled = max(beside_level(scene, lobes), self.level), CULL_BESIDE * culled
         budget = culled * scene.budget
         self.listing = scene.at(normals, beside, lobes, self.level, budget, scene.view_gap)
-        held = self.listing.radiance.reshape(views, -1, 3)
-        if views > 1:
-            held = np.einsum("jk,knc->jnc", coefficients(views), held)
-            self.terms = self.places.terms(views)
+        self.first = int(slopes)
+        self.factors, self.terms = (
+            a[self.first :] for a in (coefficients(views), self.places.terms(views))
+        )
+        held = np.einsum("jk,knc->jnc", self.factors, self.listing.radiance.reshape(views, -1, 3))
         self.tables = [reflectance_map.table(values, self.nodes, size) for values in held]
         self.read = [reflectance_map.read(self.chart.drawn, t, size) for t in self.tables]
-        self.values = self.read[0]
-        if views > 1:
-            parts = zip(self.terms, self.read, strict=True)
-            self.values = sum(term[:, None] * read for term, read in parts)
+        parts = (term[:, None] * read for term, read in zip(self.terms, self.read, strict=True))
+        self.values = functools.reduce(np.add, parts)
 
     def backward(self, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives by the drawn places, by the offsets (2, P), and by the sums at the nodes."""
-        if self.views == 1:
-            by_drawn, by_nodes = self.read_backward(self.tables[0], g)
-            return by_drawn, np.zeros((2, 1), np.float32), by_nodes
         by_drawn, by_held = np.zeros_like(g), []
         for term, table in zip(self.terms, self.tables, strict=True):
-            by_part, by_nodes = self.read_backward(table, term[:, None] * g)
+            by_part, by_nodes = reflectance_map.read_backward(
+                self.chart.drawn, table, self.size, term[:, None] * g, self.nodes
+            )
             by_drawn += by_part
             by_held.append(by_nodes)
         by_terms = np.stack([dot(read, g)[:, 0] for read in self.read])
-        by_sums = np.einsum("jk,jnc->knc", coefficients(self.views), np.stack(by_held))
-        return by_drawn, self.places.terms_backward(by_terms), by_sums.reshape(-1, 3)
-
-    def read_backward(self, table: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by the drawn places (P, 3), and by the values at the nodes (N, 3)."""
-        return reflectance_map.read_backward(self.chart.drawn, table, self.size, g, self.nodes)
+        by_sums = np.einsum("jk,jnc->knc", self.factors, np.stack(by_held))
+        by_offsets = self.places.terms_backward(by_terms, self.first)
+        return by_drawn, by_offsets, by_sums.reshape(-1, 3)

@@ -3,16 +3,17 @@
 In most pictures the view follows from the normal, but for a part: on a sphere entirely, on a flat
 wall not at all. A map's nodes therefore have views of their own, V(n), a quadratic function of the
 normal that is fitted to the picture. What remains of a pixel's view, its offset from V, is left to
-a polynomial, whose coefficients are maps too, of radiance for K views beside V:
+a polynomial, whose coefficients are maps too, made of radiance for K views beside V:
 
-    I(n, v) ≈ M(n') + Σ_j t_j(x) C_j(n'),   M(n) = I(n, V(n)),   C_j(n) = Σ_k a_jk I(n_k, V(n) + o_k)
+    I(n, v) ≈ M(n') + Σ_j t_j(x) C_j(n'),  M(n) = I(n, V(n)),  C_j(n) = Σ_k a_jk I(n_k, V(n) + o_k)
 
 x    the offset of v from V(n') in the plane of the views, in units of `half`
 t_j  the terms x, y (K = 3), and x², xy, y² (K = 6)
 a_jk such that the polynomial and a constant have the values I(n_k, V + o_k) at o_k. The constant is
-     left out, for M is nearer to it
-n'   the place where the pixel reads, and n_k the normal of a node for view k. Broad lobes are read at
-     the normal itself, n' = n and n_k = n. Sharp ones are read where the node mirrors the same
+     left out, for M is nearer to it, unless a derivative by the view is requested: the C_j are as
+     fine as M then, and the constant serves in its place
+n'   the place where the pixel reads, and n_k the normal of a node for view k. Broad lobes are read
+     at the normal itself, n' = n and n_k = n. Sharp ones are read where the node mirrors the same
      light into V(n') as the pixel does into v, so that highlights stay where they are; n_k likewise
 
 n, view (P, 3) float32 unit vectors, camera frame. Arrays of float64 are computed by numpy, against
@@ -54,10 +55,10 @@ POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 @functools.cache
 def coefficients(count: int) -> np.ndarray:
-    """The a_jk of the polynomial's terms, (K − 1, K) float32."""
+    """The a_jk of the polynomial's constant and of its terms, (K, K) float32."""
     x, y = np.array(OFFSETS[count]).T
     terms = np.stack([x**i * y**j for i, j in POWERS[:count]], -1)
-    return np.linalg.inv(terms)[1:].astype(np.float32)
+    return np.linalg.inv(terms).astype(np.float32)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -221,13 +222,13 @@ class Places:
         self.coordinates = (views.slopes - self.middle) / views.half[:, None]
 
     def terms(self, count: int) -> np.ndarray:
-        """The terms (K − 1, P) of a polynomial in the offsets, but for its constant."""
+        """The constant 1 and the terms (K, P) of a polynomial in the offsets."""
         x, y = self.coordinates
-        return np.stack([x**i * y**j for i, j in POWERS[1:count]]).astype(np.float32)
+        return np.stack([x**i * y**j for i, j in POWERS[:count]]).astype(np.float32)
 
-    def terms_backward(self, by_terms: np.ndarray) -> np.ndarray:
-        """Derivatives (2, P) by the coordinates, from the one by the terms (K − 1, P)."""
-        (x, y), powers = self.coordinates, POWERS[1 : len(by_terms) + 1]
+    def terms_backward(self, by_terms: np.ndarray, first: int = 0) -> np.ndarray:
+        """Derivatives (2, P) by the coordinates, from the one (J, P) by terms `first` onwards."""
+        (x, y), powers = self.coordinates, POWERS[first : first + len(by_terms)]
         by_x, by_y = np.zeros_like(by_terms[0]), np.zeros_like(by_terms[0])
         for by_term, (i, j) in zip(by_terms, powers, strict=True):
             if i:
