@@ -12,36 +12,18 @@ from learn.experiments import near_shapes
 from learn.layer import render
 from learn.methods import (
     auto_views,
-    cost_model,
-    directional,
     exact,
     lobe_shapes,
     planned_views,
     reflectance_map,
     view_places,
 )
-from learn.methods.checked_plan import Miss
 from learn.methods.planned import Strategy
-from shaders.frames import camera_from_light
 from tests.support.card_scenes import MATERIALS, light, material
+from tests.support.view_scenes import ROTATION, scene, seen
 
-ROTATION = tuple(camera_from_light().flatten().tolist())
 RANDOM = np.random.default_rng(4)
 INPUTS = ("n", "view", "material", "light")
-
-
-def seen(fov=60, depth=0.15, size=48):
-    """Normals and views (P, 3) of a dented sphere near the camera."""
-    n, view = near_shapes.near(size, np.radians(fov), depth, 1)
-    inside = (n != 0).any(-1)
-    return n[inside].numpy(), view[inside].numpy()
-
-
-def scene(kind="satin", name="sky", fov=60, **options):
-    n, view = seen(fov)
-    m = material(*MATERIALS[kind]).double().reshape(3, 3, 2, 6).numpy()
-    given = {"tolerance": 1e-2, "material_gradient": True} | options
-    return planned_views.Scene(n, view, m, light(name)[0].numpy(), ROTATION, **given)
 
 
 def truth(s, lobes, g):
@@ -320,31 +302,6 @@ def test_pictures_with_views_are_the_same_alone_in_a_batch_and_on_any_threads():
         for whole, alone in zip(together, rendered(part), strict=True):
             assert torch.equal(whole[part], alone)
     torch.set_num_threads(before)
-
-
-@pytest.mark.parametrize("view_gradient", [False, True], ids=["", "derivative by view"])
-@pytest.mark.parametrize("mirrored", [False, True], ids=["in place", "mirrored"])
-def test_better_strategies_end_at_the_pixels(mirrored, view_gradient):
-    s = scene("satin", view_gradient=view_gradient)
-    s.budget = 1e-3
-    pick = directional.spread_over(len(s.n), 16)
-    truth = s.truth(pick, (1,))
-    views = 3 if view_gradient else 1
-    part = planned_views.Sum(s, Strategy((1,), 12, 2, auto_views.culling(s)[1], views, mirrored))
-    met = []
-    while True:
-        miss = Miss(pick, truth, 0.5 * part.error(pick, truth))
-        if (other := auto_views.better(part, miss)) == part.strategy:
-            break
-        met.append(other)
-        part = planned_views.Sum(s, other)
-        assert len(met) < 40
-    last = met[-1]
-    assert last.size == 0 and last.level == 0 and not last.mirrored
-    assert last.culled == cost_model.GUARANTEED
-    if not view_gradient:
-        assert {each.views for each in met} > {1}  # more views were tried
-    assert len({each.size for each in met}) > 2  # and larger maps
 
 
 def test_no_map_is_larger_than_the_largest_and_views_beyond_a_cone_have_none():
