@@ -119,7 +119,7 @@ def test_ranges_are_the_extremes_of_curves_near_each_angle(backward, size, count
 
 
 def test_the_widest_tile_is_that_of_the_angles_between_views():
-    v = RANDOM.normal((0, 0, 3), 1.0, (37, 3))
+    v = RANDOM.normal((0, 0, 3), np.where(np.arange(37) < 32, 0.3, 1.0)[:, None], (37, 3))
     v = (v / np.linalg.norm(v, axis=-1, keepdims=True)).astype(np.float32)
     angles = []
     for tile in (v[:16], v[16:32], v[32:]):
@@ -146,6 +146,23 @@ def test_the_visible_sharpness_ignores_what_reflects_little():
     m[:, 1, 0, 5], m[:, 1, 1, 5] = 1e-7, 1e6  # a needle at grazing that reflects nothing
     assert lobe_shapes.sharpness(m)[1] > 1e4 * right[1]
     np.testing.assert_allclose(lobe_shapes.visible_sharpness(m, 1e-3)[1], right[1], rtol=0.5)
+
+
+def test_maps_grow_by_how_far_their_nodes_are_off():
+    s = scene("satin", fov=40)
+    pick, lobes = sample(s), (1,)
+    right = s.truth(pick, lobes)
+    part = planned_views.Sum(s, Strategy(lobes, 20, 0, 0.1, 1, True))
+    _, off = part.causes(pick, right)
+    part.causes = lambda *_: (0.0, off)
+    part.error = lambda *_: off
+    sizes = [
+        auto_views.better_maps(part, Miss(pick, right, share * off)).size
+        for share in (0.01, 0.4, 0.99)
+    ]
+    limits = auto_views.LEAST_GROWTH, (1 / 0.6) ** (1 / auto_views.ORDER), auto_views.MOST_GROWTH
+    assert sizes == [cost_model.grown(20, len(s.n), growth) for growth in limits]
+    assert len(set(sizes)) == 3
 
 
 @pytest.mark.parametrize("view_gradient", [False, True], ids=["", "derivative by view"])
