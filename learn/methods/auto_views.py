@@ -45,7 +45,7 @@ CULL_VIEWS = 30.0
 ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
 # the factor of culling and the maps' share of the tolerance where a derivative by the view is
 # requested: it is a small difference of large parts in matte materials
-FINER_CULLING, FINER_MAPS = 0.5, 0.2
+FINER_CULLING, FINER_MAPS = 0.25, 0.1
 # where the check fails: parts that are kept of culling; growth of a map's size, by the power of it
 # with which errors fall; the share of nodes from which lobes are summed at the pixels instead
 LEAST_KEPT, MOST_KEPT = 0.25, 0.7
