@@ -57,7 +57,7 @@ from learn.engines.view_runs import (
 )
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9, *[INT_POINTER] * 2)
-BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
+BACKWARD = types.void(*[types.int64] * 11, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
 
 
 @inlined
@@ -72,12 +72,18 @@ def lobe(scratch: np.ndarray, o: int, delta: Lanes, log_c: Lanes) -> Lanes:
 
 @inlined
 def lobe_backward(
-    scratch: np.ndarray, o: int, sums: int, delta: Lanes, log_c: Lanes, weight: Lanes
+    scratch: np.ndarray,
+    o: int,
+    sums: int,
+    delta: Lanes,
+    log_c: Lanes,
+    weight: Lanes,
+    with_n: int,
 ) -> tuple[Lanes, Lanes, Lanes]:
     """F, dF/dc · c log2 e, and dF/dx / ln 2 of the spline's x, of one lobe and channel.
 
-    Its derivatives by γ ln² 2 and by κ, and by their slopes, × weight, are added from scratch[sums]
-    on.
+    The last two are 0 unless with_n. F's derivatives by γ ln² 2 and by κ, and by their slopes, ×
+    weight, are added from scratch[sums] on.
     """
     gamma_slope, kappa_slope = (
         load(scratch, o + LANES * RUN_GAMMA_SLOPE),
@@ -97,7 +103,11 @@ def lobe_backward(
     q = weight * by_kappa
     add_to(scratch, sums + LANES * RUN_KAPPA, q)
     add_to(scratch, sums + LANES * RUN_KAPPA_SLOPE, q * delta)
-    return value, slope * gamma, fma(by_gamma * LN2, gamma_slope, by_kappa * kappa_slope)
+    by_c, by_x = splat(0.0), splat(0.0)
+    if with_n:
+        by_c = slope * gamma
+        by_x = fma(by_gamma * LN2, gamma_slope, by_kappa * kappa_slope)
+    return value, by_c, by_x
 
 
 @inlined
@@ -191,6 +201,7 @@ def backward(
     room: int,
     many: int,
     chunks: int,
+    with_n: int,
     with_view: int,
     limit: np.ndarray,
     n: np.ndarray,
@@ -211,7 +222,8 @@ def backward(
     """Derivatives of Σ g·I from the pixels of tile chunks first … last − 1.
 
     scratch      (chunks, VIEW_SCRATCH)
-    with_view    0: by_v is not written
+    with_n       0: neither by_n nor by_v is written
+    with_view    0: by_v is not written; else with_n must not be 0
     by_n, by_v   (P, 3) out, tangential up to a radial part
     energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
     m_sums       (chunks, 108, 16) out, like values: derivatives by γ ln² 2 and by κ, in lanes
@@ -284,13 +296,17 @@ def backward(
                                     if nearest > cuts[VIEW_CUTS * i + s]:
                                         t = RUN_LOBE_STRIDE * s + RUN_CHANNEL_STRIDE * k
                                         value, by_log, by_turn = lobe_backward(
-                                            scratch, lobes + t, lobe_sums + t, delta, log_c, weight
-                                        )
+                                            scratch, lobes + t, lobe_sums + t, delta, log_c,
+                                            weight, with_n,
+                                        )  # fmt: skip
                                         f, d_c, d_x = f + value, d_c + by_log, d_x + by_turn
                                 add_to(energy_sums, base_e + e + LANES * k, f * n_w * g[p + k])
-                                by_w = fma(f * g[p + k], energy_k, by_w)
-                                by_c = fma(d_c, weight, by_c)
-                                by_x = fma(d_x, weight, by_x)
+                                if with_n:
+                                    by_w = fma(f * g[p + k], energy_k, by_w)
+                                    by_c = fma(d_c, weight, by_c)
+                                    by_x = fma(d_x, weight, by_x)
+                            if not with_n:
+                                continue
                             by_w = choose(visible, by_w, 0.0)
                             by_c = by_c * LN2 / c
                             wx, wy, wz = w_of(geometry, o)
@@ -316,5 +332,5 @@ def backward(
                                 )
                         if made:
                             add_material(many, scratch, base, m_sums, by_m)
-            write_sums(scratch, base, 3 * count, by_n, 3 * start)
+            write_sums(scratch, base, 3 * count * with_n, by_n, 3 * start)
             write_sums(scratch, base + VIEW_V_SUMS, 3 * count * with_view, by_v, 3 * start)

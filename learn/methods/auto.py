@@ -44,7 +44,7 @@ from learn.methods import (
     reflectance_map,
     wants_gradient,
 )
-from learn.methods.checked_plan import CHEAP, checked_sums
+from learn.methods.checked_plan import CHEAP, Miss, checked_sums
 from learn.methods.cost_model import (
     CULL_NODES,
     CULL_PIXELS,
@@ -128,8 +128,9 @@ def planned_sums(
     return checked_sums(scene, lobes, tolerance, best_plan, better)
 
 
-def better(strategy: planned.Strategy, scene: planned.Scene) -> planned.Strategy:
+def better(part: planned.Sum, _: Miss) -> planned.Strategy:
     """A strategy of smaller error: more lights, a larger map, less culling; the same if none is."""
+    strategy, scene = part.strategy, part.scene
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
         strategy = replace(strategy, size=grown(strategy.size, len(scene.n)))

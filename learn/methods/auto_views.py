@@ -22,7 +22,7 @@ from learn.methods import (
     planned_views,
     reflectance_map,
 )
-from learn.methods.checked_plan import CHEAP, checked_sums
+from learn.methods.checked_plan import CHEAP, Miss, checked_sums
 from learn.methods.cost_model import (
     CULL_NODES,
     GUARANTEED,
@@ -31,10 +31,10 @@ from learn.methods.cost_model import (
     coarsest,
     grown,
     map_size,
-    node_count,
     sum_seconds,
 )
 from learn.methods.planned import Strategy
+from learn.methods.view_maps import beside_level, beside_size
 
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
 DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
@@ -46,11 +46,11 @@ ONE_VIEW, MORE = {False: 0.05, True: 2.5}, 1.0
 # the factor of culling and the maps' share of the tolerance where a derivative by the view is
 # requested: it is a small difference of large parts in matte materials
 FINER_CULLING, FINER_MAPS = 0.25, 0.1
-# what is tried where the check fails: more views if these are predicted to cost this part of the
-# tolerance (by whether maps are read mirrored, where the prediction is too high), or where a map
-# was made larger before; sums at the pixels from this share of nodes
-NOTICED, WORTHWHILE = {False: 0.2, True: 0.8}, 0.7
-GROWTH = 1.25  # of a map's size where the check fails: most miss by little
+# where the check fails: parts that are kept of culling; growth of a map's size, by the power of it
+# with which errors fall; the share of nodes from which lobes are summed at the pixels instead
+LEAST_KEPT, MOST_KEPT = 0.25, 0.7
+LEAST_GROWTH, MOST_GROWTH, ORDER = 1.15, 1.3, 3.0
+WORTHWHILE = 0.7
 BROAD = 15.0  # sharpness up to which a lobe is read at the pixel's own normal
 SIMILAR = 1.3  # times a map's size: maps whose largest is below it take its size
 MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, True): 0}
@@ -92,24 +92,54 @@ def planned_sums(
     return checked_sums(scene, lobes, tolerance, best_plan, better)
 
 
-def better(strategy: Strategy, scene: planned_views.Scene) -> Strategy:
-    """A strategy of smaller error: more views or a larger map, more lights, less culling."""
-    culled = max(strategy.culled / 2.5, GUARANTEED)
+def better(part: planned_views.Sum, miss: Miss) -> Strategy:
+    """A strategy of smaller error: more lights, and what `better_maps` or less culling gives."""
+    strategy, scene = part.strategy, part.scene
     level = strategy.level
-    if level and scene.light_loss(strategy.lobes, level) > LIGHT_SHARE * scene.budget:
-        level -= 1
+    if level:
+        loss = scene.light_loss(strategy.lobes, level, miss.pick, miss.truth)
+        level -= loss > LIGHT_SHARE * scene.budget
     if strategy.size:
-        size, views, pixels = strategy.size, strategy.views, len(scene.n)
-        lost = max(view_error(scene, s, views, strategy.mirrored) for s in strategy.lobes)
-        again = strategy.culled < 0.99 * culling(scene)[1]
-        if again or lost > NOTICED[strategy.mirrored] * scene.tolerance:
-            views = MORE_VIEWS[views, strategy.mirrored]
-        else:
-            size = grown(size, pixels, GROWTH)
-        if not size or not views or views * node_count(size) > WORTHWHILE * pixels:
-            return Strategy(strategy.lobes, 0, level, culling(scene)[0] / 2.5)
-        strategy = replace(strategy, size=size, views=views)
-    return replace(strategy, level=level, culled=culled)
+        return replace(better_maps(part, miss), level=level)
+    error = part.error(miss.pick, miss.truth)
+    share = min(max(1 - miss.excess / max(error, 1e-30), LEAST_KEPT), MOST_KEPT)
+    return replace(strategy, level=level, culled=max(share * strategy.culled, GUARANTEED))
+
+
+def better_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
+    """More views or a larger map, by what the error on the sample comes from, or no maps."""
+    strategy, scene = part.strategy, part.scene
+    by_view, by_map = part.causes(miss.pick, miss.truth)
+    allowed = max(part.error(miss.pick, miss.truth) - miss.excess, 0.0)
+    size, views, culled = strategy.size, strategy.views, strategy.culled
+    more = MORE_VIEWS[views, strategy.mirrored]
+    if more and by_view > by_map:
+        views = more
+    else:
+        growth = (by_map / max(allowed - by_view, 1e-30)) ** (1 / ORDER)
+        size = grown(size, len(scene.n), min(max(growth, LEAST_GROWTH), MOST_GROWTH))
+        culled = max(culled / 2.5, GUARANTEED)
+    if not size or nodes_of(scene, strategy.lobes, strategy.level, size, views) > WORTHWHILE * len(
+        scene.n
+    ):
+        return Strategy(strategy.lobes, 0, strategy.level, culling(scene)[0])
+    return replace(strategy, size=size, views=views, culled=culled)
+
+
+def nodes_of(
+    scene: planned_views.Scene, lobes: tuple[int, ...], level: int, size: int, views: int
+) -> float:
+    """Nodes of the maps for so many views, as if all saw a level of the light.
+
+    size  of the main map
+    """
+    nodes = scene.node_count(size)
+    if scene.view_gradient:
+        nodes *= views
+    elif views > 1:
+        finer = 4.0 ** (level - max(beside_level(scene, lobes), level))
+        nodes += views * scene.node_count(beside_size(size)) * finer
+    return nodes
 
 
 def culling(scene: planned_views.Scene) -> tuple[float, float]:
@@ -138,7 +168,8 @@ def best_plan(
             size = math.ceil(size * (1 + scene.views.steepness))
         count = view_count(scene, s, bool(mirrored[s]), least)
         if count and size <= reflectance_map.LARGEST:
-            by_map = DEARER * sum_seconds(sharp[s], count * node_count(size), lights, tolerance)
+            nodes = nodes_of(scene, (s,), levels[s], size, count)
+            by_map = DEARER * sum_seconds(sharp[s], nodes, lights, tolerance)
             by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
                 sizes[s], views[s] = size, count

@@ -5,18 +5,35 @@ per pixel).
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from learn.methods.cost_model import good, samples
+from learn.methods.cost_model import excess, good, samples
 from learn.methods.planned import Strategy
 
 CHEAP = 24  # pixels below which nothing is worth planning
 
-# (scene, lobes, tolerance) → strategies; (strategy, scene) → one of smaller error, or the same
+
+@dataclass(frozen=True)
+class Miss:
+    """How a part of a picture misses the tolerance on a sample.
+
+    pick    pixels (S,)
+    truth   the sum of the part's lobes there, (S, 3)
+    excess  mean absolute error of the whole picture that is to be removed
+    """
+
+    pick: np.ndarray
+    truth: np.ndarray
+    excess: float
+
+
+# (scene, lobes, tolerance) → strategies; (part of the sums, its miss) → a strategy of smaller
+# error, or the same
 Plan = Callable[[Any, tuple[int, ...], float], list[Strategy]]
-Better = Callable[[Strategy, Any], Strategy]
+Better = Callable[[Any, Miss], Strategy]
 
 
 def checked_sums(
@@ -35,16 +52,21 @@ def checked_sums(
             scene.budget = tolerance * level
             strategies = plan(scene, lobes, tolerance)
             sums = scene.sums(strategies, known)
-        while not good(np.abs(sums.at_sample(pick) - truth), level, tolerance):
-            open_to_change = [
-                part for part in sums.parts() if better(part.strategy, scene) != part.strategy
+        while not good(error := np.abs(sums.at_sample(pick) - truth), level, tolerance):
+            too_much = excess(error, level, tolerance)
+            parts = sums.parts()
+            truths = [scene.truth(pick, part.strategy.lobes) for part in parts[1:]]
+            truths.insert(0, truth - sum(truths))
+            misses = [
+                (part, Miss(pick, exact, too_much))
+                for part, exact in zip(parts, truths, strict=True)
             ]
-            if not open_to_change:
+            misses.sort(key=lambda each: -each[0].error(pick, each[1].truth))
+            for part, miss in misses:
+                if (strategy := better(part, miss)) != part.strategy:
+                    break
+            else:
                 break
-            worst = max(
-                open_to_change,
-                key=lambda part: part.error(pick, scene.truth(pick, part.strategy.lobes)),
-            )
-            strategies[strategies.index(worst.strategy)] = better(worst.strategy, scene)
+            strategies[strategies.index(part.strategy)] = strategy
             sums = scene.sums(strategies, known)
     return sums

@@ -16,6 +16,7 @@ import numpy as np
 from learn.methods import coarse, directional, reflectance_map
 
 MAP_SHARE, LIGHT_SHARE, CHECK = 0.5, 0.15, 0.8  # of the tolerance
+AIM = 0.65  # of the tolerance, what is aimed at where the check fails
 COARSEST = 2  # level of the light: coarser ones save nothing that shows
 SOFT = 0.8  # standard deviation of what texels of a size can follow, in texels
 # times the tolerance: culling's bound is far above what it leaves out in the mean
@@ -55,6 +56,17 @@ def good(error: np.ndarray, level: float, tolerance: float) -> bool:
         float(by_pixel.mean()) + uncertainty <= CHECK * tolerance * level
         and float(error.max()) <= 30 * tolerance * level
     )
+
+
+def excess(error: np.ndarray, level: float, tolerance: float) -> float:
+    """What is to be removed of the mean of errors (S, 3), for AIM × tolerance with the margin.
+
+    The margin is proportional to the error.
+    """
+    by_pixel = error.mean(-1)
+    uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
+    mean = float(by_pixel.mean())
+    return mean - mean * AIM * tolerance * level / max(mean + uncertainty, 1e-30)
 
 
 def grown(size: int, pixels: int, growth: float = GROWTH) -> int:

@@ -172,7 +172,7 @@ class ViewedSum(Step):
         radiance = cpu.general_forward(
             normals,
             views,
-            lights.general_geometry(),
+            lights.general_geometry,
             general_tables(m.double().numpy()),
             ctx.energy,
             ctx.cut,
@@ -188,7 +188,7 @@ class ViewedSum(Step):
         group = cpu.Group(normals, gradient, ctx.energy, ctx.cut, torch.get_num_threads())
         by_n, by_view, energy_sums, by_m = group.general(
             views,
-            ctx.lights.general_geometry(),
+            ctx.lights.general_geometry,
             general_tables(m.double().numpy()),
             ctx.needs_input_grad[1],
         )

@@ -44,6 +44,7 @@ class Lights:
         """Number of blocks."""
         return len(self.geometry)
 
+    @functools.cached_property
     def general_geometry(self) -> np.ndarray:
         """The lights' geometry (blocks, 6, 16) for learn.engines.general."""
         w = padded(self.w).T

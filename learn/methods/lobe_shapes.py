@@ -10,6 +10,9 @@ import torch
 
 from shaders.dsbrdf import MAX_EXPONENT, lobe_sharpness
 
+KNOTS = np.linspace(0.0, np.pi / 2, 6)  # θ_d of the control values
+LEAST_SEEN = 0.1  # the part of pixels at θ_d = 0 and 90°, where 1 is at 45°
+
 
 def sharpness(m: torch.Tensor | np.ndarray, dark: bool = False) -> np.ndarray:
     """Largest sharpness of each lobe (3,), float64, over channels and control values that reflect.
@@ -18,6 +21,24 @@ def sharpness(m: torch.Tensor | np.ndarray, dark: bool = False) -> np.ndarray:
     """
     kappa, gamma = controls(m)
     return np.where((kappa > 0) | dark, lobe_sharpness(kappa, gamma), 0.0).max((0, 2))
+
+
+def visible_sharpness(m: torch.Tensor | np.ndarray, ignored: float) -> np.ndarray:
+    """As `sharpness`, but for control values that reflect little in sum.
+
+    ignored  the part of all lobes' light that may be narrower; control values count by how many of
+             a sphere's pixels have their θ_d
+    """
+    kappa, gamma = controls(m)
+    light = strengths(m) * np.maximum(np.sin(2 * KNOTS), LEAST_SEEN)
+    allowed = ignored * light.sum()
+    result = np.empty(3)
+    for s in range(3):
+        sharp = lobe_sharpness(kappa[:, s], gamma[:, s]).ravel()
+        order = np.argsort(-sharp)
+        beyond = np.flatnonzero(np.cumsum(light[:, s].ravel()[order]) > allowed)
+        result[s] = sharp[order[beyond[0] if len(beyond) else -1]]
+    return result
 
 
 def strength(m: torch.Tensor | np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Radiance for a view per pixel as `auto` plans it: each group of lobes by a strategy of its own.
 
 Lobes whose highlights are narrower than a map's nodes could follow are summed at the pixels
-(learn/methods/viewed_lists.py). The others are summed at the nodes of one to six reflectance maps,
-of which learn/methods/view_places.py tells where the pixels read them.
+(learn/methods/viewed_lists.py). The others are summed at the nodes of reflectance maps
+(learn/methods/view_maps.py), which pixels read at the places of learn/methods/view_places.py.
 
 n, view (P, 3), m (3, 3, 2, 6), light (height, width, 3), all float32 on the CPU with kernels at
 hand.
@@ -11,6 +11,7 @@ hand.
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -18,13 +19,21 @@ import torch
 from learn.engines.derivatives import Context, Step, last
 from learn.engines.lights import Rotation
 from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
+from learn.methods.cost_model import light_error
 from learn.methods.planned import Strategy
-from learn.methods.view_places import Chart, Places, Views, dot
+from learn.methods.view_maps import Maps, beside_size
+from learn.methods.view_places import Chart, Places, Views
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
 # longest difference of a view from that of the run that it shares, at a tolerance of 1e-2; the
 # error is of second order in it
 VIEW_GAP = 0.15
+IGNORED = 0.1  # of the tolerance, the light of control values whose sharpness does not count
+COUNTED = 40  # size of the map whose nodes are counted
+# of the tolerance, the bound of what may be missing from what parts of a picture are compared with;
+# what is missing is far less
+CLOSE = 1.0
+COMPARED = 0.01  # of the tolerance, the predicted error of a coarser light that shows no difference
 
 
 class Scene:
@@ -51,10 +60,10 @@ class Scene:
         self.places: dict[bool, Places] = {}
         self.charts: dict[bool, Chart] = {}
         self.list_bytes = 0
-        self.pick = np.empty(0, np.int64)  # the sample on which the picture is checked
-        self.truths: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
+        self.truths: dict[tuple[int | None, tuple[int, ...]], np.ndarray] = {}
         sharpness, strength = lobe_shapes.sharpness(m), lobe_shapes.strength(m)
-        self.sharpness = np.where(sharpness > 0, sharpness, lobe_shapes.sharpness(m, dark=True))
+        visible = lobe_shapes.visible_sharpness(m, IGNORED * tolerance)
+        self.sharpness = np.where(sharpness > 0, visible, lobe_shapes.sharpness(m, dark=True))
         self.shares = strength / max(strength.sum(), 1e-300)
         self.steepness = lobe_shapes.steepness(m)
 
@@ -67,6 +76,16 @@ class Scene:
     def views(self) -> Views:
         """The views and their fit."""
         return Views(self.n, self.view)
+
+    def node_count(self, size: int) -> float:
+        """Nodes that a map of a size will have, by those of a small one."""
+        return self.node_share * size * size
+
+    @functools.cached_property
+    def node_share(self) -> float:
+        """The part of a map's square that has nodes."""
+        _, chart = self.where(False)
+        return len(reflectance_map.nodes_for(chart.drawn, COUNTED)) / COUNTED**2
 
     def where(self, mirrored: bool) -> tuple[Places, Chart]:
         """Where maps are read."""
@@ -98,17 +117,54 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,); pick: one sample for each size."""
-        self.pick = pick
-        if (len(pick), lobes) not in self.truths:
-            sums = self.at(self.n[pick], self.view[pick], lobes)
-            self.truths[len(pick), lobes] = sums.radiance
-        return self.truths[len(pick), lobes]
+        """What `compared` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        return self.compared(self.n[pick], self.view[pick], lobes, len(pick))
 
-    def light_loss(self, lobes: tuple[int, ...], level: int) -> float:
-        """Mean absolute error on the sample of some lobes by a level of the light."""
-        seen = self.at(self.n[self.pick], self.view[self.pick], lobes, level).radiance
-        return float(np.abs(seen - self.truth(self.pick, lobes)).mean())
+    def compared(
+        self, n: np.ndarray, view: np.ndarray, lobes: tuple[int, ...], known_as: int | None = None
+    ) -> np.ndarray:
+        """The sum of some lobes (S, 3) with which parts of a picture are compared.
+
+        Lobes that show no difference between the light's own texels and larger ones are summed over
+        these. CLOSE of the budget may be missing; before it is known, of a smaller one, by what
+        these lobes reflect.
+        known_as  the key of sums that were made before for the same n and view (S, 3)
+        """
+        result = np.zeros_like(n)
+        for level in (1, 0):
+            some = tuple(s for s in lobes if self.nearly_smooth[s] == (level == 1))
+            if some and (known_as, some) not in self.truths:
+                left_out = CLOSE * max(self.budget, self.tolerance * float(result.mean()))
+                sums = self.at(n, view, some, level, left_out).radiance
+                if known_as is None:
+                    result = result + sums
+                    continue
+                self.truths[known_as, some] = sums
+            if some:
+                result = result + self.truths[known_as, some]
+        return result
+
+    @functools.cached_property
+    def nearly_smooth(self) -> np.ndarray:
+        """Whether each lobe is as broad as `compared` asks for, (3,) bool."""
+        height, width = self.light.size
+        allowed = COMPARED * self.tolerance / np.maximum(self.shares, 1e-9)
+        return np.array(
+            [
+                coarse.has_level(height, width, 1) and light_error(height >> 1, sharp) <= most
+                for sharp, most in zip(self.sharpness, allowed, strict=True)
+            ]
+        )
+
+    def light_loss(
+        self, lobes: tuple[int, ...], level: int, pick: np.ndarray, truth: np.ndarray
+    ) -> float:
+        """Mean absolute error by a level of the light at pixels pick (S,).
+
+        truth  (S, 3) the sum of the lobes there
+        """
+        n, view, left_out = self.n[pick], self.view[pick], CLOSE * self.budget
+        return float(np.abs(self.at(n, view, lobes, level, left_out).radiance - truth).mean())
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
@@ -118,37 +174,44 @@ class Scene:
 class Sum:
     """One strategy's radiance at the pixels, (P, 3): `values`."""
 
-    def __init__(self, scene: Scene, strategy: Strategy):
+    def __init__(
+        self, scene: Scene, strategy: Strategy, known: "dict[Strategy, Sum] | None" = None
+    ):
+        """known: sums that have been made before; what is equal is taken from them."""
         self.scene, self.strategy = scene, strategy
-        budget, count = strategy.culled * scene.budget, strategy.views
-        lobes, level, size = strategy.lobes, strategy.level, strategy.size
-        if not size:
-            normals, views = scene.n, scene.view
+        self.maps: list[Maps] = []
+        if not strategy.size:
+            budget = strategy.culled * scene.budget
+            lobes, level, gap = strategy.lobes, strategy.level, scene.view_gap
+            self.listing = scene.at(scene.n, scene.view, lobes, level, budget, gap)
+            self.values = self.listing.radiance
+            return
+        size, views = strategy.size, strategy.views
+        if scene.view_gradient:
+            self.maps.append(Maps(scene, strategy, size, views))
         else:
-            places, chart = scene.where(strategy.mirrored)
-            self.nodes = reflectance_map.nodes_for(chart.drawn, size)
-            drawn = reflectance_map.normals(self.nodes, size)
-            normals, views = (
-                np.ascontiguousarray(a.reshape(-1, 3))
-                for a in scene.views.beside(chart.normals(drawn), count, strategy.mirrored)
-            )
-        self.listing = scene.at(normals, views, lobes, level, budget, scene.view_gap)
-        self.values = self.listing.radiance
-        if size:
-            self.maps = [
-                reflectance_map.table(values, self.nodes, size)
-                for values in self.values.reshape(count, -1, 3)
-            ]
-            self.read = [reflectance_map.read(chart.drawn, table, size) for table in self.maps]
-            self.weights = places.weights(count)[:, :, None] if count > 1 else np.ones((1, 1, 1))
-            self.values = functools.reduce(
-                np.add,
-                (w.astype(np.float32) * r for w, r in zip(self.weights, self.read, strict=True)),
-            )
+            before = (known or {}).get(replace(strategy, views=1))
+            self.maps.append(before.maps[0] if before else Maps(scene, strategy, size, 1))
+            if views > 1:
+                self.maps.append(Maps(scene, strategy, beside_size(size), views, slopes=True))
+        self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.values[pick] - truth).mean())
+
+    def causes(self, pick: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+        """Errors at pixels pick (S,) by the views that the maps lack, and by the maps' nodes.
+
+        truth  (S, 3) the sum of the strategy's lobes there
+        """
+        scene, (places, _) = self.scene, self.scene.where(self.strategy.mirrored)
+        normals = np.ascontiguousarray(places.n[pick])
+        views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
+        at = scene.compared(normals, views, self.strategy.lobes)
+        off = self.maps[0].read[0][pick] - at
+        by_view = self.values[pick] - off - truth
+        return float(np.abs(by_view).mean()), float(np.abs(off).mean())
 
 
 class Sums:
@@ -159,7 +222,7 @@ class Sums:
         self.scene = scene
         for strategy in strategies:
             if strategy not in known:
-                known[strategy] = Sum(scene, strategy)
+                known[strategy] = Sum(scene, strategy, known)
         self.all = [known[strategy] for strategy in strategies]
 
     def parts(self) -> list[Sum]:
@@ -185,42 +248,27 @@ class Sums:
         by_place: dict[bool, tuple[np.ndarray, np.ndarray]] = {}
         for part in self.all:
             strategy = part.strategy
-            if strategy.size:
-                drawn, slopes, values = self.read_backward(part, g)
+            summed = []
+            for one in part.maps:
+                drawn, offsets, values = one.backward(g)
                 before = by_place.get(strategy.mirrored)
                 by_place[strategy.mirrored] = (
-                    (drawn, slopes) if before is None else (before[0] + drawn, before[1] + slopes)
+                    (drawn, offsets) if before is None else (before[0] + drawn, before[1] + offsets)
                 )
-                _, _, by_part_m, by_E = part.listing.backward(values, False)
-            else:
-                by_part_n, by_part_view, by_part_m, by_E = part.listing.backward(g, with_view)
-                by_n += by_part_n
-                if by_part_view is not None:
-                    by_view += by_part_view
-            by_m += by_part_m
-            by_light += self.scene.light.gradient(by_E, strategy.level)
-        for mirrored, (drawn, slopes) in by_place.items():
+                summed.append((one.listing.backward(values, False, False), one.level))
+            if not part.maps:
+                summed.append((part.listing.backward(g, with_view), strategy.level))
+                by_n += summed[-1][0][0]
+                if summed[-1][0][1] is not None:
+                    by_view += summed[-1][0][1]
+            for (_, _, by_part_m, by_E), level in summed:
+                by_m += by_part_m
+                by_light += self.scene.light.gradient(by_E, level)
+        for mirrored, (drawn, offsets) in by_place.items():
             places, chart = self.scene.where(mirrored)
-            by_part_n, by_part_view = places.backward(chart.backward(drawn), slopes)
+            by_part_n, by_part_view = places.backward(chart.backward(drawn), offsets)
             by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))
-
-    def read_backward(self, part: Sum, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives by the drawn places, by the offsets (2, P), and by the nodes' values."""
-        places, chart = self.scene.where(part.strategy.mirrored)
-        by_drawn, by_values, by_weights = np.zeros_like(g), [], []
-        for weight, table, read in zip(part.weights, part.maps, part.read, strict=True):
-            seen = np.ascontiguousarray(weight * g, np.float32)
-            by_part, by_nodes = reflectance_map.read_backward(
-                chart.drawn, table, part.strategy.size, seen, part.nodes
-            )
-            by_drawn += by_part
-            by_values.append(by_nodes)
-            by_weights.append(dot(read, g)[:, 0])
-        if len(by_weights) == 1:
-            return by_drawn, np.zeros((2, 1), np.float32), by_values[0]
-        by_offsets = places.weights_backward(np.stack(by_weights))
-        return by_drawn, by_offsets, np.concatenate(by_values)
 
 
 # (n, view, m, light, gradients) → `Sums`, all arrays; gradients: which derivatives are requested,

@@ -3,14 +3,17 @@
 In most pictures the view follows from the normal, but for a part: on a sphere entirely, on a flat
 wall not at all. A map's nodes therefore have views of their own, V(n), a quadratic function of the
 normal that is fitted to the picture. What remains of a pixel's view, its offset from V, is left to
-K maps, for V and views beside it, between which the pixel interpolates:
+a polynomial, whose coefficients are maps too, made of radiance for K views beside V:
 
-    I(n, v) ≈ Σ_k ℓ_k(x) M_k(n'),   M_k(n) = I(n_k, V(n) + o_k)
+    I(n, v) ≈ M(n') + Σ_j t_j(x) C_j(n'),  M(n) = I(n, V(n)),  C_j(n) = Σ_k a_jk I(n_k, V(n) + o_k)
 
 x    the offset of v from V(n') in the plane of the views, in units of `half`
-ℓ_k  the polynomials of degree 0, 1 or 2 that are 1 at o_k and 0 at the others
-n'   the place where the pixel reads, and n_k the normal of a node's map k. Broad lobes are read at
-     the normal itself, n' = n and n_k = n. Sharp ones are read where the node mirrors the same
+t_j  the terms x, y (K = 3), and x², xy, y² (K = 6)
+a_jk such that the polynomial and a constant have the values I(n_k, V + o_k) at o_k. The constant is
+     left out, for M is nearer to it, unless a derivative by the view is requested: the C_j are as
+     fine as M then, and the constant serves in its place
+n'   the place where the pixel reads, and n_k the normal of a node for view k. Broad lobes are read
+     at the normal itself, n' = n and n_k = n. Sharp ones are read where the node mirrors the same
      light into V(n') as the pixel does into v, so that highlights stay where they are; n_k likewise
 
 n, view (P, 3) float32 unit vectors, camera frame. Arrays of float64 are computed by numpy, against
@@ -48,6 +51,14 @@ def ring(count: int, radius: float) -> list[tuple[float, float]]:
 OFFSETS = {1: [(0.0, 0.0)], 3: ring(3, math.sqrt(2 / 3)), 6: [(0.0, 0.0), *ring(5, 1.0)]}
 # monomials x^a y^b, of which the first 1, 3 or 6 serve
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+
+
+@functools.cache
+def coefficients(count: int) -> np.ndarray:
+    """The a_jk of the polynomial's constant and of its terms, (K, K) float32."""
+    x, y = np.array(OFFSETS[count]).T
+    terms = np.stack([x**i * y**j for i, j in POWERS[:count]], -1)
+    return np.linalg.inv(terms).astype(np.float32)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -210,33 +221,21 @@ class Places:
         self.middle = views.middle(self.n)
         self.coordinates = (views.slopes - self.middle) / views.half[:, None]
 
-    @functools.cache  # noqa: B019  # as long-lived as the places
-    def factors(self, count: int) -> np.ndarray:
-        """Coefficients (K, K) of the ℓ_k by monomials."""
-        x, y = np.array(OFFSETS[count]).T
-        return np.linalg.inv(np.stack([x**i * y**j for i, j in POWERS[:count]], -1)).T
-
-    def combined(self, count: int, monomials: list[np.ndarray | None]) -> np.ndarray:
-        """Sums (K, P) of monomials (P,), None for 0; without BLAS, whose threads spin."""
-        result = np.zeros((count, len(self.n)), np.float32)
-        for row, factors in zip(result, self.factors(count), strict=True):
-            for factor, monomial in zip(factors, monomials, strict=True):
-                if monomial is not None and abs(factor) > 1e-9:
-                    row += np.float32(factor) * monomial
-        return result
-
-    def weights(self, count: int) -> np.ndarray:
-        """The ℓ_k of the pixels, (K, P)."""
+    def terms(self, count: int) -> np.ndarray:
+        """The constant 1 and the terms (K, P) of a polynomial in the offsets."""
         x, y = self.coordinates
-        return self.combined(count, [x**i * y**j for i, j in POWERS[:count]])
+        return np.stack([x**i * y**j for i, j in POWERS[:count]]).astype(np.float32)
 
-    def weights_backward(self, by_weights: np.ndarray) -> np.ndarray:
-        """Derivatives (2, P) by the coordinates, from the one by the weights (K, P)."""
-        (x, y), count = self.coordinates, len(by_weights)
-        powers = POWERS[:count]
-        dx = self.combined(count, [i * x ** (i - 1) * y**j if i else None for i, j in powers])
-        dy = self.combined(count, [j * x**i * y ** (j - 1) if j else None for i, j in powers])
-        return np.stack([(by_weights * dx).sum(0), (by_weights * dy).sum(0)])
+    def terms_backward(self, by_terms: np.ndarray, first: int = 0) -> np.ndarray:
+        """Derivatives (2, P) by the coordinates, from the one (J, P) by terms `first` onwards."""
+        (x, y), powers = self.coordinates, POWERS[first : first + len(by_terms)]
+        by_x, by_y = np.zeros_like(by_terms[0]), np.zeros_like(by_terms[0])
+        for by_term, (i, j) in zip(by_terms, powers, strict=True):
+            if i:
+                by_x += by_term * (i * x ** (i - 1) * y**j)
+            if j:
+                by_y += by_term * (j * x**i * y ** (j - 1))
+        return np.stack([by_x, by_y])
 
     def run(self, kernel: str, steps: int, limit: float, *arrays: np.ndarray) -> None:
         """Run a kernel of learn.engines.view_places over all pixels."""

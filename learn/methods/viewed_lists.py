@@ -4,6 +4,9 @@ Numpy around the kernels of learn.engines.culled_views, float32; what learn.meth
 for a distant viewer.
 """
 
+import functools
+import math
+
 import numpy as np
 import torch
 
@@ -40,7 +43,16 @@ LISTED = 2.5e-8  # seconds to sum a listed block for a pixel of its tile
 FINE = 4  # angles per bin at which a material's curves are looked up
 ANGLES = np.linspace(0.0, np.pi / 2, FINE * THETA_BINS + 1)
 BASIS = basis(ANGLES)  # (angles, 6)
+# places in ANGLES of each bin, with both its ends
+IN_BIN = FINE * np.arange(THETA_BINS)[:, None] + np.arange(FINE + 1)
 GRAZING = 1.35  # θ_d from which a lobe's height is not compared with others': few pixels have it
+
+
+@functools.lru_cache(maxsize=2 * THETA_BINS)
+def bins_around(window: int) -> np.ndarray:
+    """The bins (THETA_BINS, 2 window + 1) that are at most `window` from each, held at the ends."""
+    near = np.arange(THETA_BINS)[:, None] + np.arange(-window, window + 1)
+    return np.clip(near, 0, THETA_BINS - 1)
 
 
 class ViewedTables:
@@ -61,7 +73,7 @@ class ViewedTables:
         material_gradient: bool = False,
     ):
         self.lights, self.energy, self.numbers, self.many = lights, energy, list(lobes), len(lobes)
-        self.geometry = lights.general_geometry()
+        self.geometry = lights.general_geometry
         self.values = general_tables(m).values.reshape(3, 3, 2, 6)[self.numbers].copy()
         self.cones = lights.cones.copy()
         brightest = np.zeros(len(self.cones) * LANES, np.float32)
@@ -77,6 +89,9 @@ class ViewedTables:
         least_height = DIM * common.max()
         self.dims_lobes = material_gradient and bool((common < least_height).any())
         self.least_height = least_height
+        blocks = self.cones[:, CONE_W_COS].reshape(-1)[: lights.blocks]
+        self.widest_block = float(np.arccos(np.clip(blocks.min(), -1.0, 1.0)))
+        self.made_ranges: dict[tuple[int, bool], np.ndarray] = {}
 
     def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
         """The table `ranges` for tiles of `size` pixels with views (P, 3).
@@ -84,20 +99,20 @@ class ViewedTables:
         backward  whether lobes of almost no height count, whose derivative by κ does not depend on
                   their height
         """
-        blocks = self.cones[:, CONE_W_COS].reshape(-1)[: self.lights.blocks]
-        widest = np.arccos(np.clip(blocks.min(), -1.0, 1.0)) + widest_tile(views, size)
+        widest = self.widest_block + widest_tile(views, size)
         window = int(np.ceil(0.5 * widest / (np.pi / 2) * THETA_BINS)) + 1
-        curves = self.curves.copy()
-        if backward and self.dims_lobes:
-            curves[:, 1] = np.maximum(curves[:, 1], self.least_height)
-        result = np.empty((self.many, 2, THETA_BINS), np.float32)
-        for k, extreme in enumerate((np.min, np.max)):
-            padded = np.pad(curves[:, k], ((0, 0), (FINE * window,) * 2), mode="edge")
-            around = np.lib.stride_tricks.sliding_window_view(
-                padded, FINE * (2 * window + 1) + 1, axis=-1
-            )
-            result[:, k] = extreme(around[:, ::FINE][:, :THETA_BINS], axis=-1)
-        return result
+        key = window, backward and self.dims_lobes
+        if key not in self.made_ranges:
+            curves = self.curves
+            if key[1]:
+                curves = curves.copy()
+                curves[:, 1] = np.maximum(curves[:, 1], self.least_height)
+            # the least is the largest of the negative
+            signed = curves * np.array([-1.0, 1.0])[:, None]
+            around = signed[:, :, IN_BIN].max(-1)[:, :, bins_around(window)].max(-1)
+            around[:, 0] *= -1
+            self.made_ranges[key] = np.ascontiguousarray(around, np.float32)
+        return self.made_ranges[key]
 
     def material_gradient(self, m_sums: np.ndarray) -> np.ndarray:
         """Derivative (3, 3, 2, 6) float64 by m, from the sums (chunks, 108, 16) of the kernel."""
@@ -110,15 +125,14 @@ class ViewedTables:
 def widest_tile(views: np.ndarray, size: int) -> float:
     """The largest half angle of the cones about the views (P, 3) of tiles of `size` pixels."""
     whole = len(views) // size * size
-    tiles = [views[:whole].reshape(-1, size, 3)] if whole else []
-    tiles += [views[whole:][None]] if whole < len(views) else []
-    widest = 0.0
-    for tile in tiles:
-        axis = tile.sum(1)
-        axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
-        least = (tile * axis[:, None]).sum(-1).min()
-        widest = max(widest, float(np.arccos(np.clip(least, -1.0, 1.0))))
-    return widest
+    least = 1.0
+    for tiles in (views[:whole].reshape(-1, size, 3), views[None, whole:]):
+        if tiles.size:
+            axis = np.einsum("tpi->ti", tiles)
+            length = np.sqrt(np.einsum("ti,ti->t", axis, axis))
+            along = np.einsum("tpi,ti->tp", tiles, axis).min(1) / np.maximum(length, 1e-6)
+            least = min(least, float(along.min()))
+    return math.acos(max(least, -1.0))
 
 
 class ViewedListing:
@@ -156,11 +170,12 @@ class ViewedListing:
         self.radiance = put_back(out, self.order)
 
     def backward(
-        self, g: np.ndarray, with_view: bool = True
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
+        self, g: np.ndarray, with_view: bool = True, with_n: bool = True
+    ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray, np.ndarray]:
         """Derivatives of Σ g·radiance.
 
-        By n (P, 3), by view (P, 3) or None, by m (3, 3, 2, 6) float64 and by E (3, T).
+        By n (P, 3) or None, by view (P, 3) or None, by m (3, 3, 2, 6) float64 and by E (3, T).
+        with_view  requires with_n
         """
         g = g.take(self.order, 0)
         by_n, by_view, by_m = np.empty_like(g), np.empty_like(g), np.zeros((3, 3, 2, 6))
@@ -178,13 +193,13 @@ class ViewedListing:
                 g[part],
                 by_n[part],
                 by_view[part],
-                with_view,
+                (with_n, with_view),
             )
             by_m += self.tables.material_gradient(m_sums)
             by_E += unblocked(energy_sums)[:, : by_E.shape[1]]
-        if not with_view:
-            return put_back(by_n, self.order), None, by_m, by_E
-        return put_back(by_n, self.order), put_back(by_view, self.order), by_m, by_E
+        placed_n = put_back(by_n, self.order) if with_n else None
+        placed_view = put_back(by_view, self.order) if with_view else None
+        return placed_n, placed_view, by_m, by_E
 
 
 def select(
@@ -251,11 +266,11 @@ def run_backward(
     g: np.ndarray,
     by_n: np.ndarray,
     by_view: np.ndarray,
-    with_view: bool,
+    requested: tuple[bool, bool],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
 
-    by_n, by_view  (P, 3) are written, the latter if with_view
+    by_n, by_view  (P, 3) are written, each if requested; the latter only together with the former
     """
     blocks = tables.lights.blocks
     # by the pixels, never by the threads: sums must come out the same
@@ -267,10 +282,11 @@ def run_backward(
 
     def kernel(first: int, last: int) -> None:
         sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, tables.many, chunks
+        flags = map(int, requested)
         inputs = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, g
         outputs = by_n, by_view, energy_sums, m_sums
         arrays = *inputs, *outputs, *lists
-        machine_code.call("viewed_sums.backward", first, last, *sizes, int(with_view), *arrays)
+        machine_code.call("viewed_sums.backward", first, last, *sizes, *flags, *arrays)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
