@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import nnls as reference_nnls
 
 from factory.materials import joint_fit, nnls, recipe, sphere
+from manifests.materials import load_catalogue
 from shaders import closures, dsbrdf, envmap, errors, frames, label_model, samples, spline
 from shaders.mixture import Mixture
 
@@ -144,6 +145,32 @@ def test_errors_are_of_the_numbers_that_are_written(fitted_plastic):
         written.label, Mixture.from_json(written.mixture.to_json(recipe.DIGITS)), plastic
     )
     assert np.array_equal(again.nodes_vs_label, written.nodes_vs_label)
+
+
+def test_nodes_follow_the_label_up_to_the_horizon(fitted_plastic):
+    stops = fitted_plastic.mixture.stops
+    fitted = int((stops <= samples.view_stops(QUICK.views_deg)[-1]).sum())
+    assert np.degrees(np.arccos(1 - stops[fitted:])) == pytest.approx(recipe.GRAZING_DEG, abs=0.2)
+    s = samples.Samples(np.radians((87.6, 88.8, 89.5)), 80, 16)
+    label = errors.label_values(fitted_plastic.label, s)
+    cut = replace(
+        fitted_plastic.mixture,
+        **{
+            name: getattr(fitted_plastic.mixture, name)[:fitted]
+            for name in ("stops", "log_alpha", "tilt", "weights")
+        },
+    )
+    without = errors.relative_l1(cut.evaluate(*s.cosines), label, s)
+    within = errors.relative_l1(fitted_plastic.mixture.evaluate(*s.cosines), label, s)
+    assert (within < 0.15).all() and (within < 0.6 * without).all()
+
+
+def test_closures_do_not_turn_away_from_the_viewer_at_the_horizon():
+    for name, material in load_catalogue().items():
+        cos_o = 1 - material.mixture.stops[:, None]
+        # n'·v but for the length of n', as shaders.closures has it
+        assert (cos_o + material.mixture.tilt * (1 - cos_o**2) > 0).all(), name
+        assert cos_o[-1] < 0.02, name
 
 
 def test_lobes_stand_in_canonical_order(fitted_plastic):
