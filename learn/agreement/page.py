@@ -31,7 +31,7 @@ WHOLE = {
     "second_surface": "pixels that show several surfaces",
     "predicted": "the layer with all three",
     "predicted_points": "of that, away from edges",
-    "predicted_low": "of that, where n·v is below 0.07 and label and nodes were not fitted",
+    "predicted_low": "of that, where n·v is below 0.07, beyond the fitted views",
     "node_fit": "node fit at these pixels",
     "nodes": "the nodes' closed form: what is left",
     "nodes_points": "of that, away from edges",
