@@ -134,6 +134,8 @@ def with_grazing_views(label: np.ndarray, mixture: Mixture) -> Mixture:
     """
     stops = view_stops(GRAZING_DEG)
     stops = stops[stops > mixture.stops[-1]]
+    if not len(stops):
+        return mixture
     samples = Samples(np.arccos(1 - stops), 120, 20)
     truth = errors.label_values(label, samples)
     shrunk = (1 - stops) / (1 - mixture.stops[-1])
