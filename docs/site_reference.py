@@ -4,7 +4,7 @@ import html
 import inspect
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -45,10 +45,10 @@ def brdfactory_page() -> str:
         "`import brdfactory as bf` has these names. [From Python](../python.md) shows how they are"
         " used together. Pages of this section are made from the docstrings.",
     ]
-    for title, group in BRDFACTORY.items():
-        page.append(f"## {title}")
-        page += [f"::: {brdfactory._HOMES[name]}.{name}" for name in group]
-    return "\n\n".join(page) + "\n"
+    homes = brdfactory._HOMES
+    return _page(
+        page, {t: [f"{homes[name]}.{name}" for name in group] for t, group in BRDFACTORY.items()}
+    )
 
 
 def layer_page() -> str:
@@ -58,10 +58,7 @@ def layer_page() -> str:
         "[Choosing a rendering method](../how-to-choose.md) explains `method` and `tolerance`.",
         f"::: learn.layer.rendering\n{NO_HEADING}      members: []",
     ]
-    for title, names in LAYER.items():
-        page.append(f"## {title}")
-        page += [f"::: {name}" for name in names]
-    return "\n\n".join(page) + "\n"
+    return _page(page, LAYER)
 
 
 def shaders_page() -> str:
@@ -71,8 +68,14 @@ def shaders_page() -> str:
         "These modules need numpy alone; several functions take tensors too."
         " [Conventions](../conventions.md) defines the frames and units.",
     ]
-    for title, module in SHADERS.items():
-        page += [f"## {title}", f"::: {module}\n{NO_HEADING}"]
+    return _page(page, {title: [f"{module}\n{NO_HEADING}"] for title, module in SHADERS.items()})
+
+
+def _page(beginning: Sequence[str], groups: Mapping[str, Sequence[str]]) -> str:
+    """Return a page: its beginning, then each group's heading and what is documented below it."""
+    page = list(beginning)
+    for title, names in groups.items():
+        page += [f"## {title}", *(f"::: {name}" for name in names)]
     return "\n\n".join(page) + "\n"
 
 

@@ -98,10 +98,8 @@ class JointFit:
         T = (L + mu * self.M) / (1 + mu)
         A = node_model.columns(state.kinds, state.log_alpha, state.tilt, self.samples)
         V, _, K = A.shape
-        AW = A[:, None] * self.W[..., None]  # (V, 3, P, K)
-        G = np.swapaxes(AW, 2, 3) @ A[:, None]
         T = np.moveaxis(T, -1, 1)
-        b = (np.swapaxes(AW, 2, 3) @ T[..., None])[..., 0]
+        G, b = nnls.normal_equations(A, self.W, T)
         x, active = nnls.solve(G.reshape(-1, K, K), b.reshape(-1, K))
         x, active = x.reshape(V, 3, K), active.reshape(V, 3, K)
         r = x @ np.swapaxes(A, 1, 2) - T

@@ -11,6 +11,19 @@ import numpy as np
 RIDGE = 1e-9  # relative, on the diagonal: closures can be nearly the same at some views
 
 
+def normal_equations(
+    columns: np.ndarray, weight: np.ndarray, target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return G (V, 3, K, K) and b (V, 3, K) of a mixture's weights per view and channel.
+
+    columns  (V, P, K) closures at samples
+    weight   (V, 3, P) of squared differences
+    target   (V, 3, P) what the weighted sum of the columns should be
+    """
+    weighted = np.swapaxes(columns[:, None] * weight[..., None], 2, 3)  # (V, 3, K, P)
+    return weighted @ columns[:, None], (weighted @ target[..., None])[..., 0]
+
+
 def solve(
     G: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:

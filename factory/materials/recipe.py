@@ -53,7 +53,7 @@ VIEWS_DEG = (
     84,
     86,
 )
-# beyond them no measurement is trustworthy, and nodes follow the label
+# beyond them nodes are fitted to the label alone, not to the measurement
 GRAZING_DEG = (87.3, 88.4, 89.3)
 GRAZING_ROUNDS = 4  # of fitting the weights there, reweighted towards least L1
 
@@ -161,9 +161,7 @@ def _fitted_weights(columns: np.ndarray, truth: np.ndarray, weight: np.ndarray) 
     weight  (V, P, 3) of squared differences
     """
     V, _, K = columns.shape
-    weighted = np.moveaxis(weight, -1, 1)[..., None] * columns[:, None]  # (V, 3, P, K)
-    G = np.swapaxes(weighted, 2, 3) @ columns[:, None]
-    b = (np.swapaxes(weighted, 2, 3) @ np.moveaxis(truth, -1, 1)[..., None])[..., 0]
+    G, b = nnls.normal_equations(columns, np.moveaxis(weight, -1, 1), np.moveaxis(truth, -1, 1))
     x, _ = nnls.solve(G.reshape(-1, K, K), b.reshape(-1, K))
     return np.swapaxes(x.reshape(V, 3, K), 1, 2)
 

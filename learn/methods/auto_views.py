@@ -119,9 +119,8 @@ def better_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
         growth = (by_map / max(allowed - by_view, 1e-30)) ** (1 / ORDER)
         size = grown(size, len(scene.n), min(max(growth, LEAST_GROWTH), MOST_GROWTH))
         culled = max(culled / 2.5, GUARANTEED)
-    if not size or nodes_of(scene, strategy.lobes, strategy.level, size, views) > WORTHWHILE * len(
-        scene.n
-    ):
+    most = WORTHWHILE * len(scene.n)
+    if not size or nodes_of(scene, strategy.lobes, strategy.level, size, views) > most:
         return Strategy(strategy.lobes, 0, strategy.level, culling(scene)[0])
     return replace(strategy, size=size, views=views, culled=culled)
 

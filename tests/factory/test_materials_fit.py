@@ -165,6 +165,23 @@ def test_nodes_follow_the_label_up_to_the_horizon(fitted_plastic):
     assert (within < 0.15).all() and (within < 0.6 * without).all()
 
 
+@pytest.mark.parametrize("name", ["chrome", "pink-felt", "brass"])
+def test_the_catalogue_has_the_nodes_beyond_the_fitted_views(name):
+    material = load_catalogue()[name]
+    stops = material.mixture.stops
+    fitted = int((stops <= samples.view_stops(recipe.VIEWS_DEG)[-1]).sum())
+    assert fitted == len(stops) - len(recipe.GRAZING_DEG)
+    parts = ("stops", "log_alpha", "tilt", "weights")
+    cut = replace(
+        material.mixture, **{part: getattr(material.mixture, part)[:fitted] for part in parts}
+    )
+    again = recipe.with_grazing_views(material.label.reshape(3, 3, 2, 6), cut)
+    for part in parts:
+        np.testing.assert_allclose(
+            getattr(again, part), getattr(material.mixture, part), rtol=1e-4, atol=1e-5
+        )
+
+
 def test_closures_do_not_turn_away_from_the_viewer_at_the_horizon():
     for name, material in load_catalogue().items():
         cos_o = 1 - material.mixture.stops[:, None]
