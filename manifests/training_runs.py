@@ -184,6 +184,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         "compact-wrapped",
         "compact-pretrained",
         "two-encoders",
+        "joint-encoders",
         "paper",
         "separate",
         "encoder-decoder",

@@ -35,7 +35,15 @@ class NormalsPretrained(CompactPretrained):
 
     def of(self, code: torch.Tensor) -> torch.Tensor:
         """Return unit normals (B, 3, H, W) of a picture code (B, 4, H, W)."""
-        return self._normals(self._features(code))
+        return self.normals_of(self.features_of(code))
+
+    def features_of(self, code: torch.Tensor) -> list[torch.Tensor]:
+        """Return the encoder's features (B, C, h, w) at H/2, H/4, … H/32."""
+        return self._features(code)
+
+    def normals_of(self, features: list[torch.Tensor]) -> torch.Tensor:
+        """Return unit normals (B, 3, H, W) of `features_of`."""
+        return self._normals(features)
 
 
 class TwoEncoders(CompactWrapped):

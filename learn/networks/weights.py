@@ -23,6 +23,7 @@ from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact, CompactWrapped
 from learn.networks.encoder_decoder import EncoderDecoder
+from learn.networks.joint_encoders import JointEncoders
 from learn.networks.paper import Paper
 from learn.networks.prediction import Coded, ThreeNetworks
 from learn.networks.pretrained import CompactPretrained
@@ -40,6 +41,7 @@ NETWORKS: dict[str, type[Coded]] = {
         CompactWrapped,
         CompactPretrained,
         TwoEncoders,
+        JointEncoders,
         Paper,
         Separate,
         EncoderDecoder,
@@ -66,6 +68,7 @@ class About(msgspec.Struct, frozen=True):
         "compact-wrapped",
         "compact-pretrained",
         "two-encoders",
+        "joint-encoders",
         "paper",
         "separate",
         "encoder-decoder",
@@ -249,6 +252,23 @@ def fill(network: torch.nn.Module, stored: tensor_file.Stored, prefix: str = "")
     network.load_state_dict(
         {name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()}
     )
+
+
+def fill_joint(network: JointEncoders, stored: tensor_file.Stored) -> None:
+    """Give a joint network what the weights of a network `two-encoders` have of it.
+
+    Its heads of material and light begin from nothing, for they read more than those of the file.
+    Raises InputError: tensors are missing or have other shapes; numbers that are not finite
+    """
+    taken = {
+        name: mine
+        for name, mine in network.state_dict().items()
+        if name.split(".")[0] not in network.begins_new
+    }
+    shapes_taken = {name: tuple(mine.shape) for name, mine in taken.items()}
+    stored.require(shapes_taken, f"a {TwoEncoders.name} network", False)
+    chosen = {name: stored.tensor(name).to(mine.dtype) for name, mine in taken.items()}
+    network.load_state_dict(network.state_dict() | chosen)
 
 
 def fill_heads(network: Coded, stored: tensor_file.Stored) -> None:

@@ -26,6 +26,7 @@ from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import source_of
 from learn.networks import features, tensor_file, weights
 from learn.networks.coding import Ranges
+from learn.networks.joint_encoders import JointEncoders
 from learn.networks.prediction import Coded, Prediction
 from learn.networks.pretrained import CompactPretrained, encoder_weights
 from learn.networks.two_encoders import TwoEncoders
@@ -182,12 +183,16 @@ class Training:
         """Give a new network what the run begins with: weights, or an encoder; and heads."""
         if self.run.start is not None:
             with tensor_file.opened(self.run.start) as stored:
-                weights.require_network(stored, self.network)
-                weights.fill(self.network, stored)
+                before = stored.metadata.get("network")
+                if isinstance(self.network, JointEncoders) and before == TwoEncoders.name:
+                    weights.fill_joint(self.network, stored)
+                else:
+                    weights.require_network(stored, self.network)
+                    weights.fill(self.network, stored)
                 self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.start))
         elif isinstance(self.network, CompactPretrained):
             self.network.take_encoder(encoder_weights())
-        elif isinstance(self.network, TwoEncoders):
+        elif isinstance(self.network, (TwoEncoders, JointEncoders)):
             self.network.of_normals.take_encoder(encoder_weights())
         if self.run.heads is not None:
             with tensor_file.opened(self.run.heads) as stored:
