@@ -9,7 +9,7 @@ checkpoint.safetensors  what a run needs to continue (learn.training.checkpoints
 
 import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -255,19 +255,34 @@ def fill(network: torch.nn.Module, stored: tensor_file.Stored, prefix: str = "")
 
 
 def fill_joint(network: JointEncoders, stored: tensor_file.Stored) -> None:
-    """Give a joint network what the weights of a network `two-encoders` have of it.
+    """Give a joint network what weights of `two-encoders` or `compact-pretrained` have of it.
 
-    Its heads of material and light begin from nothing, for they read more than those of the file.
+    Of the former it takes all but the heads of material and light, which read more than those of
+    the file; of the latter what predicts normals.
     Raises InputError: tensors are missing or have other shapes; numbers that are not finite
     """
-    taken = {
-        name: mine
-        for name, mine in network.state_dict().items()
-        if name.split(".")[0] not in network.begins_new
-    }
-    shapes_taken = {name: tuple(mine.shape) for name, mine in taken.items()}
-    stored.require(shapes_taken, f"a {TwoEncoders.name} network", False)
-    chosen = {name: stored.tensor(name).to(mine.dtype) for name, mine in taken.items()}
+    if stored.metadata.get("network") == CompactPretrained.name:
+        fill_known(network.of_normals, stored, f"a {CompactPretrained.name} network")
+        return
+    begins_new = {name for name in network.state_dict() if name.split(".")[0] in network.begins_new}
+    fill_known(network, stored, f"a {TwoEncoders.name} network", begins_new)
+
+
+def fill_known(
+    network: torch.nn.Module,
+    stored: tensor_file.Stored,
+    what: str,
+    left_out: Collection[str] = (),
+) -> None:
+    """Give a network the tensors of its own names that a file has, which may have others as well.
+
+    what      the file is, for an error
+    left_out  names of tensors that keep their values
+    Raises InputError: tensors are missing or have other shapes; numbers that are not finite
+    """
+    state = {n: mine for n, mine in network.state_dict().items() if n not in left_out}
+    stored.require({name: tuple(mine.shape) for name, mine in state.items()}, what, False)
+    chosen = {name: stored.tensor(name).to(mine.dtype) for name, mine in state.items()}
     network.load_state_dict(network.state_dict() | chosen)
 
 
@@ -280,14 +295,12 @@ def fill_heads(network: Coded, stored: tensor_file.Stored) -> None:
     if not isinstance(network, Compact):
         rule = "a run of a compact network, which has such heads"
         raise InputError("heads", rule, f"'{network.name}'", "leave heads out of the run")
-    state = {
-        name: mine
-        for name, mine in network.state_dict().items()
-        if name.split(".")[0] in HEADS or name.startswith("label_")
+    others = {
+        name
+        for name in network.state_dict()
+        if name.split(".")[0] not in HEADS and not name.startswith("label_")
     }
-    stored.require({name: tuple(mine.shape) for name, mine in state.items()}, "these heads", False)
-    chosen = {name: stored.tensor(name).to(mine.dtype) for name, mine in state.items()}
-    network.load_state_dict(network.state_dict() | chosen)
+    fill_known(network, stored, "these heads", others)
 
 
 @contextlib.contextmanager

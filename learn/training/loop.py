@@ -183,8 +183,8 @@ class Training:
         """Give a new network what the run begins with: weights, or an encoder; and heads."""
         if self.run.start is not None:
             with tensor_file.opened(self.run.start) as stored:
-                before = stored.metadata.get("network")
-                if isinstance(self.network, JointEncoders) and before == TwoEncoders.name:
+                own = stored.metadata.get("network") == self.network.name
+                if isinstance(self.network, JointEncoders) and not own:
                     weights.fill_joint(self.network, stored)
                 else:
                     weights.require_network(stored, self.network)

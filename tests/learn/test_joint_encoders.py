@@ -5,9 +5,10 @@ import torch
 
 from learn.data.settings import Run, require_trainable
 from learn.networks import pretrained, tensor_file, weights
-from learn.networks.coding import Ranges
+from learn.networks.coding import Ranges, picture_code
 from learn.networks.compact import CompactWrapped
 from learn.networks.joint_encoders import JointEncoders
+from learn.networks.pretrained import CompactPretrained
 from learn.networks.two_encoders import TwoEncoders
 from manifests.errors import InputError
 from tests.support.tiny_run import RUN, train, two_sided
@@ -49,6 +50,24 @@ def test_it_begins_with_the_normals_of_weights_whose_encoders_learned_separately
     image, mask = picture()
     with torch.no_grad():
         assert torch.equal(network.eval()(image, mask).n, theirs(image, mask).n)
+
+
+def test_it_begins_with_the_normals_of_a_pretrained_network(tmp_path):
+    torch.manual_seed(1)
+    other = CompactPretrained(OTHERS).eval()
+    path = tmp_path / "normals.safetensors"
+    weights.save_weights(path, other, other.state_dict(), "{}", SIZE)
+    network = JointEncoders(RANGES).eval()
+    compact = network.down[0][0].weight.clone()
+    with tensor_file.opened(path) as stored:
+        weights.fill_joint(network, stored)
+    theirs = weights.load_network(path)[0]
+    image, mask = picture()
+    with torch.no_grad():
+        features = network.of_normals.features_of(picture_code(image, mask))
+        ours = network.of_normals.normals_of(features)
+        assert torch.equal(ours, theirs(image, mask, parts=("normals",)).n)
+    assert torch.equal(network.down[0][0].weight, compact)
 
 
 def test_weights_of_one_encoder_are_no_beginning(tmp_path):
