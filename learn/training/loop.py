@@ -21,15 +21,12 @@ import torch
 from learn.data import devices
 from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
-from learn.data.seen import drawn_from, of_metadata
+from learn.data.seen import drawn_from
 from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import source_of
-from learn.networks import features, tensor_file, weights
+from learn.networks import features, weights
 from learn.networks.coding import Ranges
-from learn.networks.joint_encoders import JointEncoders
 from learn.networks.prediction import Coded, Prediction
-from learn.networks.pretrained import CompactPretrained, encoder_weights
-from learn.networks.two_encoders import TwoEncoders
 from learn.training import (
     checkpoints,
     losses,
@@ -40,6 +37,7 @@ from learn.training import (
     schedule,
     validation,
 )
+from learn.training.beginning import begin
 from learn.training.journal import Journal
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
@@ -101,7 +99,10 @@ class Training:
             self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
             self.seen = self.seen.joined(before)
         else:
-            self._begin()
+            self.seen = begin(self.network, run, self.seen)
+            if run.revive:
+                self._revive()
+            self.average = _copies(self.network)
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
         self.model: torch.nn.Module = self.network
         if self.world > 1:
@@ -178,29 +179,6 @@ class Training:
         network = self._new_network(self.network.ranges)
         network.load_state_dict(self.average)
         return network.eval()
-
-    def _begin(self) -> None:
-        """Give a new network what the run begins with: weights, or an encoder; and heads."""
-        if self.run.start is not None:
-            with tensor_file.opened(self.run.start) as stored:
-                own = stored.metadata.get("network") == self.network.name
-                if isinstance(self.network, JointEncoders) and not own:
-                    weights.fill_joint(self.network, stored)
-                else:
-                    weights.require_network(stored, self.network)
-                    weights.fill(self.network, stored)
-                self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.start))
-        elif isinstance(self.network, CompactPretrained):
-            self.network.take_encoder(encoder_weights())
-        elif isinstance(self.network, (TwoEncoders, JointEncoders)):
-            self.network.of_normals.take_encoder(encoder_weights())
-        if self.run.heads is not None:
-            with tensor_file.opened(self.run.heads) as stored:
-                weights.fill_heads(self.network, stored)
-                self.seen = self.seen.joined(of_metadata(stored.metadata, self.run.heads))
-        if self.run.revive:
-            self._revive()
-        self.average = _copies(self.network)
 
     def _revive(self) -> None:
         """Reinitialise hidden units that the first batches never activate; print how many."""
