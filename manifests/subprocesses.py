@@ -5,8 +5,10 @@ factory.py or a folder learn/. Such a process therefore leaves the working folde
 told where this process's packages are.
 """
 
+import multiprocessing
 import os
 import sys
+import threading
 from pathlib import Path
 
 PACKAGES = Path(__file__).resolve().parents[1]
@@ -29,3 +31,18 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def end_with_parent() -> None:
+    """Let this process of a pool end when the process that started it has ended.
+
+    A pool whose owner was killed would otherwise wait for work, and keep its memory, for ever.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def end() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=end, daemon=True).start()

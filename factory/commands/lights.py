@@ -129,6 +129,7 @@ def run_make(options: argparse.Namespace) -> None:
     import multiprocessing
 
     from factory.lights import interiors, library
+    from manifests import subprocesses
     from manifests.progress import tqdm
 
     names = {
@@ -139,7 +140,9 @@ def run_make(options: argparse.Namespace) -> None:
     # in processes of their own: Blender's memory and its exit stay away from this one
     total = 0.0
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(options.workers, context) as pool:
+    with concurrent.futures.ProcessPoolExecutor(
+        options.workers, context, subprocesses.end_with_parent
+    ) as pool:
         pending = {pool.submit(_render, seed): name for name, seed in missing.items()}
         progress = tqdm(
             concurrent.futures.as_completed(pending), total=len(pending), unit="map", disable=None

@@ -25,6 +25,7 @@ from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 from manifests.progress import tqdm
 from manifests.reading import decode
+from manifests.subprocesses import end_with_parent
 from shaders import errors
 from shaders.samples import held_out
 
@@ -106,7 +107,7 @@ def _each(names, workers):
         for name in names:
             yield _fit_one(name)
         return
-    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=_fork()) as pool:
+    with concurrent.futures.ProcessPoolExecutor(workers, _fork(), end_with_parent) as pool:
         for future in concurrent.futures.as_completed(
             [pool.submit(_fit_one, name) for name in names]
         ):

@@ -29,7 +29,7 @@ from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
-from manifests import files, lock, ray_tasks
+from manifests import files, lock, ray_tasks, subprocesses
 from manifests.errors import InputError
 from manifests.line_files import Lines, encoded
 from manifests.progress import tqdm
@@ -315,6 +315,7 @@ _bench: Bench  # of a worker process
 
 def _begin(options: dict, threads: int) -> None:
     global _bench
+    subprocesses.end_with_parent()
     torch.set_num_threads(threads)
     _bench = Bench(**options)
 
