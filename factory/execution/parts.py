@@ -35,7 +35,7 @@ from manifests.store import Store
 
 # A part of a job array registers its next shapes after so many times as long as the last ones
 # took, others' turns included. Many parts therefore do not wait for each other most of the time.
-PAUSE = 20.0
+PAUSE = 10.0
 
 
 Watch = Callable[[str, Any], None]  # as factory.execution.run.carry_out calls it

@@ -8,16 +8,19 @@ without it, another source may come first in the next run, which makes the shots
 """
 
 import hashlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
 
 from factory.planning.shape_names import Source
-from manifests.line_files import Lines, encoded
+from manifests.inputs import require_file
+from manifests.line_files import LONGEST_LINE, Lines, encoded
 from manifests.schema import Job
 
 FILE = "shape-sources.jsonl"
+REMEDY = "remove it while no part of the job runs"
 
 
 class Reservation(msgspec.Struct, frozen=True):
@@ -56,23 +59,22 @@ class Reservations:
     def refresh(self) -> None:
         """Read what parts of the job have reserved since the last time; damaged lines are left out.
 
-        Raises  OSError
+        Raises  InputError if there is something else than a file; OSError
         """
-        try:
-            with open(self._path, "rb") as file:
-                file.seek(self._offset)
-                data = file.read()
-        except FileNotFoundError:
+        if not os.path.lexists(self._path):
             return
-        whole = data[: data.rfind(b"\n") + 1]
-        self._offset += len(whole)
-        for line in whole.splitlines():
-            try:
-                reservation = msgspec.json.decode(line, type=Reservation)
-            except (msgspec.DecodeError, UnicodeDecodeError):
-                continue
-            if reservation.job == self._job and reservation.source in self._sources:
-                self._by_mesh.setdefault(reservation.mesh, reservation)
+        with open(require_file(self._path, "a file of lines", REMEDY), "rb") as file:
+            file.seek(self._offset)
+            for line in iter(lambda: file.readline(LONGEST_LINE), b""):
+                if not line.endswith(b"\n") and len(line) < LONGEST_LINE:
+                    return  # unfinished
+                self._offset += len(line)
+                try:
+                    reservation = msgspec.json.decode(line, type=Reservation)
+                except (msgspec.DecodeError, UnicodeDecodeError):
+                    continue
+                if reservation.job == self._job and reservation.source in self._sources:
+                    self._by_mesh.setdefault(reservation.mesh, reservation)
 
     def reserve(self, mesh: str, source: Source, shots: int) -> bool:
         """Return whether a source makes a mesh: it does if no other source has reserved it.

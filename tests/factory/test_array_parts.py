@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
+from contextlib import ExitStack
 
 import msgspec
 import pytest
@@ -13,6 +15,7 @@ from factory.commands.status import counted
 from factory.execution import parts
 from factory.execution.reservations import FILE, Reservations
 from factory.planning import reading
+from factory.planning.assets import opened
 from factory.planning.facts import facts_of
 from factory.planning.shape_names import Source
 from manifests import lock
@@ -119,24 +122,26 @@ def test_a_job_with_fewer_shapes_than_parts_is_divided_by_shots(stream, job, tmp
 def test_the_first_views_are_made_before_the_parts_last_shape_is_read(
     stream, job, tmp_path, monkeypatch
 ):
-    """And without a look at the shapes of the others, which are never read to an end."""
+    """And without a look at the shapes of the others, which would end the run."""
     paths = written(tmp_path / "meshes", 8)
     (tmp_path / "sitecustomize.py").write_text(
         "import time, pathlib\n"
         "import factory.planning.shape_names as names\n"
         "load = names.load_mesh\n"
         "def load_mesh(source):\n"
-        f"    while source.place in {[str(path) for path in paths[1::2]]!r} or (\n"
-        f"        source.place == {str(paths[6])!r}\n"
-        f"        and not pathlib.Path({str(tmp_path / 'flag')!r}).exists()\n"
-        "    ):\n"
+        f"    if source.place in {[str(path) for path in paths[1::2]]!r}:\n"
+        "        raise RuntimeError('another part reads it')\n"
+        "    end = time.monotonic() + 60\n"
+        f"    while source.place == {str(paths[6])!r} and time.monotonic() < end:\n"
+        f"        if pathlib.Path({str(tmp_path / 'flag')!r}).exists():\n"
+        "            break\n"
         "        time.sleep(0.01)\n"
         "    return load(source)\n"
         "names.load_mesh = load_mesh\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     monkeypatch.setattr(reading, "HERE", 0.0)
-    made, unread = [], []
+    made, unread, unread_then = [], [], []
 
     def watch(event, value):
         if event == "unread":
@@ -144,10 +149,11 @@ def test_the_first_views_are_made_before_the_parts_last_shape_is_read(
         if event == "made":
             made.append(value)
             if len(made) == 2:
+                unread_then.append(unread[-1])
                 (tmp_path / "flag").touch()
 
     assert stream(job, tmp_path / "data", watch, shard=(1, 2)).made == 8
-    assert max(unread) <= 4 and unread[-1] == 0
+    assert unread_then[0] > 0 and max(unread) <= 4 and unread[-1] == 0
 
 
 def with_copies(job, folder):
@@ -161,8 +167,9 @@ def with_copies(job, folder):
     return msgspec.structs.replace(job, shapes=(*job.shapes, f"{folder}/mesh5.ply"))
 
 
-@pytest.mark.parametrize("pictures", [False, True])
-@pytest.mark.parametrize("order", [(1, 2, 3), (3, 2, 1), (2, 3, 1)])
+@pytest.mark.parametrize(
+    ("order", "pictures"), [((1, 2, 3), False), ((3, 2, 1), False), ((2, 3, 1), True)]
+)
 def test_a_mesh_that_several_parts_read_is_made_once(
     stream, render, job, tmp_path, order, pictures
 ):
@@ -194,6 +201,50 @@ def test_parts_at_the_same_time_register_and_make_each_mesh_once(
     assert [process.wait(timeout=300) for process in processes] == [0, 0, 0, 0]
     stream(job, tmp_path / "whole")
     require_whole(tmp_path / "data", tmp_path / "whole")
+
+
+def test_a_part_waits_for_its_turn_and_sees_what_another_has_reserved_meanwhile(
+    stream, job, tmp_path, catalogue
+):
+    written(tmp_path / "meshes", 3)
+    same = tmp_path / "meshes" / "copy0.ply"  # first in the list, and of the first part
+    same.write_bytes((tmp_path / "meshes" / "mesh0.ply").read_bytes())
+    sources = opened(job, catalogues=[catalogue]).unread
+    other = next(source for source in sources if source.place.endswith("mesh0.ply"))
+    threads = []
+
+    def reserve(turn):
+        time.sleep(0.5)  # as long as another part may take
+        reservations = Reservations(tmp_path / "data", job, sources, shared=True)
+        assert reservations.reserve(facts_of(other).hash, other, 2)
+        reservations.write()
+        turn.close()
+
+    def watch(event, value):
+        if event == "unread" and not threads:
+            turn = ExitStack()
+            turn.enter_context(lock.changing(tmp_path / "data"))
+            threads.append(threading.Thread(target=reserve, args=(turn,)))
+            threads[0].start()
+
+    assert stream(job, tmp_path / "data", watch, shard=(1, 2)).made == 2
+    threads[0].join()
+    assert {line["shape"] for line in lines(tmp_path / "data")} == {"mesh1"}
+
+
+def test_a_pipe_in_the_place_of_what_is_reserved_ends_the_part_in_a_line(stream, job, tmp_path):
+    written(tmp_path / "meshes", 2)
+    (tmp_path / "data").mkdir()
+    os.mkfifo(tmp_path / "data" / FILE)
+    with pytest.raises(InputError, match=rf"{FILE}: expected a file of lines"):
+        stream(job, tmp_path / "data", shard=(1, 2))
+
+
+def test_all_shapes_are_read_where_their_roles_depend_on_each_other(stream, job, tmp_path, read):
+    written(tmp_path / "meshes", 4)
+    job = msgspec.structs.replace(job, split="paper")
+    assert [stream(job, tmp_path / "data", shard=(i, 2)).made for i in (1, 2)] == [4, 4]
+    assert len(read) == 8
 
 
 def _command(job, folder, catalogue, light_file):
@@ -242,12 +293,11 @@ def test_parts_that_are_killed_continue_and_lose_and_double_nothing(
     require_whole(tmp_path / "data", tmp_path / "whole")
 
 
-@pytest.mark.parametrize("order", [(1, 2, 3), (3, 1, 2)])
-def test_a_folder_continues_with_another_number_of_parts(stream, job, tmp_path, order):
+def test_a_folder_continues_with_another_number_of_parts(stream, job, tmp_path):
     job = msgspec.structs.replace(with_copies(job, tmp_path), views=(0, 6, 12))
     made = stream(job, tmp_path / "data", shard=(2, 2), limit=4).made
     made += stream(job, tmp_path / "data", shard=(1, 2), limit=2).made
-    made += sum(stream(job, tmp_path / "data", shard=(i, 3), limit=2).made for i in order)
+    made += sum(stream(job, tmp_path / "data", shard=(i, 3), limit=2).made for i in (3, 1, 2))
     assert 6 < made <= 12
     made += sum(stream(job, tmp_path / "data", shard=(i, 4)).made for i in (4, 2, 1, 3))
     assert made == 18 and stream(job, tmp_path / "data").made == 0
