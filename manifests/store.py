@@ -9,6 +9,8 @@
     failures.jsonl                 what failed, and why (failures-SHARD.jsonl in job arrays)
     shape-facts/*.jsonl            what was read of shapes (factory.planning.facts); without it,
                                    they are read again
+    shape-sources.jsonl            which source makes a mesh that several parts of a job array
+                                   read (factory.execution.reservations)
     partial/                       unfinished files; what is there after a run can be deleted
     .lock*                         held by a run while it writes
 

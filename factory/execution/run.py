@@ -1,32 +1,36 @@
 """Carry a plan out: open its folder, leave out the shots that are there, and make the others.
 
 Shapes that the plan has not read yet are read meanwhile, in processes of their own, and the shots
-of the first ones are made while others are read. All are read before the first shot where that
-needs the number of all shots, for a part of a job array, or where a shape's role depends on the
-others (factory.planning.assets.follows_alone).
+of the first ones are made while others are read (factory.execution.parts).
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from factory.execution.assignment import Assignment, LightSource, ShapeSource
+from factory.execution.parts import (
+    Part,
+    Watch,
+    is_by_shapes,
+    parts_by_shapes,
+    parts_by_shots,
+    shares,
+)
 from factory.execution.pool import Pool
-from factory.execution.registration import note_settings, register, register_shapes
+from factory.execution.registration import note_settings
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
-from factory.planning.assets import Arrivals, Assets, Shape, follows_alone, read_whole
-from factory.planning.facts import Facts, Memory
+from factory.planning.assets import Assets, Shape
+from factory.planning.facts import Memory
 from factory.planning.fingerprint import render_fingerprint
 from factory.planning.plan import Plan, Shot
 from factory.planning.reading import Reading
-from factory.planning.shape_names import Source
 from manifests import lock
 from manifests.errors import InputError
 from manifests.line_files import Lines
@@ -34,9 +38,6 @@ from manifests.object_store import is_url
 from manifests.schema import Failure, Job
 from manifests.store import Store, geometry_path
 from manifests.subprocesses import processors
-
-Watch = Callable[[str, Any], None]
-
 
 # seconds that workers of a Ray cluster whose run was stopped have to end in
 SWEEP_PATIENCE = 20.0
@@ -105,6 +106,20 @@ def carry_out(
     watch = watch or (lambda event, value: None)
     if is_url(folder):
         return _carried_out_remotely(plan, str(folder), run_options, watch)
+    return _carried_out(plan, folder, run_options, watch, takes_turns=True)
+
+
+def _carried_out(
+    plan: Plan,
+    folder: str | Path,
+    run_options: RunOptions,
+    watch: Watch,
+    takes_turns: bool,
+) -> Outcome:
+    """Carry a plan out in a folder.
+
+    takes_turns  whether all parts of the job write into this folder, and see each other's shapes
+    """
     # workers on other nodes are given absolute paths
     store = Store(folder if run_options.ray is None else Path(folder).absolute())
     prefix = "worker-" if run_options.ray is None else "worker-ray-"
@@ -113,8 +128,16 @@ def carry_out(
     with lock.writing(folder, run_options.shard) as descriptors:
         store.sweep(prefix if run_options.shard else "", SWEEP_PATIENCE)
         memory = Memory(folder, f"{prefix}main")
-        with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
-            parts = _parts(plan, store, reading, run_options.shard, watch)
+        shard = run_options.shard
+        by_shapes = is_by_shapes(plan.job, plan.assets.unread, shard)
+        if not by_shapes or (shard is not None and not takes_turns):
+            with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
+                parts = parts_by_shots(plan, store, reading, shard, watch)
+                return _made(plan, parts, store, run_options, prefix, descriptors, watch)
+        own = shares(plan.assets.unread, shard)
+        sources = [share.source for share in own]
+        with closing(Reading(sources, run_options.readers, memory)) as reading:
+            parts = parts_by_shapes(plan, store, reading, own, shard, watch)
             return _made(plan, parts, store, run_options, prefix, descriptors, watch)
 
 
@@ -133,61 +156,13 @@ def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: 
             if event == "made":
                 uploads.replied(value)
 
-        return carry_out(plan, uploads.folder, run_options, watched)
-
-
-def _parts(
-    plan: Plan, store: Store, reading: Reading, shard: tuple[int, int] | None, watch: Watch
-) -> Iterator[Plan | None]:
-    """Yield plans with shapes that have been read and registered, each shape once; None: not yet.
-
-    Raises  InputError: a bad mesh, or what `register` raises
-    """
-    unread = plan.assets.unread
-    if not unread or shard is not None or not follows_alone(plan.job, unread):
-        if unread:
-            notes = len(plan.assets.notes)
-            assets = read_whole(plan.job, plan.assets, _counted(reading, watch))
-            plan = replace(plan, assets=assets)
-            for note in assets.notes[notes:]:
-                watch("note", note)
-        with lock.changing(store.folder):
-            register(store, plan, len(plan))
-        first, end = _bounds(len(plan), shard)
-        watch("total", end - first)
-        yield plan
-        return
-    arrivals, shots, count = Arrivals(plan.job), 0, 0
-    while reading.unread:
-        arrived = [arrivals.take(source, facts) for source, facts in reading.ready()]
-        while arrivals.notes:
-            watch("note", arrivals.notes.pop(0))
-        watch("unread", reading.unread)
-        if not (shapes := [shape for shape in arrived if shape is not None]):
-            if reading.unread:
-                yield None
-            continue
-        part = replace(plan, assets=replace(plan.assets, shapes=shapes, unread=()))
-        enter = register_shapes if count else register
-        shots, count = shots + len(part), count + len(shapes)
-        with lock.changing(store.folder):
-            enter(store, part, shots)
-        watch("total", shots + shots * reading.unread // count)
-        yield part
-    arrivals.finish()
-    watch("total", shots)
-
-
-def _counted(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
-    """Yield all facts of a reading; the watch is told how many are to come."""
-    for pair in reading.each():
-        watch("unread", reading.unread)
-        yield pair
+        # each part has a scratch folder of its own
+        return _carried_out(plan, uploads.folder, run_options, watched, takes_turns=False)
 
 
 def _made(
     plan: Plan,
-    parts: Iterable[Plan | None],
+    parts: Iterable[Part | None],
     store: Store,
     run_options: RunOptions,
     prefix: str,
@@ -196,7 +171,7 @@ def _made(
 ) -> Outcome:
     """Make the shots of a plan whose folder is locked.
 
-    parts        plans that together hold its shapes, registered; None: the next is not known yet
+    parts        shapes that are registered, with their shots; None: the next is not known yet
     prefix       of the workers' names
     descriptors  the locks, which workers hold too
     """
@@ -210,8 +185,8 @@ def _made(
             if part is None:
                 yield None
                 continue
-            sources.update(shape_sources(part.assets.shapes))
-            for shot in islice(part, *_bounds(len(part), run_options.shard)):
+            sources.update(shape_sources(part.shapes))
+            for shot in part.shots:
                 if shot.id in done:
                     counts["already_there"] += 1
                     watch("already_there", 1)
@@ -307,12 +282,6 @@ def worker_config(
         studio=run_options.studio,
         assignment=assignment,
     )
-
-
-def _bounds(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the first shot and the end of a part: successive shots, which share scene data."""
-    i, n = shard or (1, 1)
-    return total * (i - 1) // n, total * i // n
 
 
 def _failure(shot: Shot, reason: str) -> Failure:

@@ -134,7 +134,7 @@ def opened(
     lights = _lights(job, folder, library)
     unread = tuple(dict.fromkeys(sources(job, folder)))
     if not unread:
-        raise _without_shapes(job)
+        raise without_shapes(job)
     for source in unread:
         if source.is_file:  # a name that is mistyped is refused before anything is written
             require_mesh_file(split_place(source.place)[0])
@@ -149,7 +149,7 @@ def read_whole(job: Job, assets: Assets, facts: Iterable[tuple[Source, Facts]]) 
     notes = list(assets.notes)
     shapes = _without_duplicates(_shapes(job, facts), "shape", notes)
     if not shapes:
-        raise _without_shapes(job)
+        raise without_shapes(job)
     return replace(assets, shapes=shapes, notes=notes, unread=())
 
 
@@ -163,50 +163,54 @@ def follows_alone(job: Job, unread: Iterable[Source]) -> bool:
 
 
 class Arrivals:
-    """The shapes of a job whose roles follow from each alone, taken one by one in its order.
-
-    It keeps the same shapes as `read_whole`.
-    """
+    """The shapes of a job whose roles follow from each alone, taken one by one in any order."""
 
     def __init__(self, job: Job):
         self._job = job
         self._by_name: dict[str, tuple[Source, str]] = {}
-        self._by_hash: dict[str, Shape] = {}
-        self.notes: list[str] = []
+        self._by_hash: dict[str, tuple[str, Role]] = {}
 
     def take(self, source: Source, facts: Facts) -> Shape | None:
-        """Return the next shape, None if it is left out; notes say why where it is a duplicate.
+        """Return a source's shape, None if its role is none of the job's; duplicates come, too.
 
         Raises  InputError: two meshes of one name, a duplicate with another role
         """
-        if facts.name in self._by_name:
-            _require_same(facts, source, *self._by_name[facts.name])
-            return None
-        self._by_name[facts.name] = (source, facts.hash)
+        first, hash_ = self._by_name.setdefault(facts.name, (source, facts.hash))
+        _require_same(facts, source, first, hash_)
         role = splits.shape_roles([(facts.name, facts.category, facts.hash)], self._job.split)
         shape = _shape(source, facts, role[facts.name])
-        first = self._by_hash.setdefault(facts.hash, shape)
-        if first.role != shape.role:
-            raise InputError(
-                f"shape '{shape.name}'",
-                f"role {first.role}, as '{first.name}', which is the same mesh",
-                shape.role,
-                "leave one of them out of the job",
-            )
-        if shape.role not in _requested(self._job):
-            return None
-        if first is not shape:
-            self.notes.append(_left_out("shape", shape, first))
-            return None
-        return shape
+        _require_same_role(shape, *self._by_hash.setdefault(facts.hash, (shape.name, shape.role)))
+        return shape if shape.role in _requested(self._job) else None
 
-    def finish(self) -> None:
-        """Raise InputError if no shape was taken, after the last one."""
-        if not any(shape.role in _requested(self._job) for shape in self._by_hash.values()):
-            raise _without_shapes(self._job)
+    @property
+    def are_none(self) -> bool:
+        """Whether no shape that was taken has a role of the job."""
+        return not any(role in _requested(self._job) for _, role in self._by_hash.values())
 
 
-def _without_shapes(job: Job) -> InputError:
+def duplicate_note(shape: Shape, first: str, role: Role) -> str | None:
+    """Return the line that says that a shape is left out, None for the same mesh and name.
+
+    first, role  name and role of the shape that is kept
+    Raises       InputError for another role
+    """
+    _require_same_role(shape, first, role)
+    return None if shape.name == first else _left_out("shape", shape.name, first)
+
+
+def _require_same_role(shape: Shape, first: str, role: Role) -> None:
+    """Raise InputError for a duplicate whose role is not that of the first shape of its mesh."""
+    if shape.role != role:
+        raise InputError(
+            f"shape '{shape.name}'",
+            f"role {role}, as '{first}', which is the same mesh",
+            shape.role,
+            "leave one of them out of the job",
+        )
+
+
+def without_shapes(job: Job) -> InputError:
+    """Return the error of a job none of whose shapes has a role of the job."""
     return InputError(
         "job: shapes",
         f"some with a role among {', '.join(job.roles)}",
@@ -341,8 +345,8 @@ def _lights(job: Job, folder: str | Path | None, library: str | None) -> dict[st
     return result
 
 
-def _left_out(kind: str, asset: Asset, first: Asset) -> str:
-    return f"{kind} '{asset.name}' is '{first.name}' again, left out"
+def _left_out(kind: str, name: str, first: str) -> str:
+    return f"{kind} '{name}' is '{first}' again, left out"
 
 
 def _without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) -> list[Asset]:
@@ -352,7 +356,7 @@ def _without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) ->
     for asset in assets:
         if asset.hash in by_hash:
             if asset.name != by_hash[asset.hash].name:
-                notes.append(_left_out(kind, asset, by_hash[asset.hash]))
+                notes.append(_left_out(kind, asset.name, by_hash[asset.hash].name))
             continue
         if asset.name in names:
             raise InputError(

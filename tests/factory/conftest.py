@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factory.execution.run import RunOptions, carry_out, planned
-from factory.planning.assets import resolve
+from factory.planning.assets import opened, resolve
 from manifests.schema import Camera, Job
 from tests.support.small_catalogue import write_catalogue
 from tests.support.tetrahedron import FAKE, ROOT
@@ -58,6 +58,18 @@ def render(plan_of, monkeypatch):
 
     def run(job, folder, watch=None, **run_options):
         return carry_out(plan_of(job), folder, RunOptions(studio=FAKE, **run_options), watch)
+
+    return run
+
+
+@pytest.fixture
+def stream(catalogue, monkeypatch):
+    """A function (job, folder, watch): carry out a job whose shapes are unread at its start."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+
+    def run(job, folder, watch=None, **run_options):
+        plan = planned(job, opened(job, catalogues=[catalogue]))
+        return carry_out(plan, folder, RunOptions(studio=FAKE, **run_options), watch)
 
     return run
 

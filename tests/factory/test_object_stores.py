@@ -113,6 +113,21 @@ def test_parts_of_a_job_array_write_side_by_side(url, render, small_job, tmp_pat
     assert content(theirs) == content(Store(tmp_path / "folder")) and faults_of(theirs) == []
 
 
+def test_parts_that_overlap_in_a_store_know_all_shapes_of_the_job(url, stream, small_job):
+    """Each writes a dataset.json of its own over the other's, and they cannot take turns."""
+    made = []
+
+    def watch(event, value):
+        if event == "made" and not made:
+            made.append(value)
+            assert stream(small_job, url, shard=(2, 2)).made == 6
+
+    assert stream(small_job, url, watch, shard=(1, 2)).made == 6
+    theirs = open_store(url, fresh=True)
+    assert set(theirs.dataset().shapes) == {"cube", "disc"} and faults_of(theirs) == []
+    assert len(content(theirs)) == counted(url)["planned"] == 12
+
+
 def test_what_fails_is_listed_there(url, render, small_job, monkeypatch):
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
     outcome = render(small_job, url)

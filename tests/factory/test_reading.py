@@ -1,6 +1,5 @@
 """Shapes are read while the first ones are rendered, and a run remembers what it has read."""
 
-import json
 import os
 import subprocess
 import sys
@@ -9,7 +8,6 @@ import time
 import msgspec
 import pytest
 
-from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import assets, facts, reading
 from factory.planning.facts import Facts, Memory, facts_of
 from factory.planning.reading import Reading
@@ -19,7 +17,7 @@ from manifests.errors import InputError
 from manifests.schema import Job
 from manifests.store import Store
 from manifests.verification import faults_of
-from tests.support.tetrahedron import FAKE, ROOT, TETRAHEDRON
+from tests.support.tetrahedron import ROOT, TETRAHEDRON, lines, written
 
 
 @pytest.fixture(autouse=True)
@@ -39,45 +37,11 @@ def old_files(monkeypatch):
     monkeypatch.setattr(facts, "RECENT", 0.0)
 
 
-def written(folder, count=6, damaged=()):
-    """Write tetrahedra of different heights; return their paths."""
-    folder.mkdir(exist_ok=True)
-    paths = []
-    for k in range(count):
-        paths.append(folder / f"mesh{k}.ply")
-        text = TETRAHEDRON.replace(b"0 0 2\n", f"0 0 {2 + k}\n".encode())
-        paths[-1].write_bytes(b"nothing" if k in damaged else text)
-    return paths
-
-
 @pytest.fixture
 def job(small_job, tmp_path):
     """A job of the meshes in tmp_path/meshes, two views each, without pictures."""
     return msgspec.structs.replace(
         small_job, shapes=(f"{tmp_path}/meshes/",), materials=("small",), pictures=False
-    )
-
-
-@pytest.fixture
-def stream(catalogue):
-    """A function (job, folder, watch): carry out a job whose shapes are unread at its start."""
-
-    def run(job, folder, watch=None, **run_options):
-        plan = planned(job, assets.opened(job, catalogues=[catalogue]))
-        return carry_out(plan, folder, RunOptions(studio=FAKE, **run_options), watch)
-
-    return run
-
-
-def lines(folder, kind="views"):
-    """The lines of a data set but for what may vary, by id."""
-    return sorted(
-        (
-            {k: v for k, v in json.loads(line).items() if k != "seconds"}
-            for path in Store(folder).record_files(kind)
-            for line in path.read_bytes().splitlines()
-        ),
-        key=lambda line: line["id"],
     )
 
 

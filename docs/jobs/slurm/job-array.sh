@@ -6,6 +6,9 @@
 # All tasks write into OUT, which lies on a shared file system. The array begins at 1 and has no
 # gaps. Submit the same array again to continue or to repeat tasks that were lost: pictures that
 # exist are not rendered twice. PYTHON names the interpreter (default: python3).
+#
+# A task reads only the shapes of its part and begins with the first one, if the job has at least
+# as many shapes as the array has tasks; docs/clusters.md names the cases in which it reads all.
 #SBATCH --job-name=brdfactory
 #SBATCH --ntasks=1
 set -euo pipefail

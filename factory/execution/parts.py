@@ -1,0 +1,210 @@
+"""What a run makes of a job, in parts that follow as its shapes are read.
+
+by shapes  A part of a job array reads its own shapes alone. The job's sources are dealt out like
+           cards, source k to part k modulo n, so that each part holds a bit of every family. The
+           piles are put one upon the other and cut into n equal parts: a source at a cut is read
+           by two parts, each of which makes its share of the shots.
+by shots   All shapes are read first, and each part makes successive shots: where a shape's role
+           depends on the others (factory.planning.assets.follows_alone), in a job with fewer
+           sources than parts, and on an object store, where parts cannot take turns.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from typing import Any, NamedTuple
+
+from factory.execution.registration import register, register_shapes
+from factory.execution.reservations import Reservations
+from factory.planning.assets import (
+    Arrivals,
+    Shape,
+    duplicate_note,
+    follows_alone,
+    read_whole,
+    without_shapes,
+)
+from factory.planning.facts import Facts
+from factory.planning.plan import Plan, Shot
+from factory.planning.reading import Reading
+from factory.planning.shape_names import Source
+from manifests import lock
+from manifests.schema import Job
+from manifests.store import Store
+
+# A part of a job array registers its next shapes after so many times as long as the last ones
+# took, others' turns included. Many parts therefore do not wait for each other most of the time.
+PAUSE = 10.0
+
+
+Watch = Callable[[str, Any], None]  # as factory.execution.run.carry_out calls it
+
+
+class Part(NamedTuple):
+    """Shapes that are registered, and the shots that this run is to make or finds made."""
+
+    shapes: Sequence[Shape]
+    shots: Iterable[Shot]
+
+
+@dataclass(frozen=True)
+class Share:
+    """A source of a run, and which of its shots are the run's: from first/parts to end/parts."""
+
+    source: Source
+    first: int = 0
+    end: int = 1
+    parts: int = 1
+
+    def bounds(self, shots: int) -> tuple[int, int]:
+        """Return the first of so many shots that is the run's, and the end."""
+        return shots * self.first // self.parts, shots * self.end // self.parts
+
+
+def is_by_shapes(job: Job, sources: Sequence[Source], shard: tuple[int, int] | None) -> bool:
+    """Return whether a run begins with the first shapes while others are read.
+
+    It follows from the job and the number of parts, so that all parts divide the job alike.
+    """
+    return bool(sources) and len(sources) >= (shard or (1, 1))[1] and follows_alone(job, sources)
+
+
+def shares(sources: Sequence[Source], shard: tuple[int, int] | None) -> list[Share]:
+    """Return the sources of part i of n by shapes; of all n parts each shot is in one share."""
+    i, n = shard or (1, 1)
+    count = len(sources)
+    dealt = [number for first in range(n) for number in range(first, count, n)]
+    begin, stop = count * (i - 1), count * i  # in n-ths of a source
+    return [
+        Share(sources[dealt[place]], max(begin - place * n, 0), min(stop - place * n, n), n)
+        for place in range(begin // n, -(-stop // n))
+    ]
+
+
+def bounds(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
+    """Return the first shot and the end of a part by shots."""
+    i, n = shard or (1, 1)
+    return total * (i - 1) // n, total * i // n
+
+
+def parts_by_shots(
+    plan: Plan, store: Store, reading: Reading, shard: tuple[int, int] | None, watch: Watch
+) -> Iterator[Part | None]:
+    """Yield one Part after all shapes have been read and registered.
+
+    Raises  InputError: a bad mesh, or what `register` raises
+    """
+    if plan.assets.unread:
+        notes = len(plan.assets.notes)
+        assets = read_whole(plan.job, plan.assets, _counted(reading, watch))
+        plan = replace(plan, assets=assets)
+        for note in assets.notes[notes:]:
+            watch("note", note)
+    with lock.changing(store.folder):
+        register(store, plan, len(plan))
+    first, end = bounds(len(plan), shard)
+    watch("total", end - first)
+    yield Part(plan.assets.shapes, islice(plan, first, end))
+
+
+def _counted(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
+    """Yield all facts of a reading; the watch is told how many are to come."""
+    for pair in reading.each():
+        watch("unread", reading.unread)
+        yield pair
+
+
+def parts_by_shapes(
+    plan: Plan,
+    store: Store,
+    reading: Reading,
+    own: Iterable[Share],
+    shard: tuple[int, int] | None,
+    watch: Watch,
+) -> Iterator[Part | None]:
+    """Yield Parts with shapes that have been read and registered; None: the next is not known yet.
+
+    reading  of the sources of `own`
+    Raises   InputError: a bad mesh, two meshes of one name, or what `register` raises
+    """
+    arrivals, shares_of = Arrivals(plan.job), {share.source: share for share in own}
+    reservations = Reservations(store.folder, plan.job, plan.assets.unread, shard is not None)
+    if shard is not None:  # `status` and other parts know of the job before its shapes are read
+        with lock.changing(store.folder):
+            register(store, _with(plan, []), 0)
+    shots, count, due, is_registered = 0, 0, 0.0, shard is not None
+    waiting: list[Shape] = []
+    while reading.unread or waiting:
+        arrived = [arrivals.take(source, facts) for source, facts in reading.ready()]
+        waiting += [shape for shape in arrived if shape is not None]
+        watch("unread", reading.unread)
+        begun = time.monotonic()
+        if not waiting or (reading.unread and begun < due):
+            if reading.unread:
+                yield None
+            continue
+        with lock.changing(store.folder):
+            kept, notes = _reserved(plan, store, waiting, reservations)
+            if kept:
+                enter = register_shapes if is_registered else register
+                enter(store, _with(plan, kept), reservations.shots)
+                is_registered = True
+                reservations.write()
+        if shard is not None:
+            due = time.monotonic() + PAUSE * (time.monotonic() - begun)
+        waiting = []
+        for note in notes:
+            watch("note", note)
+        if not kept:
+            continue
+        made = [_share_of(plan, shape, shares_of[shape.source]) for shape in kept]
+        shots, count = shots + sum(number for number, _ in made), count + len(kept)
+        watch("total", shots + shots * reading.unread // count)
+        yield Part(kept, chain.from_iterable(each for _, each in made))
+    watch("total", shots)
+    if arrivals.are_none and shard is None:
+        raise without_shapes(plan.job)
+    if arrivals.are_none and shard is not None:
+        roles = ", ".join(plan.job.roles)
+        watch("note", f"part {shard[0]} of {shard[1]} has no shapes with a role among {roles}")
+
+
+def _reserved(
+    plan: Plan,
+    store: Store,
+    shapes: Iterable[Shape],
+    reservations: Reservations,
+) -> tuple[list[Shape], list[str]]:
+    """Return the shapes that are made from these sources, and a line for each duplicate.
+
+    dataset.json is held by the caller. Raises InputError: a duplicate with another role
+    """
+    reservations.refresh()
+    kept: list[Shape] = []
+    left_out: list[Shape] = []
+    for shape in shapes:
+        is_ours = reservations.reserve(shape.hash, shape.source, len(_with(plan, [shape])))
+        (kept if is_ours else left_out).append(shape)
+    if not left_out:
+        return kept, []
+    there = store.dataset().shapes if (store.folder / "dataset.json").exists() else {}
+    first = {entry.hash: (name, entry.role) for name, entry in there.items()}
+    first |= {shape.hash: (shape.name, shape.role) for shape in kept}
+    return kept, [
+        note
+        for shape in left_out
+        if (note := duplicate_note(shape, *first.get(shape.hash, (shape.name, shape.role))))
+    ]
+
+
+def _share_of(plan: Plan, shape: Shape, share: Share) -> tuple[int, Iterator[Shot]]:
+    """Return how many shots of a shape are the run's, and these."""
+    alone = _with(plan, [shape])
+    first, end = share.bounds(len(alone))
+    return end - first, islice(alone, first, end)
+
+
+def _with(plan: Plan, shapes: list[Shape]) -> Plan:
+    """Return the plan with these shapes alone."""
+    return replace(plan, assets=replace(plan.assets, shapes=shapes, unread=()))
