@@ -105,7 +105,9 @@ def _rendered(batch: ExampleBatch) -> torch.Tensor:
     return torch.from_numpy(truth).movedim(-1, 1)
 
 
-def rows(training: loop.Training | None, network: Coded, batch: ExampleBatch) -> Iterator[variants.Row]:
+def rows(
+    training: loop.Training | None, network: Coded, batch: ExampleBatch
+) -> Iterator[variants.Row]:
     """Yield the figures of each picture of a batch of `tests`, with everything predicted."""
     with torch.no_grad():
         prediction = network(batch.image, batch.mask, None, weights.PARTS)
