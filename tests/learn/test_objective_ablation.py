@@ -252,3 +252,11 @@ def test_a_report_compares_with_all_terms_and_shows_every_row():
     assert "0.500 [0.500, 0.500] |" in page and "| 10 | 50 ms |" in page
     assert "Left out: features. not installed" in page and "Overlap: none." in page
     assert len(objective_ablation.figure(report).axes) == len(objective_ablation.FIGURES)
+
+
+def test_unknown_variants_and_none_to_compare_with_are_refused():
+    assert variants.requested(["b", "a"], ["a", "b"], "a") == ["b", "a"]
+    with pytest.raises(InputError, match="did you mean features"):
+        variants.requested(["all terms", "feature"], list(VARIANTS), "all terms")
+    with pytest.raises(InputError, match='"all terms", which all others are compared with'):
+        variants.requested(["features"], list(VARIANTS), "all terms")
