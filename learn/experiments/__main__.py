@@ -25,6 +25,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "unseen-shapes": "measure normals of weights on many shapes that no training saw",
         "step-profile": "time the parts of a training step, and relighting",
         "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
+        "objective-ablation": "train with and without rendered pictures, for the same steps",
         "normals-ablation": "train normals with further losses and shapes for the same time",
     },
     "Editing": {

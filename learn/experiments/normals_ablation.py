@@ -16,7 +16,7 @@ command continues; variants that are there are kept.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +78,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import variants
     from manifests.progress import tqdm
 
-    names = _requested(arguments.variants or list(VARIANTS))
+    names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), "L2")
     torch.set_num_threads(1)
     data = Data(sharing=8, test_lights=tuple(arguments.held_out))
     data_splits = sources.data_splits(data, arguments.data, arguments.lights)
@@ -96,22 +96,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     about |= {"matte_first": arguments.matte_first} if "matte first" in names else {}
     return summary(results, about)
-
-
-def _requested(names: Sequence[str]) -> Sequence[str]:
-    """The names, if all are of VARIANTS and "L2" is one of them. Raises InputError."""
-    from manifests.errors import InputError, closest
-
-    for name in names:
-        if name not in VARIANTS:
-            raise InputError(
-                f"--variants: '{name}'", "a variant", "none of that name", closest(name, VARIANTS)
-            )
-    if "L2" not in names:
-        raise InputError(
-            "--variants", '"L2", which all others are compared with', ", ".join(names), "add it"
-        )
-    return names
 
 
 def _trained(

@@ -1,13 +1,14 @@
-"""Variants of a run, trained for the same processor time and measured on the same unseen pictures.
+"""Variants of a run, trained for the same processor time or the same number of steps.
 
-What a variant does not predict is given its true value, so that each part stands alone. Another
-process makes the data: only networks, losses and layer are timed.
+All are measured on the same unseen pictures. What a variant does not predict is given its true
+value, so that each part stands alone. Only networks, losses and layer are timed, not the making of
+batches.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,9 @@ from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights
+from learn.networks.prediction import Coded
 from learn.training import loop, processes, validation
+from manifests.errors import InputError, closest
 from manifests.files import write_text
 from manifests.reading import read
 
@@ -31,6 +34,27 @@ BATCH = 16
 
 
 Result = dict[str, Any]  # of one training: steps, seconds, run, and rows of figures
+Row = dict[str, Any]  # of one picture: shape, material, and figures
+
+
+def requested(names: Sequence[str], known: Sequence[str], reference: str) -> list[str]:
+    """Return the names, if all are known and the one that others are compared with is there.
+
+    Raises InputError.
+    """
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"--variants: '{name}'", "a variant", "none of that name", closest(name, known)
+            )
+    if reference not in names:
+        raise InputError(
+            "--variants",
+            f'"{reference}", which all others are compared with',
+            ", ".join(names),
+            "add it",
+        )
+    return list(names)
 
 
 def held_out(
@@ -47,16 +71,20 @@ def trained(
     tests: Sequence[ExampleBatch],
     folder: Path,
     workers: int = 1,
+    training_of: Callable[..., loop.Training] = loop.Training,
+    measured: Callable[[loop.Training, Coded, ExampleBatch], Iterable[Row]] | None = None,
 ) -> Result:
-    """Train a run by its clock and measure it; a result that is in the folder is read instead.
+    """Train a run to its end and measure it; a result that is in the folder is read instead.
 
-    folder   for the run's files; result.json is written last, then the checkpoint is removed
-    Returns  {"steps", "seconds", "run", "rows": [{figure: value}]}
+    folder       for the run's files; result.json is written last, then the checkpoint is removed
+    training_of  makes the training, with the arguments of learn.training.loop.Training
+    measured     returns a row for each picture of a batch; None: `rows`
+    Returns      {"steps", "seconds", "run", "rows": [{figure: value}]}
     """
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
     with processes.only_writer(folder):
-        training = loop.Training(run, data_splits, folder, sheet_every=0, workers=workers)
+        training = training_of(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(
         folder / "weights.safetensors",
@@ -66,13 +94,12 @@ def trained(
         run.size,
         seen=training.seen,
     )
-    network = training.averaged()
-    rows = [row for batch in tests for row in _rows(training, network, batch)]
+    network, of_batch = training.averaged(), measured or rows
     result = {
         "steps": training.step,
         "seconds": training.used,
         "run": msgspec.to_builtins(run),
-        "rows": rows,
+        "rows": [row for batch in tests for row in of_batch(training, network, batch)],
     }
     text = json.dumps(result)
     write_text(folder / "result.json", text)
@@ -80,7 +107,8 @@ def trained(
     return json.loads(text)
 
 
-def _rows(training: loop.Training, network: Any, batch: ExampleBatch) -> Iterator[dict]:
+def rows(training: loop.Training, network: Coded, batch: ExampleBatch) -> Iterator[Row]:
+    """Yield the figures of each picture, rendered from what is predicted and otherwise true."""
     with torch.no_grad():
         prediction = training.predict(network, batch)
     figures = {}
@@ -123,8 +151,8 @@ def figures(results: Sequence[Result]) -> dict[str, list[float]]:
 
     The 95 % interval is over shapes, materials and seeds.
     """
-    ones = np.ones_like(_values(results, "l2"))
     keys = [key for key, value in results[0]["rows"][0].items() if not isinstance(value, str)]
+    ones = np.ones_like(_values(results, keys[0]))
     return {key: bootstrap.ratio(ones, _values(results, key), _groups(results)) for key in keys}
 
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,24 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         lambda r: (
             r["material"]["ratios"]["both / control"][0]
             == pytest.approx(r["material"]["both"]["l2"][0] / r["material"]["control"]["l2"][0])
+        ),
+    ),
+    "objective-ablation": (
+        "--data {room}/data --run {room}/all-terms.json --start {room}/weights.safetensors"
+        " --allow-overlap --size 32 --steps 2 --batches 1 --workers 0"
+        ' --variants "all terms" "without both" features',
+        lambda r: (
+            set(r["initialisations"]) == {"nothing", "weights"}
+            and all(
+                of["all terms"]["ratios"]["target_l2"] == [1, 1, 1]
+                and of["without both"]["ratios"]["target_l2"][0]
+                == pytest.approx(
+                    of["without both"]["figures"]["target_l2"][0]
+                    / of["all terms"]["figures"]["target_l2"][0]
+                )
+                and ("features" in of) != ("features" in r["left_out"])
+                for of in r["initialisations"].values()
+            )
         ),
     ),
     "normals-ablation": (
@@ -169,6 +188,9 @@ def room(tmp_path_factory):
     """Data sets of all splits, pictures in two materials, larger ones, a run, untrained weights."""
     room = tmp_path_factory.mktemp("room")
     (room / "run.json").write_text(json.dumps(SETTINGS | {"network": "compact"}))
+    terms = {"image": 3, "target": 3, "pixels": 8, "layer_light": [8, 16]}
+    settings = SETTINGS | {"network": "compact", "losses": SETTINGS["losses"] | terms}
+    (room / "all-terms.json").write_text(json.dumps(settings))
     both = [matte("dark", 0.2), matte("light", 0.8)]
     rng = np.random.default_rng(3)
     for name, size in (("data", SIZE), ("pictures", SIZE), ("large", 2 * SIZE)):
@@ -202,7 +224,9 @@ def numbers(value):
 def run(name, words, out):
     threads = torch.get_num_threads()
     try:
-        return main("learn.experiments", "", COMMANDS, [name, *words.split(), "--out", str(out)])
+        return main(
+            "learn.experiments", "", COMMANDS, [name, *shlex.split(words), "--out", str(out)]
+        )
     finally:
         torch.set_num_threads(threads)
 

