@@ -96,6 +96,19 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.set_defaults(run=run)
 
 
+# options that describe a job without a file, beside --mesh, --material and --light: their defaults
+WITHOUT_JOB = {
+    "views": "0",
+    "rotations": "0",
+    "size": "256",
+    "samples": 64,
+    "tier": None,
+    "light_resolution": None,
+    "fov": None,
+    "seed": 0,
+}
+
+
 def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     single = parser.add_argument_group("options in place of a job file")
     single.add_argument(
@@ -121,13 +134,11 @@ def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     )
     single.add_argument(
         "--views",
-        default="0",
         metavar="LIST",
         help="viewpoints from 0 to 23, 15° apart, such as 0,6 or random:5 (default 0)",
     )
     single.add_argument(
         "--rotations",
-        default="0",
         metavar="LIST",
         help=(
             "rotations of the light in texels from 0 to 127 (128 are a full turn), such as 0,32 or"
@@ -136,12 +147,11 @@ def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     )
     single.add_argument(
         "--size",
-        default="256",
         metavar="PIXELS",
         help="size of the pictures: 128, or 128x256 for height and width (default 256)",
     )
     single.add_argument(
-        "--samples", type=positive, default=64, metavar="N", help="samples per pixel (default 64)"
+        "--samples", type=positive, metavar="N", help="samples per pixel (default 64)"
     )
     single.add_argument(
         "--tier",
@@ -167,7 +177,6 @@ def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     single.add_argument(
         "--seed",
         type=int,
-        default=0,
         metavar="N",
         help="random seed of drawn views and rotations, and of the noise (default 0)",
     )
@@ -217,6 +226,11 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
         raise InputError(
             "render", "a job, or --mesh, --material and --light", "both", "leave one out"
         )
+    given = [name for name in WITHOUT_JOB if getattr(options, name) is not None]
+    if options.job and given:
+        option = "--" + given[0].replace("_", "-")
+        remedy = f"write it into a copy of the job file, or leave {option} out"
+        raise InputError(f"render {option}", "no job beside it", f"'{options.job}'", remedy)
     if options.job:
         job, folder = jobs.load(options.job)
         return job, options.assets or folder
@@ -228,7 +242,8 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
             " and ".join(f"no {option}" for option in missing),
             "python -m factory render --help shows examples",
         )
-    return jobs.from_options(options), None
+    defaults = {name: value for name, value in WITHOUT_JOB.items() if name not in given}
+    return jobs.from_options(argparse.Namespace(**vars(options) | defaults)), None
 
 
 def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:

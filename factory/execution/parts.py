@@ -1,9 +1,9 @@
 """What a run makes of a job, in parts that follow as its shapes are read.
 
-by shapes  A part of a job array reads its own shapes alone. The job's sources are dealt out like
-           cards, source k to part k modulo n, so that each part holds a bit of every family. The
-           piles are put one upon the other and cut into n equal parts: a source at a cut is read
-           by two parts, each of which makes its share of the shots.
+by shapes  A part of a job array reads its own shapes alone. The job's sources are ordered by their
+           number modulo n, and this order is cut into n equal parts: each holds about every n-th
+           source, and so some of every family. A source at a cut is read by two parts, each of
+           which makes its share of the shots.
 by shots   All shapes are read first, and each part makes successive shots: where a shape's role
            depends on the others (factory.planning.assets.follows_alone), in a job with fewer
            sources than parts, and on an object store, where parts cannot take turns.
@@ -33,10 +33,9 @@ from manifests import lock
 from manifests.schema import Job
 from manifests.store import Store
 
-# A part of a job array registers its next shapes after so many times as long as the last ones
-# took, others' turns included. Many parts therefore do not wait for each other most of the time.
+# A part of a job array that needed t seconds to register shapes, its wait for other parts included,
+# registers the next ones PAUSE * t seconds later, so that parts seldom wait for each other.
 PAUSE = 10.0
-
 
 Watch = Callable[[str, Any], None]  # as factory.execution.run.carry_out calls it
 
@@ -109,7 +108,7 @@ def parts_by_shots(
 
 
 def _counted(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
-    """Yield all facts of a reading; the watch is told how many are to come."""
+    """Yield all facts of a reading; the watch is called with how many are to come."""
     for pair in reading.each():
         watch("unread", reading.unread)
         yield pair
@@ -163,9 +162,9 @@ def parts_by_shapes(
         watch("total", shots + shots * reading.unread // count)
         yield Part(kept, chain.from_iterable(each for _, each in made))
     watch("total", shots)
-    if arrivals.are_none and shard is None:
+    if arrivals.is_empty and shard is None:
         raise without_shapes(plan.job)
-    if arrivals.are_none and shard is not None:
+    if arrivals.is_empty and shard is not None:
         roles = ", ".join(plan.job.roles)
         watch("note", f"part {shard[0]} of {shard[1]} has no shapes with a role among {roles}")
 

