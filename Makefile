@@ -7,12 +7,13 @@ PIP_FLAGS ?=
 WORKERS ?= 2
 EXTRAS ?= factory,learn,dev
 
-.PHONY: help demo demo-full demo-small weights site gallery test fuzz s3-server lint clean
+.PHONY: help demo demo-full demo-small weights weights-small site gallery test fuzz s3-server lint clean
 help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
 	@echo "make demo-small  the same with 16 pictures"
 	@echo "make weights     from nothing to the weights of the preset general-compact: never run to its end, about twelve hours of processor time by estimate"
+	@echo "make weights-small  the same with a sixtieth of shapes, lights and steps"
 	@echo "make site        build the documentation as a site; then open build/site/index.html"
 	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"
 	@echo "make test        install into $(VENV)/ and run the tests"
@@ -76,11 +77,18 @@ demo-small:
 	$(MAKE) --no-print-directory demo JOB=smallest WORKERS=1
 
 # Each command continues what it has begun, so an interrupted run is continued by the same target.
-WEIGHTS_OUT ?= out/weights
+WEIGHTS_OUT   ?= out/weights
+WEIGHTS_PART  ?= 1/1
+WEIGHTS_LIGHTS ?= 1000
+WEIGHTS_STEPS ?= 30000
 weights: $(VENV)/installed
-	$(VENV)/bin/python -m factory render geometry-general --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
-	$(VENV)/bin/python -m factory lights make --count 1000 --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
-	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --workers 2 --out $(WEIGHTS_OUT)/run
+	$(VENV)/bin/python -m factory render geometry-general --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
+	$(VENV)/bin/python -m factory lights make --count $(WEIGHTS_LIGHTS) --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
+	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --steps $(WEIGHTS_STEPS) --workers 2 --out $(WEIGHTS_OUT)/run
+
+# The same with a sixtieth of the shapes, lights and steps.
+weights-small:
+	$(MAKE) --no-print-directory weights WEIGHTS_OUT=$(WEIGHTS_OUT)-small WEIGHTS_PART=1/60 WEIGHTS_LIGHTS=17 WEIGHTS_STEPS=500
 
 # The API's pages are made from docstrings alone, but those of the commands import the program.
 SITE ?= build/site

@@ -11,6 +11,7 @@ from factory.render import direct_light
 from factory.render.estimators import choice
 from factory.render.estimators.halves import Halves, Shown
 from factory.render.settings import PORTION
+from factory.render.validation import denoiser_law
 from manifests.schema import Camera
 from manifests.store import Store
 from shaders import tone
@@ -173,3 +174,19 @@ def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
     assert sorted("estimators" in each for each in settings.values()) == [False, True]
     factory("preview", data, "--out", str(tmp_path / "p"), "--count", "6", "--size", "48")
     assert "of 30" in (tmp_path / "p" / "index.html").read_text()
+
+
+def test_the_denoisers_law_is_fitted_within_shots():
+    rng = np.random.default_rng(3)
+    rows = []
+    for shot, scale in enumerate((0.5, 1.3, 2.0)):
+        for pixels in (4096, 16384, 65536):
+            for noise in (400.0, 100.0, 25.0) * np.exp(rng.normal(size=3)):
+                bias = scale * (4096 / pixels) ** 0.3 * noise**0.7
+                rows.append({"shot": shot, "pixels": pixels, "noise": noise, "bias": bias})
+    rows = [{**row, "error": 1.5 * row["bias"]} for row in rows]
+    unseen = {"shot": 0, "pixels": 4096, "noise": 9.0, "bias": -3.0, "error": 1.0}
+    law = denoiser_law.fitted([*rows, unseen])
+    assert (law["power"], law["size"]) == pytest.approx((0.7, 0.3))
+    assert law["scale_10_50_90"][1] == pytest.approx(1.3)
+    assert law["error_over_bias"] == pytest.approx(1.5)

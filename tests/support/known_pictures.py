@@ -52,6 +52,7 @@ class Shaded(Known):
     def __init__(self, noise=0.6, deepest=0.4, closed=1.0, blur=True):
         super().__init__(noise, left=0.1)
         self.unblocked, self.closed, self.blur = self.truth, closed, blur
+        self.closed_forms = 0  # that were computed
         steps = (np.arange(SIZE) % 8 < 4).astype(np.float32)
         self.share = (deepest + (1 - deepest) * steps)[None, :, None]
         self.truth = self.unblocked * self.share
@@ -73,6 +74,7 @@ class Shaded(Known):
         return 0
 
     def direct_light(self):
+        self.closed_forms += 1
         return DirectPicture(np.float32(self.unblocked * self.closed), MASK.astype(np.float32))
 
 

@@ -25,11 +25,15 @@ MOST_BIAS = 1 / 3  # of the limit on the error
 
 
 class Blend(NamedTuple):
-    """Blends of both halves, the estimated error of their mean, and its squared bias."""
+    """Blends of both halves, the estimated error of their mean, and its squared bias.
+
+    bias_alone  that of the smooth pictures without a share of the noisy ones
+    """
 
     pair: list[np.ndarray]
     estimate: Estimate
     bias: float
+    bias_alone: float
 
 
 def best(
@@ -44,16 +48,17 @@ def best(
     smooth    pictures of both halves by a denoiser, or computed from them
     unbiased  pictures of both halves, with their noise; they may have negative radiance
     error     the limit
-    shares    of the unbiased pictures that are tried
+    shares    of the unbiased pictures that are tried; the first is 0
     """
     exposure = tone.auto_exposure((smooth[0] + smooth[1]) / 2, halves.shown.mask)
-    blends = []
+    blends: list[Blend] = []
     for share in shares:
         some = np.float32(share)
         pair = [
             np.maximum(s + some * (u - s), np.float32(0)) if share else s
             for s, u in zip(smooth, unbiased, strict=True)
         ]
-        blends.append(Blend(pair, *halves.error_and_bias(pair, unbiased, exposure)))
+        estimate, bias = halves.error_and_bias(pair, unbiased, exposure)
+        blends.append(Blend(pair, estimate, bias, blends[0].bias if blends else bias))
     allowed = [each for each in blends if each.bias <= MOST_BIAS * error]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

@@ -31,9 +31,10 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 7  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 8  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
+GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +64,11 @@ def identity() -> list[object]:
     from shaders import direct_light  # and numba, which takes half a second
 
     return [
-        ["choice", VERSION, PILOT, MOST_SAMPLES],
+        ["choice", VERSION, PILOT, MOST_SAMPLES, GROWTH],
         ["halves", OWN, CONFIDENCE, CURVE],
-        [path_tracing.NAME, path_tracing.AIM, path_tracing.GROWTH],
+        [path_tracing.NAME, path_tracing.AIM],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
+        [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST],
         [blends.SHARES, blends.MOST_BIAS],
@@ -138,7 +140,9 @@ class _Attempt:
     """What is known of a shot so far.
 
     tried   {estimator: (its last estimate, samples of each half that it was of)}
+    blocked  error that direct light without shadows would have, by the pilot; None before asked for
     direct  None before it is asked for, and where no closed form holds
+    scale   of the denoiser's law
     closed_alone   error of the closed form as the picture, once it is known
     closed_direct  its error in the tier `direct`, by the last samples without shadows
     """
@@ -149,8 +153,10 @@ class _Attempt:
     halves: Halves = field(init=False)
     pilot: Estimate = field(init=False)
     now: Estimate = field(init=False)
+    scale: float = field(init=False)
     tries: dict[Estimator, int] = field(default_factory=dict)
     tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
+    blocked: Estimate | None = None
     direct: DirectPicture | None = None
     closed_alone: Estimate | None = None
     closed_direct: Estimate | None = None
@@ -160,6 +166,7 @@ class _Attempt:
         self.halves = Halves(self.shown)
         self.halves.grow(PILOT)
         self.pilot = self.now = self.halves.estimate()
+        self.scale = denoised.scale(self.shown.mask.size)
 
     def closed(self) -> Picture | None:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
@@ -204,14 +211,29 @@ class _Attempt:
         return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
 
     def _is_worth_asking(self) -> bool:
-        """Whether the closed form takes less time than the cheapest plan without it."""
+        """Whether the closed form, and what it makes possible, costs less than the other plans."""
         if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
             return False
         directions = self.shown.renderer.direct_light_samples()
         if directions is None:
             return False
         cost = closed_form.cost(int(self.shown.mask.sum()), directions)
-        return min(self.plans()).cost > cost
+        least = min(self.plans()).cost
+        if least <= cost:
+            return False
+        if self.shown.tier == "direct":
+            return True
+        if self.blocked is None:
+            self.blocked = self.halves.error_of_direct_light()
+        # as a blend of the largest share it would have this share of its error
+        least_share = (1 - max(blends.SHARES)) ** 2
+        certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
+        if least_share * certain <= blends.MOST_BIAS * self.error:
+            return True
+        by_ratio = self._ratio_plan(
+            ratio.needed(self.blocked, self.now, self.halves.samples, self.error)
+        )
+        return by_ratio is not None and by_ratio.cost + cost < least
 
     def plans(self) -> list[_Plan]:
         """Return what may be done next; path tracing is always there."""
@@ -221,11 +243,9 @@ class _Attempt:
         plans = [_Plan(further, path_tracing.NAME, further)]
         denoiser = denoised.COST[tier]
         if self._may(denoised.NAME, denoised.MOST_TRIES):
-            count = (
-                denoised.needed_after(*self.tried[denoised.NAME], error)
-                if denoised.NAME in self.tried
-                else denoised.needed(self.now, samples, error)
-            )
+            count = denoised.needed(self.now.noise_bound, samples, self.scale, error)
+            if tried := self.tried.get(denoised.NAME):
+                count = max(math.ceil(denoised.CAUTION * count), tried[1] + 1)
             if count <= most:
                 plans.append(_Plan(count + denoiser, denoised.NAME, count))
         if self.direct is None:
@@ -240,13 +260,19 @@ class _Attempt:
                 if ratio.NAME in self.tried
                 else ratio.needed(self.closed_alone, self.now, samples, error)
             )
-            if count <= most:
-                plans.append(_Plan(2 * (count + denoiser), ratio.NAME, count))
+            if plan := self._ratio_plan(count):
+                plans.append(plan)
         if closed_form.NAME in self.tried:
             total = closed_form.needed(*self.tried[closed_form.NAME], error)
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(_Plan(total - samples, closed_form.NAME, total - samples))
         return plans
+
+    def _ratio_plan(self, count: int) -> _Plan | None:
+        """Return the plan of a ratio of `count` further samples, if that is not too many."""
+        if count > MOST_SAMPLES - self.halves.samples:
+            return None
+        return _Plan(2 * (count + denoised.COST[self.shown.tier]), ratio.NAME, count)
 
     def _may(self, name: Estimator, most: int) -> bool:
         return name in self.estimators and self.tries.get(name, 0) < most
@@ -255,16 +281,16 @@ class _Attempt:
         """Render a plan's samples, and return the picture if it keeps the error."""
         halves, name = self.halves, plan.estimator
         self.tries[name] = self.tries.get(name, 0) + 1
+        count = min(plan.samples, (GROWTH - 1) * halves.samples)
         if name in (path_tracing.NAME, closed_form.NAME):
-            # a few samples say too little to ask for more than so many times their number at once
-            halves.grow(min(plan.samples, (path_tracing.GROWTH - 1) * halves.samples))
+            halves.grow(count)
             return None
-        smooth = halves.grow(plan.samples, denoise=True)
+        smooth = halves.grow(count, denoise=True)
         tried = [
             _Tried(
                 denoised.NAME,
                 smooth,
-                denoised.predicted(self.pilot, PILOT, plan.samples),
+                denoised.predicted(self.pilot.noise * PILOT / count, self.scale, self.error),
                 halves.pictures,
             )
         ]
@@ -272,7 +298,7 @@ class _Attempt:
             assert self.direct is not None
             radiance = self.direct.radiance
             assert self.closed_alone is not None
-            unblocked = halves.unblocked(plan.samples)
+            unblocked = halves.unblocked(count)
             pairs = list(zip(halves.last, unblocked, strict=True))
             self.closed_direct = self._error_in_direct_light([each.noisy for each in unblocked])
             tried.insert(
@@ -280,14 +306,17 @@ class _Attempt:
                 _Tried(
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
-                    ratio.predicted(self.closed_alone, plan.samples),
+                    ratio.predicted(self.closed_alone, count),
                     [ratio.unbiased(radiance, *pair) for pair in pairs],
                 ),
             )
         for each in tried:
             blend = blends.best(halves, each.pair, each.unbiased, self.error)
             estimate, bias = self._estimate(each.estimator, blend)
-            self.tried[each.estimator] = _with_bias(estimate, bias), plan.samples
+            self.tried[each.estimator] = _with_bias(estimate, bias), count
+            if each.estimator == denoised.NAME:
+                noise = halves.estimate().noise * halves.samples / count
+                self.scale = denoised.scale_measured(blend, noise)
             if self._is_kept(estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,

@@ -5,35 +5,73 @@ what      each half is denoised by itself, and the picture is the mean of both, 
 bias      detail that noise hides is smoothed; the estimate includes it, because each denoised half
           is compared with the other half's noisy pixels. It is at most a third of the limit
 cost      the samples, and a fixed time per half, here as the samples that take as long
+law       squared bias = scale · noise^POWER, where noise is the error of the same samples without
+          denoiser. The scale is SCALE · (STANDARD / pixels of the frame)^SIZE until the first try
+          has measured it, since more pixels show the same detail
 fails     sharp reflections, whose detail no guide shows: there it saves no samples
 """
 
 import math
 
-from factory.render.estimators.halves import Estimate
+from factory.render.estimators import blends
+from factory.render.estimators.blends import Blend
 from manifests.schema import Estimator
 
 NAME: Estimator = "denoised"
-# error of the picture: SCALE · (error of the same samples without denoiser)^POWER,
-# measured by factory.render.validation.error_target
-SCALE, POWER = 1.2, 0.69
+SCALE, POWER = 1.3, 0.74
+STANDARD, SIZE = 64 * 64, 0.345
+WITH_NOISE = 1.4  # error of denoised halves' mean, over its bias: the rest is their own noise
+CAUTION = 1.2  # times the samples that the law asks for after a try that failed
+MOST_SAMPLES = 1 << 20  # more never help
 LEAST = 4  # samples of each half that are worth denoising
 MOST_TRIES = 3
 # samples that take as long as denoising one half
 COST = {"direct": 10, "shadow": 8, "full": 5}
 
 
-def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
-    """Return the error of two denoised halves of `samples` each, by the noise of a pilot."""
-    return float(SCALE * (pilot.noise * pilot_samples / samples) ** POWER)
+def scale(pixels: int) -> float:
+    """Return the law's scale for a frame of so many pixels that was not tried yet."""
+    return float(SCALE * (STANDARD / pixels) ** SIZE)
 
 
-def needed(pilot: Estimate, pilot_samples: int, error: float) -> int:
-    """Return the samples of each half whose denoised mean keeps an error, by the law above."""
-    noise = (error / SCALE) ** (1 / POWER)
-    return max(LEAST, math.ceil(pilot_samples * pilot.noise_bound / noise))
+def scale_measured(blend: Blend, noise: float) -> float:
+    """Return the law's scale by denoised halves whose blend is given.
+
+    noise  error of the same samples without denoiser
+    """
+    # a bias that is not seen may be as large as its uncertainty
+    return max(blend.bias_alone, blend.estimate.standard_error) / noise**POWER
 
 
-def needed_after(tried: Estimate, samples: int, error: float) -> int:
-    """Return the same number, by the estimate of denoised halves of `samples` that failed."""
-    return max(samples + 1, math.ceil(1.1 * samples * (tried.bound / error) ** (1 / POWER)))
+def predicted(noise: float, scale: float, limit: float) -> float:
+    """Return the error of the best blend whose bias a limit allows, or of the best of all.
+
+    noise  error of the same samples without denoiser
+    """
+    known = _blends(noise, scale)
+    allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
+    return min(allowed or [error for error, _ in known])
+
+
+def needed(noise: float, samples: int, scale: float, limit: float, least: int = LEAST) -> int:
+    """Return the samples of each half whose blend keeps a limit on error and bias, by the law.
+
+    noise  error of `samples` of each half without denoiser
+    least  samples that are worth a try
+    """
+    count = least
+    while count <= MOST_SAMPLES and not any(
+        error <= limit and bias <= blends.MOST_BIAS * limit
+        for error, bias in _blends(noise * samples / count, scale)
+    ):
+        count = math.ceil(1.1 * count)
+    return count
+
+
+def _blends(noise: float, scale: float) -> list[tuple[float, float]]:
+    """Return error and squared bias of each blend, by the law."""
+    bias = scale * noise**POWER
+    return [
+        ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
+        for share in blends.SHARES
+    ]

@@ -122,13 +122,26 @@ class Halves:
         self._sums: list[np.ndarray] = []
         self._alphas: list[np.ndarray] = []
 
-    def unblocked(self, count: int) -> list[Portion]:
-        """Return direct light without shadows of both halves' last `count` samples, denoised."""
+    def unblocked(self, count: int, denoise: bool = True) -> list[Portion]:
+        """Return direct light without shadows of both halves' last `count` samples."""
         at, first = self.shown, self.samples - count
         return [
-            at.renderer.portion(first, count, half_seed(at.seed, half), "direct", denoise=True)
+            at.renderer.portion(first, count, half_seed(at.seed, half), "direct", denoise)
             for half in (0, 1)
         ]
+
+    def error_of_direct_light(self) -> Estimate:
+        """Return the error that direct light without shadows would have as the picture.
+
+        It is rendered with the samples of both halves, most of whose noise is common with them.
+        """
+        mask, exposure = self.shown.mask, self._exposure()
+        unblocked = self.unblocked(self.samples, denoise=False)
+        one, other = (
+            tone.display(shown[mask], exposure) - tone.display(alone.noisy[mask], exposure)
+            for shown, alone in zip(self.pictures, unblocked, strict=True)
+        )
+        return mean_over((one * other).mean(-1))
 
     def grow(self, count: int, denoise: bool = False) -> list[np.ndarray]:
         """Render `count` further samples of each half; return both denoised ones if requested."""

@@ -14,7 +14,6 @@ from manifests.schema import Estimator
 
 NAME: Estimator = "path-tracing"
 AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
-GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
 def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:

@@ -7,7 +7,7 @@ python -m factory.render.validation.error_target check --shots 100 --meshes FOLD
 A check that was stopped is continued by the same command.
 
 shots    drawn from a seed: shape, material, light, view, tier and, in turn, the error requested
-law      of the denoiser: its error as a power of the error without it, and its time in samples
+law      of the denoiser (validation.denoiser_law)
 check    renders each shot twice to its error. A reference in two halves, of at least four times the
          picture's samples, gives achieved errors as (P − R1)(P − R2) and squared biases as
          (P1 − R1)(P2 − R2), in display values: the references' noise cancels in the mean
@@ -26,11 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators import blends, choice
-from factory.render.estimators.halves import Halves, Shown
+from factory.render.estimators import choice
+from factory.render.estimators.halves import Shown
 from factory.render.validation import command_line
+from factory.render.validation.denoiser_law import law
 from factory.render.validation.error_target_report import FIXED, group, report
-from factory.render.validation.scenes import ERRORS, TIERS, Stage, compared, drawn, meshes_of, named
+from factory.render.validation.scenes import ERRORS, Stage, compared, drawn, meshes_of, named
 from manifests.errors import InputError
 from manifests.line_files import Lines
 from manifests.option_types import positive
@@ -38,65 +39,6 @@ from manifests.provenance import provenance
 
 LEAST_REFERENCE = 256  # samples of each half of a reference
 MOST_REFERENCE = 2048
-TRIED = (4, 8, 16, 32)  # samples of each half at which `law` denoises
-
-
-def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the denoiser's law, fitted over shots, and its time in samples by tier."""
-    rows: list[dict[str, Any]] = []
-    for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials)
-        mask = stage.show(scene)
-        reference = stage.reference(scene, mask, LEAST_REFERENCE)
-        pilot = Halves(Shown(stage.studio, scene.seed, scene.tier, mask))
-        pilot.grow(choice.PILOT)
-        for samples in TRIED:
-            halves = Halves(Shown(stage.studio, scene.seed + samples, scene.tier, mask))
-            start = time.process_time()
-            halves.grow(samples)
-            middle = time.process_time()
-            halves.grow(samples, denoise=True)
-            end = time.process_time()
-            alone = Halves(halves.shown)
-            smooth = alone.grow(samples, denoise=True)
-            blend = blends.best(alone, smooth, alone.pictures, 0.0)
-            picture = (blend.pair[0] + blend.pair[1]) / 2
-            rows.append(
-                {
-                    "shot": number,
-                    "tier": scene.tier,
-                    "samples": samples,
-                    "noise_by_pilot": pilot.estimate().noise * choice.PILOT / samples,
-                    "noise": compared(alone.picture, alone.picture, reference).error,
-                    "estimated": blend.estimate.error,
-                    "achieved": compared(picture, picture, reference).error,
-                    "seconds": middle - start,
-                    "denoiser": end - middle - (middle - start),
-                }
-            )
-        print(f"{number}: {scene}", flush=True)
-    usable = [row for row in rows if min(row["achieved"], row["noise_by_pilot"]) > 0]
-    x = np.log([row["noise_by_pilot"] for row in usable])
-    y = np.log([row["achieved"] for row in usable])
-    shots = np.array([row["shot"] for row in usable])
-    # the power within shots, then the spread of the factor between them
-    centre = {n: (x[shots == n].mean(), y[shots == n].mean()) for n in set(shots.tolist())}
-    dx, dy = (v - np.array([centre[n][k] for n in shots]) for k, v in enumerate((x, y)))
-    power = float(dx @ dy / (dx @ dx))
-    factors = np.exp([cy - power * cx for cx, cy in centre.values()])
-    cost = {}
-    for tier in TIERS:
-        of = [row for row in rows if row["tier"] == tier and row["samples"] >= 16]
-        per_sample = [row["seconds"] / row["samples"] for row in of]
-        cost[tier] = float(np.median([r["denoiser"] for r in of]) / np.median(per_sample))
-    ratios = [row["estimated"] / row["achieved"] for row in usable]
-    return {
-        "power": power,
-        "scale_10_50_90": np.percentile(factors, [10, 50, 90]).tolist(),
-        "cost_in_samples": cost,
-        "estimated_over_achieved_10_50_90": np.percentile(ratios, [10, 50, 90]).tolist(),
-        "rows": rows,
-    }
 
 
 def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:

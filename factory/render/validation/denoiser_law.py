@@ -1,0 +1,87 @@
+"""The law by which samples of the denoiser are planned (factory.render.estimators.denoised).
+
+shots    drawn from a seed; each in frames of SIZES, in which the denoiser is tried on TRIED samples
+bias     of denoised halves, squared, by the comparison with the other half's noisy pixels
+noise    error of the same samples without denoiser, by the halves' difference
+fit      log bias = a factor of the shot + power · log noise + size · log (STANDARD / pixels)
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+
+from factory.render.estimators import blends, denoised
+from factory.render.estimators.halves import Halves, Shown
+from factory.render.validation.scenes import TIERS, Stage, drawn
+from manifests.schema import Camera
+
+SIZES = (64, 128, 256)
+TRIED = (4, 8, 16, 32, 64)  # samples of each half
+LEAST = 0.05  # squared bias that is not lost in its uncertainty
+
+
+def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
+    """Return the law's numbers over shots, and the denoiser's time in samples by tier."""
+    rows: list[dict[str, Any]] = []
+    for number in range(options.shots):
+        scene = drawn(number, options.seed, stage.materials)
+        for size in SIZES:
+            stage.studio.set_camera(Camera(size=(size, size)))
+            mask = stage.show(scene)
+            for samples in TRIED:
+                shown = Shown(stage.studio, scene.seed + samples, scene.tier, mask)
+                rows.append({"shot": number, "tier": scene.tier, **_tried(shown, samples)})
+        print(f"{number}: {scene}", flush=True)
+    return {**fitted(rows), "cost_in_samples": _costs(rows), "rows": rows}
+
+
+def _tried(shown: Shown, samples: int) -> dict[str, Any]:
+    """Return noise, bias and error of denoised halves, and the seconds of samples and denoiser."""
+    plain = Halves(shown)
+    start = time.process_time()
+    plain.grow(samples)
+    seconds = time.process_time() - start
+    halves = Halves(shown)
+    start = time.process_time()
+    smooth = halves.grow(samples, denoise=True)
+    denoiser = time.process_time() - start - seconds
+    blend = blends.best(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
+    return {
+        "pixels": shown.mask.size,
+        "samples": samples,
+        "noise": halves.estimate().noise,
+        "bias": blend.bias_alone,
+        "error": blend.estimate.error,
+        "seconds": seconds,
+        "denoiser": denoiser,
+    }
+
+
+def fitted(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return power, size, the scale's percentiles over shots, and error over bias (median)."""
+    usable = [row for row in rows if row["bias"] > LEAST and row["noise"] > 0]
+    bias, noise = (np.log([row[name] for row in usable]) for name in ("bias", "noise"))
+    fewer = np.log([denoised.STANDARD / row["pixels"] for row in usable])
+    shots, of = np.unique([row["shot"] for row in usable], return_inverse=True)
+    columns = np.column_stack([noise, fewer, np.eye(len(shots))[of]])
+    power, size, *scales = np.linalg.lstsq(columns, bias, rcond=None)[0]
+    return {
+        "power": float(power),
+        "size": float(size),
+        "scale_10_50_90": np.exp(np.percentile(scales, [10, 50, 90])).tolist(),
+        "error_over_bias": float(np.median([row["error"] / row["bias"] for row in usable])),
+    }
+
+
+def _costs(rows: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Return how many samples take as long as denoising them, by tier; None without a shot."""
+    costs: dict[str, float | None] = {}
+    for tier in TIERS:
+        of = [row for row in rows if row["tier"] == tier and row["samples"] >= 16]
+        ratios = [row["denoiser"] / (row["seconds"] / row["samples"]) for row in of]
+        costs[tier] = float(np.median(ratios)) if ratios else None
+    return costs
