@@ -230,13 +230,16 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
     closed, now = Estimate(100.0, 10.0), Estimate(300.0, 6.0)
-    few, many = (ratio.needed(closed, now, 4, limit) for limit in (40.0, 6.0))
+    few, many = (ratio.needed(closed, now, 4, limit, 4096) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
-    bound = ratio.predicted(closed, many) + closed_form.TYPICAL
+    bound = ratio.predicted(closed, many, 4096) + closed_form.TYPICAL
     direct = closed_form.weighed(Estimate(closed_form.TYPICAL, 2 * 6 * 4 / many)).standard_error
-    mine = ratio.UNCERTAINTY * ratio.predicted(closed, many)
+    mine = ratio.UNCERTAINTY * ratio.predicted(closed, many, 4096)
     assert bound + 1.645 * np.hypot(mine, direct) <= 6
-    assert ratio.needed(closed, now, 4, 1.0) > choice.MOST_SAMPLES  # less than the closed form's
+    assert ratio.needed(closed, now, 4, 6.0, 65536) < many
+    assert (
+        ratio.needed(closed, now, 4, 1.0, 4096) > choice.MOST_SAMPLES
+    )  # less than the closed form's
     tried = Estimate(30.0, 0.0)
     assert ratio.needed_after(tried, 8, 10.0) > 8
 

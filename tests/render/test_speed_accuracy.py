@@ -69,6 +69,23 @@ def test_the_page_and_the_chart_have_every_setting(tmp_path):
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scenes(
+    tmp_path, monkeypatch
+):
+    longest = speed_accuracy.LONGEST
+    known = {("a", "1"): longest - 1, ("a", "2"): longest + 1, ("a", "3"): 1.0, ("b", "1"): 2.0}
+    monkeypatch.setattr(speed_accuracy, "timed", lambda seconds, shown: (None, seconds))
+    pictures = speed_accuracy.rendered(known, None)
+    assert [each[:2] for each in pictures] == [("a", "1"), ("a", "2"), ("b", "1")]
+    rows = [*LIMITS, *(dict(each, scene=1) for each in LIMITS[1:])]
+    figures = speed_accuracy_report.summary(rows)
+    assert [each["scenes"] for each in figures] == [1, 2, 2]
+    result = {key: 2 for key in ("scenes", "size", "tier", "reference")}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    page = speed_accuracy_report.report({"figures": figures, "rows": rows, **result})
+    assert f"| {LIMIT} | 5, on 1 of them | 4 |" in page and f"| {LIMIT} | 20 | 16 |" in page
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

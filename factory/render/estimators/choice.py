@@ -230,9 +230,7 @@ class _Attempt:
         certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
         if least_share * certain <= blends.MOST_BIAS * self.error:
             return True
-        by_ratio = self._ratio_plan(
-            ratio.needed(self.blocked, self.now, self.halves.samples, self.error)
-        )
+        by_ratio = self._ratio_plan(self._ratio_samples(self.blocked))
         return by_ratio is not None and by_ratio.cost + cost < least
 
     def plans(self) -> list[_Plan]:
@@ -258,7 +256,7 @@ class _Attempt:
             count = (
                 ratio.needed_after(*self.tried[ratio.NAME], error)
                 if ratio.NAME in self.tried
-                else ratio.needed(self.closed_alone, self.now, samples, error)
+                else self._ratio_samples(self.closed_alone)
             )
             if plan := self._ratio_plan(count):
                 plans.append(plan)
@@ -267,6 +265,11 @@ class _Attempt:
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(_Plan(total - samples, closed_form.NAME, total - samples))
         return plans
+
+    def _ratio_samples(self, closed: Estimate) -> int:
+        """Return the samples that a ratio needs, by the error of the closed form as the picture."""
+        halves, pixels = self.halves, self.shown.mask.size
+        return ratio.needed(closed, self.now, halves.samples, self.error, pixels)
 
     def _ratio_plan(self, count: int) -> _Plan | None:
         """Return the plan of a ratio of `count` further samples, if that is not too many."""
@@ -306,7 +309,7 @@ class _Attempt:
                 _Tried(
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
-                    ratio.predicted(self.closed_alone, count),
+                    ratio.predicted(self.closed_alone, count, self.shown.mask.size),
                     [ratio.unbiased(radiance, *pair) for pair in pairs],
                 ),
             )

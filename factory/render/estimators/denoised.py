@@ -29,9 +29,14 @@ MOST_TRIES = 3
 COST = {"direct": 10, "shadow": 8, "full": 5}
 
 
+def left(pixels: int) -> float:
+    """Return the error that a denoiser leaves in a frame of so many pixels, beside STANDARD."""
+    return float((STANDARD / pixels) ** SIZE)
+
+
 def scale(pixels: int) -> float:
     """Return the law's scale for a frame of so many pixels that was not tried yet."""
-    return float(SCALE * (STANDARD / pixels) ** SIZE)
+    return SCALE * left(pixels)
 
 
 def scale_measured(blend: Blend, noise: float) -> float:

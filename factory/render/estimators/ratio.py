@@ -17,6 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from factory.render.estimators import denoised
 from factory.render.estimators.closed_form import SPREAD, TYPICAL
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
 from manifests.schema import Estimator
@@ -24,8 +25,9 @@ from manifests.schema import Estimator
 NAME: Estimator = "ratio"
 MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
-# error: SCALE · (error of the closed form as the picture) / (samples of each half)^POWER. Where
-# little light is blocked or reflected on, little of it can be noisy
+# error: SCALE · (error of the closed form as the picture) / (samples of each half)^POWER, and what
+# a denoiser leaves by the size of the frame. Where little light is blocked or reflected on, little
+# of it can be noisy
 SCALE, POWER = 0.25, 0.75
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
@@ -54,19 +56,23 @@ def unbiased(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarr
     return direct + (shown.noisy - unblocked.noisy)
 
 
-def predicted(closed: Estimate, samples: int) -> float:
-    """Return the error with `samples` of each half, by that of the closed form as the picture."""
-    return float(SCALE * max(closed.error, 0.0) / samples**POWER)
+def predicted(closed: Estimate, samples: int, pixels: int) -> float:
+    """Return the error with `samples` of each half, by that of the closed form as the picture.
+
+    pixels  of the frame
+    """
+    return float(SCALE * denoised.left(pixels) * max(closed.error, 0.0) / samples**POWER)
 
 
-def needed(closed: Estimate, now: Estimate, samples: int, error: float) -> int:
+def needed(closed: Estimate, now: Estimate, samples: int, error: float, pixels: int) -> int:
     """Return the samples of each half whose estimate is at most an error with 95 % confidence.
 
     closed  error of the closed form as the picture
+    pixels  of the frame
     now     error of the picture of `samples` of each half: its uncertainty is taken for that of
             direct light's, of which a half alone has twice as much
     """
-    at_one, noise = predicted(closed, 1), 2 * now.standard_error * samples
+    at_one, noise = predicted(closed, 1, pixels), 2 * now.standard_error * samples
 
     def bound(count: int) -> float:
         mine = at_one / count**POWER

@@ -10,7 +10,8 @@ scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that
 error      display L2 over the mask against a reference in two independent halves, whose noise
            cancels in the mean; a negative error is one below the reference's noise
 time       processor seconds per picture in one thread, without loading shape, light and materials.
-           Each family renders a picture before, so that all find the scene in memory
+           Each family renders a picture before, so that all find the scene in memory. Where a
+           setting took more than LONGEST, the more exact ones of its family are left out
 PYTHON     an interpreter with the packages blenderproc and bpy. BlenderProc renders the same
            objects, materials, light, pixel filter and bounces, saved as .blend files, with its own
            defaults for everything else, and with fewer samples in place of its 1,024
@@ -48,7 +49,8 @@ from manifests.provenance import provenance
 
 SAMPLES = (4, 16, 64, 256)
 RATIO_SAMPLES = (4, 16, 64)
-LIMITS = (200.0, 60.0, 20.0, 5.0)
+LIMITS = (60.0, 20.0, 5.0, 2.0)
+LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
 FRAMES = 2
@@ -107,7 +109,7 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
             ("adaptive sampling", f"threshold {t:g}"): adaptive(t)
             for t in (THRESHOLDS if adaptively else ())
         }
-        | {("denoised", f"{n} samples"): smooth(n) for n in SAMPLES[:3]}
+        | {("denoised", f"{n} samples"): smooth(n) for n in SAMPLES}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
         | {("limit on the error", f"{e:g}"): limited(e) for e in LIMITS}
     )
@@ -135,6 +137,18 @@ def timed(method: Method, shown: Shown) -> tuple[np.ndarray, float]:
     start = time.process_time()
     picture = method(shown)
     return picture, time.process_time() - start
+
+
+def rendered(
+    known: dict[tuple[str, str], Method], shown: Shown
+) -> list[tuple[str, str, np.ndarray, float]]:
+    """Return family, setting, picture and processor seconds, without what would take too long."""
+    pictures: list[tuple[str, str, np.ndarray, float]] = []
+    for (family, name), method in known.items():
+        slow = any(each[0] == family and each[3] > LONGEST for each in pictures)
+        if not slow:
+            pictures.append((family, name, *timed(method, shown)))
+    return pictures
 
 
 def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
@@ -195,7 +209,7 @@ def measured_scene(
     shown = Shown(stage.studio, scene.seed, scene.tier, mask)
     # the largest limit stands for all of them, and the fewest samples
     warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
-    pictures = [(family, name, *timed(method, shown)) for (family, name), method in known.items()]
+    pictures = rendered(known, shown)
     if options.blenderproc:
         with tempfile.TemporaryDirectory() as folder:
             blend = Path(folder) / "scene.blend"

@@ -61,6 +61,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             {
                 "family": family,
                 "setting": setting,
+                "scenes": len(of),
                 "error_mean": float(errors.mean()),
                 "error_worst": float(errors.max()),
                 "seconds": float(np.mean([row["seconds"] for row in of])),
@@ -104,12 +105,18 @@ def report(result: dict[str, Any]) -> str:
         if each["family"] not in OURS:
             best = f"{each['best_mean']:.1f} | {each['best_worst']:.1f}"
         lines.append(
-            f"| {each['family']} | {each['setting']} | {each['error_mean']:.3g}"
+            f"| {each['family']} | {each['setting']}{_scenes(each, result)}"
+            f" | {each['error_mean']:.3g}"
             f" | {each['error_worst']:.3g} | {each['seconds']:.3f} | {speed} | {best} |"
         )
     if result["tier"] == "direct":
         lines += against_path_tracing(result["rows"])
     return "\n".join(lines) + "\n"
+
+
+def _scenes(figures: dict[str, Any], result: dict[str, Any]) -> str:
+    """Return on how many scenes a setting was measured, where it was not on all."""
+    return "" if figures["scenes"] == result["scenes"] else f", on {figures['scenes']} of them"
 
 
 def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
@@ -143,8 +150,11 @@ def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def chart(figures: list[dict[str, Any]], path: Path) -> None:
-    """Draw mean and worst errors over pictures per second."""
+    """Draw mean and worst errors over pictures per second, of settings that all scenes have."""
     from matplotlib.figure import Figure
+
+    most = max(each["scenes"] for each in figures)
+    figures = [each for each in figures if each["scenes"] == most]
 
     drawing = Figure(figsize=(11, 4.6), layout="constrained")
     families = list(dict.fromkeys(each["family"] for each in figures))
