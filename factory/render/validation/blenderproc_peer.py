@@ -1,7 +1,9 @@
 """Renders saved scenes by BlenderProc, for factory.render.validation.speed_accuracy.
 
 PYTHON -m factory.render.validation.blenderproc_peer ORDER.json
+PYTHON -m factory.render.validation.blenderproc_peer --check
 
+The second form says whether the packages are there, and renders nothing.
 PYTHON must have the packages blenderproc and bpy; nothing of this project is imported. The order
 names .blend files, settings and threads; radiance is written beside each scene, and processor
 seconds per picture are printed as JSON.
@@ -34,6 +36,15 @@ def blenderproc() -> Any:
     modules = [importlib.import_module(f"blenderproc.python.{name}") for name in names]
     setup = importlib.import_module("blenderproc.python.utility.SetupUtility").SetupUtility
     return *modules, setup
+
+
+def check() -> None:
+    """Import everything that rendering needs."""
+    import bpy  # noqa: F401, brings mathutils
+    import numpy  # noqa: F401
+
+    with contextlib.redirect_stdout(sys.stderr):
+        blenderproc()
 
 
 def main(order: Path) -> None:
@@ -74,4 +85,7 @@ def main(order: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    if sys.argv[1] == "--check":
+        check()
+    else:
+        main(Path(sys.argv[1]))

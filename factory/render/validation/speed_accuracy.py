@@ -241,9 +241,19 @@ def rendered_by_peer(blend: Path, python: str) -> list[tuple[str, str, np.ndarra
     write_json(
         order, {"scenes": [str(blend)], "settings": settings, "threads": 1, "frames": FRAMES}
     )
+    done = run_peer(python, str(order))
+    seconds = json.loads(done.stdout.strip().splitlines()[-1])
+    return [
+        ("BlenderProc", name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
+        for k, name in enumerate(PEER_SETTINGS)
+    ]
+
+
+def run_peer(python: str, argument: str) -> subprocess.CompletedProcess[str]:
+    """Run blenderproc_peer. Raises InputError if it fails."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(
-        [python, str(PEER), str(order)],
+        [python, str(PEER), argument],
         capture_output=True,
         text=True,
         env={**environment, "OMP_NUM_THREADS": "1"},
@@ -253,13 +263,9 @@ def rendered_by_peer(blend: Path, python: str) -> list[tuple[str, str, np.ndarra
             "--blenderproc",
             "a Python that has the packages blenderproc and bpy",
             done.stderr.strip().splitlines()[-1][:200],
-            "make one: pip install blenderproc bpy opencv-python-headless",
+            "docs/rendering.md lists what it needs",
         )
-    seconds = json.loads(done.stdout.strip().splitlines()[-1])
-    return [
-        ("BlenderProc", name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
-        for k, name in enumerate(PEER_SETTINGS)
-    ]
+    return done
 
 
 def main() -> None:
@@ -271,6 +277,8 @@ def main() -> None:
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
     )
     options = command_line.parse(parser)
+    if options.blenderproc:
+        run_peer(options.blenderproc, "--check")
     rows = measure(options)
     result = {
         **provenance(),
