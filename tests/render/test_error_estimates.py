@@ -232,16 +232,24 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
     closed, now = Estimate(100.0, 10.0), Estimate(300.0, 6.0)
     few, many = (ratio.needed(closed, now, 4, limit, 4096) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
-    bound = ratio.predicted(closed, many, 4096) + closed_form.TYPICAL
-    direct = closed_form.weighed(Estimate(closed_form.TYPICAL, 2 * 6 * 4 / many)).standard_error
-    mine = ratio.UNCERTAINTY * ratio.predicted(closed, many, 4096)
-    assert bound + 1.645 * np.hypot(mine, direct) <= 6
+
+    def bound(samples):
+        mine = ratio.predicted(closed, samples, 4096)
+        direct = closed_form.weighed(Estimate(ratio.HOPED, 2 * 6 * 4 / samples))
+        uncertain = np.hypot(ratio.UNCERTAINTY * mine, direct.standard_error)
+        return direct.error + mine + 1.645 * uncertain
+
+    assert bound(many) <= 6 < bound(many / 1.2)
     assert ratio.needed(closed, now, 4, 6.0, 65536) < many
-    assert (
-        ratio.needed(closed, now, 4, 1.0, 4096) > choice.MOST_SAMPLES
-    )  # less than the closed form's
-    tried = Estimate(30.0, 0.0)
-    assert ratio.needed_after(tried, 8, 10.0) > 8
+    # less than the closed form's own error is never reached
+    assert ratio.needed(closed, now, 4, 0.9 * ratio.HOPED, 4096) > choice.MOST_SAMPLES
+
+
+def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allows_it():
+    tried, direct = Estimate(30.0, 1.0), Estimate(4.0, 0.5)
+    needed = ratio.needed_after(tried, direct, 8, 10.0)
+    assert 4 + 26 * (8 / needed) ** ratio.POWER + 1.645 * 8 / needed <= 10
+    assert ratio.needed_after(tried, direct, 8, 3.9) > choice.MOST_SAMPLES
 
 
 def test_the_closed_form_is_out_only_beyond_doubt():

@@ -192,5 +192,5 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
 
 
 def test_a_python_without_blenderproc_is_refused_before_anything_is_rendered():
-    with pytest.raises(InputError, match="--blenderproc: .*package blenderproc is missing"):
+    with pytest.raises(InputError, match=r"--blenderproc: .*package blenderproc is missing"):
         speed_accuracy.run_peer(sys.executable, "--check")

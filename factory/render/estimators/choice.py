@@ -70,7 +70,7 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
-        [ratio.DARK, ratio.LEAST],
+        [ratio.DARK, ratio.LEAST, ratio.HOPED],
         [blends.SHARES, blends.MOST_BIAS],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL, closed_form.SPREAD],
@@ -254,7 +254,7 @@ class _Attempt:
             and self._may(ratio.NAME, ratio.MOST_TRIES)
         ):
             count = (
-                ratio.needed_after(*self.tried[ratio.NAME], error)
+                self._ratio_samples_after(*self.tried[ratio.NAME])
                 if ratio.NAME in self.tried
                 else self._ratio_samples(self.closed_alone)
             )
@@ -270,6 +270,11 @@ class _Attempt:
         """Return the samples that a ratio needs, by the error of the closed form as the picture."""
         halves, pixels = self.halves, self.shown.mask.size
         return ratio.needed(closed, self.now, halves.samples, self.error, pixels)
+
+    def _ratio_samples_after(self, tried: Estimate, samples: int) -> int:
+        """Return the same number by a try that failed."""
+        assert self.closed_direct is not None
+        return ratio.needed_after(tried, self.closed_direct, samples, self.error)
 
     def _ratio_plan(self, count: int) -> _Plan | None:
         """Return the plan of a ratio of `count` further samples, if that is not too many."""

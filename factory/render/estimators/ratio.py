@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from factory.render.estimators import denoised
-from factory.render.estimators.closed_form import SPREAD, TYPICAL
+from factory.render.estimators.closed_form import weighed
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
 from manifests.schema import Estimator
 
@@ -30,6 +30,9 @@ DARK = 1e-6  # radiance by which nothing is divided
 # of it can be noisy
 SCALE, POWER = 0.25, 0.75
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
+# error of the closed form in direct light that its samples are expected to show: the median of many
+# shots, since what is typical is a mean of few large ones
+HOPED = 0.5
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 2
@@ -76,19 +79,23 @@ def needed(closed: Estimate, now: Estimate, samples: int, error: float, pixels: 
 
     def bound(count: int) -> float:
         mine = at_one / count**POWER
-        direct = SPREAD / math.hypot(1, SPREAD * count / max(noise, 1e-9))
-        return TYPICAL + mine + CONFIDENCE * math.hypot(UNCERTAINTY * mine, direct)
+        direct = weighed(Estimate(HOPED, noise / count))
+        uncertain = math.hypot(UNCERTAINTY * mine, direct.standard_error)
+        return direct.error + mine + CONFIDENCE * uncertain
 
     return _least(LEAST, bound, error)
 
 
-def needed_after(tried: Estimate, samples: int, error: float) -> int:
-    """Return the same number, by the estimate of `samples` of each half that failed."""
-    at_one = max(tried.error - TYPICAL, 0.0) * samples**POWER
+def needed_after(tried: Estimate, direct: Estimate, samples: int, error: float) -> int:
+    """Return the same number, by the estimate of `samples` of each half that failed.
+
+    direct  the closed form's error in direct light, which is a part of it
+    """
+    at_one = max(tried.error - direct.error, 0.0) * samples**POWER
 
     def bound(count: int) -> float:
         uncertain = tried.standard_error * samples / count
-        return TYPICAL + at_one / count**POWER + CONFIDENCE * uncertain
+        return direct.error + at_one / count**POWER + CONFIDENCE * uncertain
 
     return _least(samples + 1, bound, error)
 
