@@ -252,12 +252,10 @@ def cards(summary: Mapping) -> str:
     head, every = summary["direct"], summary["all"]
     judged = "" if head["holds"] is None else " good" if head["holds"] else " bad"
     fit = head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"]
-    like, _, limit = uncertainty.written(
-        head["like_net"], head["like_net_error"], None if fit is None else head["limit"] * fit
-    ).partition(" (")
-    limit = limit and f" ({limit}"
+    limit = None if fit is None else head["limit"] * fit
+    like = uncertainty.written(head["like_net"], head["like_net_error"], limit)
     shown: Sequence[tuple[str, str, str]] = [
-        (judged, like, f"direct tier inside, L2 − noise{limit}"),
+        (judged, like, "direct tier inside, L2 − noise"),
         ("", number("node_fit", fit), "node fit of its materials"),
         ("", number("net", head["net"]), "over the whole mask"),
         ("", number("sum_net", head["sum_net"]), "the same by the paper's sum"),

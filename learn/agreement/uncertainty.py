@@ -21,7 +21,7 @@ def noise_may_decide(figure: float | None, error: float | None, limit: float | N
     """Return whether a limit lies within STANDARD_ERRORS of a figure; None where not known."""
     if figure is None or error is None or limit is None:
         return None
-    return abs(figure - limit) <= STANDARD_ERRORS * error
+    return bool(abs(figure - limit) <= STANDARD_ERRORS * error)
 
 
 def written(figure: float | None, error: float | None, limit: float | None = None) -> str:

@@ -164,10 +164,10 @@ def squared_net_of_noise(errors: np.ndarray) -> np.ndarray:
 def standard_error_net_of_noise(errors: np.ndarray) -> float:
     """Return the standard error of the mean of `squared_net_of_noise` over pixels, from noise.
 
-    At a pixel let seed s have the error x_s = e + n_s, three channels each, with independent noises
-    n_s of covariance Σ. The product of two seeds' errors, the mean over channels of x_1 x_2, has the
-    variance (2 e·Σe + tr Σ²) / 9; where the three channels share noise of deviation s and error e,
-    that is 2 e² s² + s⁴. The mean over the pairs of S seeds has
+    At a pixel let seed s have the errors x_s = e + n_s of three channels, with independent noises
+    n_s of covariance Σ. The product of two seeds' errors, the mean over channels of x_1 x_2, has
+    the variance (2 e·Σe + tr Σ²) / 9. Where the three channels have the same error e and the same
+    noise of deviation s, that is 2 e² s² + s⁴. The mean over the pairs of S seeds has
 
         (4 e·Σe / S + 2 tr Σ² / (S (S − 1))) / 9.
 
@@ -175,11 +175,14 @@ def standard_error_net_of_noise(errors: np.ndarray) -> float:
 
         (4 x̄·Cx̄ / S − 2 ((S − 1) tr C² − (tr C)²) / (S² (S + 1))) / 9.
 
-    Its mean is the variance above if noise is normal, however channels share it; with two seeds it
-    is the square of half the difference between the seeds' own squared errors. Pixels are
-    independent, so that estimates are summed over them. Noise of rare bright pixels makes the
-    estimate too large: with two seeds the term s⁴ comes out 1 + κ/2 times as large on average, where
-    κ is the excess kurtosis. What the seeds share, such as a bias, has no part in it.
+    Its mean is the variance above if noise is normal, whether channels share it or not. With two
+    seeds it is the square of half the difference of their own squared errors. Pixels are
+    independent, so that their estimates are added.
+
+    Of other noise it is wrong: with two seeds its mean is 2 e² s² + 2 e μ₃ + s⁴ (1 + κ/2), where μ₃
+    is the noise's third moment and κ its excess kurtosis. It is too large for noise of rare bright
+    pixels, and too small for noise with lighter tails than the normal's. It knows nothing of what
+    all seeds share, such as a bias.
 
     errors  (seeds, P, 3) differences of display values, two seeds or more and a pixel or more
     """
