@@ -269,6 +269,8 @@ def net_of_noise(
 ) -> dict:
     """Return a Row's figures that need two seeds; None each where there is one.
 
+    The standard error is learn.metrics.pictures.standard_error_net_of_noise.
+
     D_C  (seeds, H, W, 3) of Cycles; D_I, D_S, D_F (H, W, 3) of the layer's integral, sum and
          footprint: display values
     """
