@@ -12,6 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from learn.agreement import uncertainty
 from learn.figures.html import image, page, paragraph, table
 from manifests.errors import InputError
 from manifests.files import write_text
@@ -84,13 +85,19 @@ def verdict(direct: Mapping) -> str:
             "No picture was rendered with two seeds: the noise is unknown, so the direct tier"
             " cannot be judged."
         )
+    fit = direct.get("node_fit")
+    like = uncertainty.written(
+        direct["like_net"],
+        direct.get("like_net_error"),
+        None if fit is None else direct["limit"] * fit,
+    )
     report = (
         "In the direct tier, the light transport that the layer models, the two renderers'"
         " pictures differ inside silhouettes and creases by a display L2 of"
-        f" {direct['like_net']:.2f} once noise is taken off (black and white differ by 65,025);"
+        f" {like} once noise is taken off (black and white differ by 65,025);"
         f" edges included, by {direct['net']:.2f}."
     )
-    if direct.get("node_fit") is None:
+    if fit is None:
         return (
             report
             + " The catalogue does not say how far its materials' two forms, label and nodes, are"
@@ -98,8 +105,9 @@ def verdict(direct: Mapping) -> str:
         )
     judged = "within" if direct.get("holds") else "beyond"
     return (
-        f"{report} The materials' two forms, label and nodes, differ by {direct['node_fit']:.2f};"
-        f" the limit inside is {direct['limit']:g} times that: {judged} it."
+        f"{report} The materials' two forms, label and nodes, differ by {fit:.2f}; the limit"
+        f" inside is {direct['limit']:g} times that: {judged} it."
+        f"{uncertainty.advice(direct.get('noise_may_decide'))}"
     )
 
 

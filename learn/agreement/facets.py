@@ -22,7 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from learn.data.records import Sample
-from learn.metrics.pictures import squared_difference, squared_net_of_noise
+from learn.metrics.pictures import (
+    squared_difference,
+    squared_net_of_noise,
+    standard_error_net_of_noise,
+)
 from shaders import tone
 from shaders.direct_light import COS_LEANING, FACING, DirectLight
 from shaders.mixture import Mixture
@@ -119,11 +123,14 @@ def figures(
     forms: ClosedForms,
     exposure: float,
 ) -> dict[str, float] | None:
-    """Return FIGURES of one condition over the whole mask (H, W), None with a single seed.
+    """Return FIGURES and predicted_error of one condition over the whole mask (H, W).
+
+    None with a single seed.
 
     layer             display L2 net of noise of I
     facets, half_vectors, second_surface   display L2 between the prediction with and without each
     predicted         net, of the prediction with all of them
+    predicted_error   standard error of predicted that Cycles' noise alone makes
     predicted_points  its part without pixels beside edges
     predicted_low     of that, the part of pixels with n·v below UNFITTED
     node_fit          display L2 between the prediction and the nodes' closed form M
@@ -156,6 +163,7 @@ def figures(
         "half_vectors": float(squared_difference(F, H).mean()),
         "second_surface": float(squared_difference(H, P).mean()),
         "predicted": float(net(P).mean()),
+        "predicted_error": standard_error_net_of_noise(C - P),
         "predicted_points": without_edges(net(P)),
         "predicted_low": without_edges(net(P) * low),
         "node_fit": float(squared_difference(P, M).mean()),

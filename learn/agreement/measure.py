@@ -25,7 +25,12 @@ from learn.data.records import Sample
 from learn.layer import render
 from learn.layer.predictions import MEASURED, TEXEL_SUM
 from learn.methods import quadrature
-from learn.metrics.pictures import similarity, squared_difference, squared_net_of_noise
+from learn.metrics.pictures import (
+    similarity,
+    squared_difference,
+    squared_net_of_noise,
+    standard_error_net_of_noise,
+)
 from manifests.materials import Material
 from shaders import tone
 from shaders.dsbrdf import SHAPE
@@ -49,6 +54,7 @@ class Row:
                          inner_net: the others' part
     like_net             net over the pixels inside alone, the layer averaged over each pixel's
                          square if Cycles' pictures are
+    like_net_error       standard error of like_net that Cycles' noise alone makes
     node_fit             display L2 between label and nodes as the catalogue states it, mean over
                          the scene's materials
     grazing              per bin of surface.GRAZING_DEG, over the pixels inside, like for like:
@@ -87,6 +93,7 @@ class Row:
     edge_net: float | None
     inner_net: float | None
     like_net: float | None
+    like_net_error: float | None
     node_fit: float
     grazing: list
     causes: dict | None = None
@@ -262,22 +269,25 @@ def net_of_noise(
 ) -> dict:
     """Return a Row's figures that need two seeds; None each where there is one.
 
+    The standard error is learn.metrics.pictures.standard_error_net_of_noise.
+
     D_C  (seeds, H, W, 3) of Cycles; D_I, D_S, D_F (H, W, 3) of the layer's integral, sum and
          footprint: display values
     """
-    names = ("noise", "net", "sum_net", "edge_net", "inner_net", "like_net")
+    names = ("noise", "net", "sum_net", "edge_net", "inner_net", "like_net", "like_net_error")
     if len(D_C) < 2:
         return dict.fromkeys(names)
     mask, inner = layer.mask, layer.inner
     net, count = squared_net_of_noise(D_C - D_I), mask.sum()
-    like = squared_net_of_noise(D_C - D_F)[inner]
+    like = (D_C - D_F)[:, inner]
     return {
         "noise": float(squared_difference(D_C[0], D_C[1])[mask].mean() / 2),
         "net": float(net[mask].mean()),
         "sum_net": float(squared_net_of_noise(D_C - D_S)[mask].mean()),
         "edge_net": float(net[mask & ~inner].sum() / count),
         "inner_net": float(net[mask & inner].sum() / count),
-        "like_net": float(like.mean()) if inner.any() else None,
+        "like_net": float(squared_net_of_noise(like).mean()) if inner.any() else None,
+        "like_net_error": standard_error_net_of_noise(like) if inner.any() else None,
     }
 
 

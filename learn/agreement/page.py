@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from learn.agreement import uncertainty
 from learn.agreement.plots import NAMES
 from learn.agreement.summary import FIGURES, LIMIT
 from learn.figures.html import encoded, encoded_picture, image, page, paragraph, table
@@ -90,10 +91,12 @@ def verdict(head: Mapping) -> str:
         else (head["node_fit_measured"], "measured here")
     )
     judged = "within" if head["holds"] else "beyond"
+    like = uncertainty.written(head["like_net"], head["like_net_error"], head["limit"] * fit)
     return (
         "Direct tier, inside the silhouette, both renderers over the same part of each pixel:"
-        f" display L2 net of noise {head['like_net']:.3g}; the materials' own node fit {whose} is"
-        f" {fit:.3g}: {judged} the limit of {head['limit']:g} times. Over the whole mask, with"
+        f" display L2 net of noise {like}; the materials' own node fit {whose} is {fit:.3g}:"
+        f" {judged} the limit of {head['limit']:g} times."
+        f"{uncertainty.advice(head['noise_may_decide'])} Over the whole mask, with"
         f" {100 * head['edge_share']:.0f} % of it on edges, the integral stands at"
         f" {head['net']:.3g} and the paper's texel sum at {head['sum_net']:.3g}."
     )
@@ -104,17 +107,23 @@ def whole_verdict(whole: Mapping) -> str:
     if whole["holds"] is None:
         return "The catalogue states no node fit: the limit over the whole mask cannot be judged."
     judged = "within" if whole["holds"] else "beyond"
+    fit = whole["node_fit_catalogue"]
+    predicted = uncertainty.written(whole["predicted"], whole["predicted_error"], LIMIT * fit)
     return (
         "Over the whole mask, with what Cycles does at facets and at pixels that show several"
         f" surfaces ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
-        f" {whole['predicted']:.3g}; the node fit in the catalogue is"
-        f" {whole['node_fit_catalogue']:.3g}: {judged} the limit of {LIMIT:g} times."
+        f" {predicted}; the node fit in the catalogue is {fit:.3g}: {judged} the limit of"
+        f" {LIMIT:g} times.{uncertainty.advice(whole['noise_may_decide'])}"
     )
 
 
 def whole_rows(whole: Mapping) -> list[tuple[str, str]]:
     """Return the rows (what, L2) of the table of the whole mask."""
-    return [(title, number(key, whole[key])) for key, title in WHOLE.items()]
+    predicted = uncertainty.written(whole["predicted"], whole["predicted_error"])
+    return [
+        (title, predicted if key == "predicted" else number(key, whole[key]))
+        for key, title in WHOLE.items()
+    ]
 
 
 def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
@@ -243,8 +252,10 @@ def cards(summary: Mapping) -> str:
     head, every = summary["direct"], summary["all"]
     judged = "" if head["holds"] is None else " good" if head["holds"] else " bad"
     fit = head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"]
+    limit = None if fit is None else head["limit"] * fit
+    like = uncertainty.written(head["like_net"], head["like_net_error"], limit)
     shown: Sequence[tuple[str, str, str]] = [
-        (judged, number("like_net", head["like_net"]), "direct tier inside, L2 − noise"),
+        (judged, like, "direct tier inside, L2 − noise"),
         ("", number("node_fit", fit), "node fit of its materials"),
         ("", number("net", head["net"]), "over the whole mask"),
         ("", number("sum_net", head["sum_net"]), "the same by the paper's sum"),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from learn.agreement import facets, surface
+from learn.agreement import facets, surface, uncertainty
 from learn.agreement.measure import Row
 
 # net display L2 of the direct tier, in units of the materials' own node fit
@@ -110,7 +110,8 @@ def whole(rows: Iterable[Row]) -> dict | None:
     """Return the means of facets.FIGURES over the direct tier's rows, and whether the limit holds.
 
     Of the pixels of the whole mask the prediction must lie within LIMIT times the node fit of the
-    catalogue. None where no row has the figures
+    catalogue. predicted_error and noise_may_decide are as in `headline`. None where no row has the
+    figures
     """
     known = [row for row in direct(rows) if row.whole]
     if not known:
@@ -119,7 +120,17 @@ def whole(rows: Iterable[Row]) -> dict | None:
     fit = mean([row.node_fit for row in known])
     predicted = means["predicted"]
     holds = None if fit is None or predicted is None else bool(predicted <= LIMIT * fit)
-    return {"conditions": len(known), **means, "node_fit_catalogue": fit, "holds": holds}
+    error = uncertainty.of_mean((row.whole or {}).get("predicted_error") for row in known)
+    return {
+        "conditions": len(known),
+        **means,
+        "predicted_error": error,
+        "node_fit_catalogue": fit,
+        "holds": holds,
+        "noise_may_decide": uncertainty.noise_may_decide(
+            predicted, error, None if fit is None else LIMIT * fit
+        ),
+    }
 
 
 def headline(rows: Iterable[Row]) -> dict:
@@ -131,6 +142,9 @@ def headline(rows: Iterable[Row]) -> dict:
     node_fit   of the catalogue; node_fit_measured on these very pictures (inner pixels). The limit
                uses the catalogue's where there is one
     holds      None if there is no second seed
+    like_net_error    standard error of like_net that Cycles' noise alone makes
+    noise_may_decide  whether the limit is so close that noise may have decided holds; None where
+                      that is not known
     """
     own = direct(rows)
     net, like, fit = (
@@ -139,12 +153,19 @@ def headline(rows: Iterable[Row]) -> dict:
     measured = mean([row.causes["node_fit"] for row in own if row.causes])
     against = measured if fit is None else fit
     holds = None if like is None or against is None else bool(like <= LIMIT * against)
+    error = uncertainty.of_mean(row.like_net_error for row in own)
+    noise = {
+        "like_net_error": error,
+        "noise_may_decide": uncertainty.noise_may_decide(
+            like, error, None if against is None else LIMIT * against
+        ),
+    }
     shares = {
         "edge_share": mean([row.edge_share for row in own]),
         "sum_net": mean([row.sum_net for row in own]),
     }
     fits = {"node_fit": fit, "node_fit_measured": measured, "limit": LIMIT, "holds": holds}
-    return {"conditions": len(own), "net": net, "like_net": like} | shares | fits
+    return {"conditions": len(own), "net": net, "like_net": like} | noise | shares | fits
 
 
 def summarise(rows: Sequence[Row]) -> dict:

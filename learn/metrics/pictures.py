@@ -161,6 +161,43 @@ def squared_net_of_noise(errors: np.ndarray) -> np.ndarray:
     return ((total**2 - own) / (count * (count - 1))).mean(-1)
 
 
+def standard_error_net_of_noise(errors: np.ndarray) -> float:
+    """Return the standard error of the mean of `squared_net_of_noise` over pixels, from noise.
+
+    At a pixel let seed s have the errors x_s = e + n_s of three channels, with independent noises
+    n_s of covariance Σ. The product of two seeds' errors, the mean over channels of x_1 x_2, has
+    the variance (2 e·Σe + tr Σ²) / 9. Where the three channels have the same error e and the same
+    noise of deviation s, that is 2 e² s² + s⁴. The mean over the pairs of S seeds has
+
+        (4 e·Σe / S + 2 tr Σ² / (S (S − 1))) / 9.
+
+    With the mean x̄ over seeds and their sample covariance C, the estimate at a pixel is
+
+        (4 x̄·Cx̄ / S − 2 ((S − 1) tr C² − (tr C)²) / (S² (S + 1))) / 9.
+
+    Its mean is the variance above if noise is normal, whether channels share it or not. With two
+    seeds it is the square of half the difference of their own squared errors. Pixels are
+    independent, so that their estimates are added.
+
+    Of other noise it is wrong: with two seeds its mean is 2 e² s² + 2 e μ₃ + s⁴ (1 + κ/2), where μ₃
+    is the noise's third moment and κ its excess kurtosis. It is too large for noise of rare bright
+    pixels, and too small for noise with lighter tails than the normal's. It knows nothing of what
+    all seeds share, such as a bias.
+
+    errors  (seeds, P, 3) differences of display values, two seeds or more and a pixel or more
+    """
+    seeds, pixels, channels = errors.shape
+    centre = errors.mean(0)
+    noise = errors - centre
+    covariance = np.einsum("spi,spj->pij", noise, noise) / (seeds - 1)
+    along = np.einsum("pi,pij,pj->p", centre, covariance, centre)
+    squares = (covariance**2).sum((1, 2))  # tr C²
+    trace = np.trace(covariance, axis1=1, axis2=2)
+    surplus = ((seeds - 1) * squares - trace**2) / (seeds**2 * (seeds + 1))
+    variance = (4 * along / seeds - 2 * surplus).sum() / channels**2
+    return float(np.sqrt(max(variance, 0.0)) / pixels)
+
+
 def similarity(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
     """Return the mean SSIM of display values over the mask; None below 7 × 7 pixels."""
     values = similarity_map(a, b)

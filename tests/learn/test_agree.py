@@ -1,6 +1,7 @@
 """`learn agree` on datasets whose truth is known: what it measures is what was put in."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import msgspec
@@ -124,7 +125,11 @@ def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
 def test_renderers_that_agree_within_the_limit_end_with_status_0(folder, capsys):
     status, out = agree(folder)
     head = json.loads((out / "report.json").read_text())["summary"]["direct"]
-    assert head["holds"] is True and "within the limit" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert head["holds"] is True and "within the limit" in printed
+    stated = re.search(r"± (\S+) \(limit 0\.15", printed)
+    assert stated and float(stated[1]) == pytest.approx(head["like_net_error"], rel=0.05)
+    assert printed.splitlines()[0] in (out / "report.md").read_text()
     assert status == 0
 
 

@@ -116,7 +116,7 @@ def test_all_causes_together_predict_what_cycles_shows(sample, mixtures, truth):
     pictures = truth + rng.normal(0, 0.005, (2, *truth.shape))
     # a layer whose label is the nodes' own closed form
     figures = facets.figures(pictures, mask, forms.plain, forms, 0.5)
-    assert set(figures) == set(facets.FIGURES)
+    assert set(figures) == {*facets.FIGURES, "predicted_error"}
     # of one value: about 0.005 · 150 / 2.2 display values, squared; the net of 105 scatters less
     noise = 0.2
     assert figures["layer"] > 50 * noise
@@ -131,6 +131,19 @@ def test_all_causes_together_predict_what_cycles_shows(sample, mixtures, truth):
     assert brighter["node_fit"] > 3 * noise
 
 
+def test_the_prediction_scatters_as_its_standard_error_says(sample, mixtures, truth):
+    forms = facets.closed_forms(sample, mixtures)
+    mask, bright = sample.segments.numpy() > 0, truth + 0.05  # no pixel is clipped at black
+    rng = np.random.default_rng(2)
+    trials = [
+        facets.figures(bright + rng.normal(0, 0.005, (2, *truth.shape)), mask, truth, forms, 0.5)
+        for _ in range(400)
+    ]
+    scatter = np.std([trial["predicted"] for trial in trials])
+    stated = np.sqrt(np.mean([trial["predicted_error"] ** 2 for trial in trials]))
+    assert stated == pytest.approx(scatter, rel=0.12)  # of 400 trials: 4 %
+
+
 def test_without_facets_in_perspective_or_with_one_seed_nothing_is_said(sample, mixtures, truth):
     mask = sample.segments.numpy() > 0
     forms = facets.closed_forms(sample, mixtures)
@@ -143,7 +156,7 @@ def test_without_facets_in_perspective_or_with_one_seed_nothing_is_said(sample, 
 
 @pytest.mark.parametrize("predicted, holds", [(0.5, True), (0.7, False)])
 def test_the_limit_is_judged_over_the_whole_mask(predicted, holds):
-    whole = dict.fromkeys(facets.FIGURES, 0.1) | {"predicted": predicted}
+    whole = dict.fromkeys(facets.FIGURES, 0.1) | {"predicted": predicted, "predicted_error": 0.01}
     row = SimpleNamespace(tier="direct", light_resolution="64x128", whole=whole, node_fit=0.41)
     result = summary.whole([row, SimpleNamespace(**vars(row) | {"whole": None, "node_fit": 9.0})])
     assert result["conditions"] == 1 and result["holds"] is holds
