@@ -27,6 +27,7 @@ PAGES = {
     "docs/README.md": "index.md",
     "docs/results": "results/index.md",
     "docs/jobs": "jobs/index.md",
+    "docs/jobs/evaluation": "jobs/index.md",
     "docs/jobs/evaluation-regions": "jobs/index.md",
     "docs/results/photographs/index.html": "gallery.md",
 }
