@@ -86,7 +86,8 @@ def data_splits(
                 folder,
                 f"shapes for {side}",
                 "none",
-                "render more shapes; a fifth of them is held out",
+                "render more shapes: about one in five is for testing, and of the others one in"
+                f" {VALIDATION_SHAPES} for validation",
             )
         names = [name for name in maps if held.get(name, "train") == side]
         # without maps training draws computed light, never a held-out map
