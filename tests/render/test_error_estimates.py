@@ -164,7 +164,7 @@ def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
 def test_no_closed_form_is_computed_where_light_is_blocked_by_too_much_for_it():
     dark, lit = (Shaded(noise=0.8, deepest=deepest) for deepest in (0.01, 0.95))
     for known in (dark, lit):
-        choice.picture(shown(known), 200.0 if known is dark else 20.0)
+        choice.picture(shown(known), 40.0)
     assert (dark.closed_forms, lit.closed_forms) == (0, 1)
 
 
@@ -179,6 +179,24 @@ def test_direct_lights_error_as_the_picture_is_estimated_from_few_samples():
         halves.grow(16)
         estimates.append(halves.error_of_direct_light().error)
     assert np.mean(estimates) == pytest.approx(truth, rel=0.1)
+
+
+class OtherNoise(Shaded):
+    """The same with nothing blocked, and with direct light of other noise than the tier `full`."""
+
+    def portion(self, first, count, seed, tier, denoise=False):
+        return super().portion(first, count, seed + 1000 * (tier == "direct"), tier, denoise)
+
+
+def test_noise_is_not_counted_as_blocked_light():
+    known = OtherNoise(noise=0.3, deepest=1.0)
+    estimates, noises = [], []
+    for seed in range(10):
+        halves = Halves(shown(known, seed))
+        halves.grow(16)
+        estimates.append(halves.error_of_direct_light().error)
+        noises.append(halves.estimate().error)
+    assert abs(np.mean(estimates)) < 0.2 * np.mean(noises)
 
 
 def test_the_closed_form_alone_is_taken_where_nothing_is_blocked():
