@@ -31,6 +31,16 @@ def display(radiance: Array, exposure: float | Array) -> Array:
     return 255.0 * srgb(radiance * exposure)
 
 
+def display_slope(radiance: np.ndarray, exposure: float) -> np.ndarray:
+    """Return the change of display values per unit of radiance, at radiance of any shape.
+
+    Differences of radiance times the slope have no bias, whereas display values of noisy radiance
+    are too dark on average, since the curve is concave. It is taken over a step of one hundredth.
+    """
+    step = np.float32(0.01) * radiance + np.float32(1e-4 / exposure)
+    return (display(radiance + step, exposure) - display(radiance, exposure)) / step
+
+
 def auto_exposure(radiance: np.ndarray, mask: np.ndarray, percentile: float = 99.0) -> float:
     """Return the factor that brings the mask's `percentile` of luminance to 1.
 

@@ -23,6 +23,7 @@ from factory.render import (
     body,
     camera,
     canary,
+    denoiser,
     device,
     light,
     points,
@@ -32,7 +33,7 @@ from factory.render import (
     window,
 )
 from factory.render.direct_light import DirectLights, picture_of, points_of
-from factory.render.estimators.halves import DirectPicture, Portion
+from factory.render.estimators.halves import DirectPicture, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
@@ -262,9 +263,7 @@ class Studio:
         rgba = window.paste(passes["Combined"], visible, lens.size)
         return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
 
-    def portion(
-        self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
-    ) -> Portion:
+    def portion(self, first: int, count: int, seed: int, tier: Tier) -> Portion:
         """Return samples first … first + count − 1 of a seed's sequence; others as for `picture`.
 
         Portions of one sequence, weighted by their counts, give the picture of all their samples to
@@ -272,16 +271,27 @@ class Studio:
         """
         self._show("picture")
         self._set_tier(tier)
-        with portion_of_samples(self._scene, first, count, seed, denoise):
-            lens = self._require_camera()
+        lens = self._require_camera()
+        with portion_of_samples(self._scene, first, count, seed):
             visible, rendered = self._render_passes(lens)
-        rgba = window.paste(rendered["Combined"], visible, lens.size)
+        guides = np.concatenate([rendered[name] for name in denoiser.GUIDES], axis=-1)
+        rgba, guides = (
+            window.paste(each, visible, lens.size) for each in (rendered["Combined"], guides)
+        )
         alpha = np.ascontiguousarray(rgba[..., 3])
-        if not denoise:
-            return Portion(np.ascontiguousarray(rgba[..., :3]), alpha)
-        noisy = window.paste(rendered["Noisy Image"], visible, lens.size)
-        smooth = np.maximum(rgba[..., :3], np.float32(0))
-        return Portion(np.ascontiguousarray(noisy[..., :3]), alpha, smooth)
+        return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides)
+
+    def denoised(self, portion: Portion, effort: Effort) -> np.ndarray:
+        """Return a portion's radiance, or that of the mean of several, without most of its noise.
+
+        Shape, view and camera must be those with which it was rendered.
+        """
+        lens = self._require_camera()
+        visible = window.around(self._vertices, self._azimuth, lens)
+        top, bottom, left, right = visible
+        noisy, alpha, guides = (each[top:bottom, left:right] for each in portion)
+        smooth = denoiser.denoised(self._scene, noisy, alpha, guides, effort)
+        return window.paste(smooth, visible, lens.size)
 
     @contextlib.contextmanager
     def sampled_by(self, pattern: str) -> Iterator[None]:

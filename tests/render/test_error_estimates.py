@@ -5,6 +5,7 @@ import pytest
 
 from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
+    EFFORTS,
     Estimate,
     Halves,
     Portion,
@@ -13,7 +14,7 @@ from factory.render.estimators.halves import (
     mean_over,
 )
 from shaders import tone
-from tests.support.known_pictures import MASK, Known, Shaded, error, shown
+from tests.support.known_pictures import MASK, NO_GUIDES, Known, Shaded, error, shown
 
 
 def mean_ratio(known, samples, denoise):
@@ -21,7 +22,8 @@ def mean_ratio(known, samples, denoise):
     ratios = []
     for seed in range(20):
         halves = Halves(shown(known, seed))
-        pair = halves.grow(samples, denoise)
+        halves.grow(samples)
+        pair = halves.denoised() if denoise else []
         estimate = halves.denoised_estimate(pair) if denoise else halves.estimate()
         picture = (pair[0] + pair[1]) / 2 if denoise else halves.picture
         ratios.append(estimate.error / error(picture, known))
@@ -42,7 +44,7 @@ def test_noise_does_not_change_the_exposure():
     halves = Halves(shown(known))
     halves.grow(16)
     truth = tone.auto_exposure(known.truth, MASK)
-    assert halves._exposure() == pytest.approx(truth, rel=0.03)
+    assert halves.exposure == pytest.approx(truth, rel=0.03)
     assert tone.auto_exposure(halves.picture, MASK) < 0.95 * truth
 
 
@@ -54,11 +56,10 @@ def test_a_picture_is_made_of_all_samples_and_of_none_twice():
     seeds = half_seed(5, 0), half_seed(5, 1)
     assert seeds[0] == 5 != seeds[1]
     assert known.requested == [
-        (first, count, seed, False) for first, count in ((0, 4), (4, 12)) for seed in seeds
+        (first, count, seed) for first, count in ((0, 4), (4, 12)) for seed in seeds
     ]
     portions = [
-        known.portion(*requested[:3], "full").noisy * requested[1]
-        for requested in known.requested[:4]
+        known.portion(*requested, "full").noisy * requested[1] for requested in known.requested[:4]
     ]
     np.testing.assert_allclose(halves.picture, sum(portions) / 32, rtol=1e-5)
 
@@ -72,7 +73,36 @@ def test_the_error_is_kept_and_no_more_samples_are_taken_than_that_needs(request
     assert error(made.radiance, known) <= requested
     if made.estimator == path_tracing.NAME and made.samples > 2 * choice.PILOT:
         assert error(made.radiance, known) > 0.6 * requested
-    assert made.samples == sum(count for _, count, _, _ in known.requested)
+    assert made.samples == sum(count for _, count, _ in known.requested)
+
+
+def test_every_try_denoises_all_samples_so_far():
+    known, seen = Shaded(), []
+    denoise = known.denoised
+    known.denoised = lambda portion, effort: (
+        seen.append((portion, effort)) or denoise(portion, effort)
+    )
+    halves = Halves(shown(known))
+    halves.grow(4)
+    halves.unblocked()
+    halves.grow(60)
+    for _ in range(2):  # the second time nothing is rendered or denoised again
+        halves.denoised()
+        halves.unblocked_denoised()
+    assert len(seen) == 4 and {effort for _, effort in seen} == {EFFORTS[32]}
+    np.testing.assert_array_equal(seen[0][0].noisy, halves.pictures[0])
+    counts = [count for _, count, _ in known.requested]
+    assert counts == [4, 4, 4, 4, 60, 60, 60, 60]
+    errors = [error(portion.noisy, known) for portion, _ in seen[:2]]
+    first = Halves(shown(known))
+    first.grow(4)
+    assert max(errors) < error(first.pictures[0], known) / 4
+
+
+def test_more_samples_are_denoised_more_thoroughly():
+    costs = [denoised.cost(samples, "full") for samples in (4, 31, 32, 127, 128, 2048)]
+    assert costs[0] == costs[1] < costs[2] == costs[3] < costs[4] == costs[5]
+    assert denoised.cost(4, "direct") > denoised.cost(4, "full")
 
 
 def test_the_denoiser_is_taken_where_it_saves_samples_and_left_where_its_bias_is_too_large():
@@ -83,8 +113,7 @@ def test_the_denoiser_is_taken_where_it_saves_samples_and_left_where_its_bias_is
     biased = Known(**noisy, bias=0.2)
     kept = choice.picture(shown(biased), 20.0)
     assert kept.estimator == "path-tracing" and error(kept.radiance, biased) <= 20
-    tries = sum(denoise for *_, denoise in biased.requested)
-    assert 2 <= tries <= 2 * denoised.MOST_TRIES
+    assert 2 <= biased.tries <= 2 * denoised.MOST_TRIES
 
 
 def test_the_same_seed_chooses_the_same_estimator_and_another_seed_other_noise():
@@ -140,8 +169,8 @@ def test_the_denoiser_is_expected_to_leave_less_where_the_frame_has_more_pixels(
 
 def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
     scales, samples = [], []
-    for bias in (0.3, 0.001):
-        attempt = choice._Attempt(shown(Known(noise=1.5, bias=bias)), 20.0, choice.ALL)
+    for bias in (0.2, 0.001):
+        attempt = choice._Attempt(shown(Known(noise=0.8, bias=bias)), 20.0, choice.ALL)
         scales.append(attempt.scale)
         attempt.error = 1e-6  # no try is kept
         assert attempt.run(choice._Plan(0.0, denoised.NAME, 8)) is None
@@ -184,8 +213,8 @@ def test_direct_lights_error_as_the_picture_is_estimated_from_few_samples():
 class OtherNoise(Shaded):
     """The same with nothing blocked, and with direct light of other noise than the tier `full`."""
 
-    def portion(self, first, count, seed, tier, denoise=False):
-        return super().portion(first, count, seed + 1000 * (tier == "direct"), tier, denoise)
+    def portion(self, first, count, seed, tier):
+        return super().portion(first, count, seed + 1000 * (tier == "direct"), tier)
 
 
 def test_noise_is_not_counted_as_blocked_light():
@@ -227,9 +256,8 @@ def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
 
 def test_the_ratio_stands_where_there_is_light_and_the_denoised_picture_elsewhere():
     direct = np.full((1, 3, 3), 2.0)
-    noisy = np.zeros((1, 3, 3))
     shown_, unblocked = (
-        Portion(noisy, noisy[..., 0], np.array(values)[None, :, None] * np.ones(3))
+        np.array(values)[None, :, None] * np.ones(3)
         for values in ([0.5, 0.3, 9.0], [1.0, 0.0, 1.0])
     )
     picture = ratio.combined(direct, shown_, unblocked)
@@ -239,8 +267,8 @@ def test_the_ratio_stands_where_there_is_light_and_the_denoised_picture_elsewher
 def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
     known = Shaded(deepest=1.0)
     halves = Halves(shown(known))
-    halves.grow(4, denoise=True)
-    pairs = zip(halves.last, halves.unblocked(4), strict=True)
+    halves.grow(4)
+    pairs = zip(halves.pictures, halves.unblocked(), strict=True)
     for pair in pairs:
         picture = ratio.unbiased(known.unblocked, *pair)
         np.testing.assert_allclose(picture, known.truth, atol=1e-5)
@@ -286,9 +314,9 @@ class Convex(Shaded):
         super().__init__(deepest=1.0)
         self.tiers = []
 
-    def portion(self, first, count, seed, tier, denoise=False):
+    def portion(self, first, count, seed, tier):
         self.tiers.append(tier)
-        return super().portion(first, count, seed, tier, denoise)
+        return super().portion(first, count, seed, tier)
 
     def may_shade_itself(self):
         return False
@@ -361,10 +389,11 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
 class Sparse(Known):
     """A ramp of whose light each sample finds a tenth, and with a chance of 2 % the rest."""
 
-    def portion(self, first, count, seed, tier, denoise=False):
+    def portion(self, first, count, seed, tier):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
         found = rng.binomial(count, 0.02, size=(*MASK.shape, 1)) / (0.02 * count)
-        return Portion(np.float32(self.truth * (0.1 + 0.9 * found)), MASK.astype(np.float32))
+        noisy = np.float32(self.truth * (0.1 + 0.9 * found))
+        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES)
 
 
 def test_the_estimate_counts_what_the_display_curve_makes_of_rare_light():

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from factory.render import direct_light
+from factory.render import denoiser, direct_light
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Halves, Shown
+from factory.render.estimators.halves import Effort, Halves, Shown, effort
 from factory.render.settings import PORTION
 from factory.render.validation import denoiser_law
 from manifests.schema import Camera
@@ -43,15 +43,29 @@ def test_portions_of_a_sequence_together_are_the_whole(chair):
     np.testing.assert_allclose((4 * parts[0] + 12 * parts[1]) / 16, whole, rtol=1e-4, atol=1e-5)
 
 
-def test_the_denoiser_leaves_the_noisy_pixels_and_smooths_its_own(chair):
+def test_the_denoiser_takes_most_noise_away(chair):
     plain = chair.portion(0, 4, 3, "shadow")
-    both = chair.portion(0, 4, 3, "shadow", denoise=True)
-    np.testing.assert_allclose(both.noisy, plain.noisy, rtol=1e-4, atol=1e-5)
-    assert plain.denoised is None and both.denoised.min() >= 0
+    smooth = chair.denoised(plain, effort(64))
+    assert smooth.min() >= 0
     exact = chair.portion(0, 1024, 4, "shadow").noisy
     mask = chair.geometry().mask
-    errors = [tone.display_l2(each, exact, 1.0, mask) for each in (both.denoised, both.noisy)]
+    errors = [tone.display_l2(each, exact, 1.0, mask) for each in (smooth, plain.noisy)]
     assert errors[0] < errors[1] / 2
+
+
+def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
+    portion = chair.portion(0, 4, 3, "shadow")
+    once, four = Effort("BALANCED", 1, 1.0), Effort("BALANCED", 4, 1.0)
+    each = [
+        denoiser.denoised(chair._scene, *(part[::rows, ::columns] for part in portion), once)[
+            ::rows, ::columns
+        ]
+        for rows, columns in denoiser.FLIPS
+    ]
+    together = denoiser.denoised(chair._scene, *portion, four)
+    np.testing.assert_allclose(together, sum(each) / 4, atol=1e-5)
+    assert np.abs(each[0] - each[1]).max() > 1e-3 and len(set(denoiser.FLIPS)) == 4
+    assert not chair._scene.cycles.use_denoising
 
 
 def test_direct_light_by_the_closed_form_is_what_many_samples_show(chair):
@@ -121,7 +135,7 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
 def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):
     before, _ = chair.picture(4, 3, "full")
     settings = {s.path: chair._scene.path_resolve(s.path) for s in PORTION}
-    chair.portion(4, 8, 3, "full", denoise=True)
+    chair.denoised(chair.portion(4, 8, 3, "full"), effort(8))
     after, _ = chair.picture(4, 3, "full")
     np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-6)
     held = {s.path: chair._scene.path_resolve(s.path) for s in PORTION if "subset" in s.path}

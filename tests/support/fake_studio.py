@@ -79,13 +79,16 @@ class Studio:
             radiance[0, 0] = np.nan
         return radiance, self._mask.astype(np.float32)
 
-    def portion(self, first, count, seed, tier="direct", denoise=False):
+    def portion(self, first, count, seed, tier="direct"):
         _, alpha = self.picture(count, seed, tier)
         radiance = self._normals[..., 2:] * np.float32(self._colour) * np.ones(3, np.float32)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         noise = rng.normal(size=radiance.shape).astype(np.float32) / np.float32(np.sqrt(count))
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
-        return Portion(noisy, alpha, radiance if denoise else None)
+        return Portion(noisy, alpha, self._normals)
+
+    def denoised(self, portion, effort):
+        return portion.guides[..., 2:] * np.float32(self._colour) * np.ones(3, np.float32)
 
     def may_shade_itself(self):
         return True

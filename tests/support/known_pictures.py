@@ -6,6 +6,7 @@ from factory.render.estimators.halves import DirectPicture, Portion, Shown
 from shaders import tone
 
 SIZE = 48
+NO_GUIDES = np.zeros((SIZE, SIZE, 6), np.float32)
 MASK = np.hypot(*(np.mgrid[:SIZE, :SIZE] - SIZE / 2 + 0.5)) < 0.45 * SIZE
 
 
@@ -16,21 +17,23 @@ class Known:
     """
 
     def __init__(self, noise=0.3, left=0.3, bias=0.0):
-        self.noise, self.left, self.bias, self.requested = noise, left, bias, []
+        self.noise, self.left, self.bias = noise, left, bias
+        self.requested, self.tries = [], 0  # portions, and calls of the denoiser
         ramp = np.linspace(0.25, 0.9, SIZE, dtype=np.float32)
         self.truth = np.broadcast_to(ramp[:, None, None], (SIZE, SIZE, 3)).copy()
 
-    def portion(self, first, count, seed, tier, denoise=False):
-        self.requested.append((first, count, seed, denoise))
+    def portion(self, first, count, seed, tier):
+        self.requested.append((first, count, seed))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
         noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
-        alpha = MASK.astype(np.float32)
         noisy = (self.truth + noise).astype(np.float32)
-        if not denoise:
-            return Portion(noisy, alpha)
-        smooth = (self.truth + self.left * noise).astype(np.float32)
+        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES)
+
+    def denoised(self, portion, effort):
+        self.tries += 1
+        smooth = self.truth + self.left * (portion.noisy - self.truth)
         smooth[:, ::2] += self.bias
-        return Portion(noisy, alpha, smooth)
+        return smooth.astype(np.float32)
 
     def may_shade_itself(self):
         return True
@@ -57,18 +60,23 @@ class Shaded(Known):
         self.share = (deepest + (1 - deepest) * steps)[None, :, None]
         self.truth = self.unblocked * self.share
 
-    def portion(self, first, count, seed, tier, denoise=False):
-        self.requested.append((first, count, seed, denoise))
+    def portion(self, first, count, seed, tier):
+        self.requested.append((first, count, seed))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
         noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
-        share = self.share if tier != "direct" else 1
+        share = np.float32(self.share if tier != "direct" else np.ones_like(self.share))
         noisy = np.float32(share * (self.unblocked + noise))
-        if not denoise:
-            return Portion(noisy, MASK.astype(np.float32))
+        # the share is seen by the denoiser as guides are
+        guides = np.broadcast_to(share, (*MASK.shape, 1))
+        return Portion(noisy, MASK.astype(np.float32), guides)
+
+    def denoised(self, portion, effort):
+        self.tries += 1
+        unblocked = portion.guides * self.unblocked
+        smooth = unblocked + self.left * (portion.noisy - unblocked)
         # what the noise hides is blurred in both pictures alike
-        smooth = self.unblocked + self.left * noise
         ripple = 1 + (0.3 * np.sin(np.arange(SIZE))[None, :, None] if self.blur else 0)
-        return Portion(noisy, MASK.astype(np.float32), np.float32(share * smooth * ripple))
+        return np.float32(smooth * ripple)
 
     def direct_light_samples(self):
         return 0

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from factory.render.estimators.halves import Estimate, Halves
-from shaders import tone
 
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6)  # of the unbiased pictures
 MOST_BIAS = 1 / 3  # of the limit on the error
@@ -50,7 +49,7 @@ def best(
     error     the limit
     shares    of the unbiased pictures that are tried; the first is 0
     """
-    exposure = tone.auto_exposure((smooth[0] + smooth[1]) / 2, halves.shown.mask)
+    slope = halves.slope(smooth)
     blends: list[Blend] = []
     for share in shares:
         some = np.float32(share)
@@ -58,7 +57,7 @@ def best(
             np.maximum(s + some * (u - s), np.float32(0)) if share else s
             for s, u in zip(smooth, unbiased, strict=True)
         ]
-        estimate, bias = halves.error_and_bias(pair, unbiased, exposure)
+        estimate, bias = halves.error_and_bias(pair, unbiased, slope)
         blends.append(Blend(pair, estimate, bias, blends[0].bias if blends else bias))
     allowed = [each for each in blends if each.bias <= MOST_BIAS * error]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

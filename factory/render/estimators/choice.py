@@ -3,9 +3,9 @@
 Of an object that cannot shade itself direct light is rendered, which costs less per sample and is
 the same. A pilot of a few samples of each half says how noisy the shot is. Then the estimator
 that needs the fewest further samples by its model is tried, until the error is at most the limit;
-the time of denoisers and closed forms counts as samples. Samples of a try that failed are kept for
-path tracing, so that only the other time is lost. Whatever is tried is accepted by its estimated
-error alone.
+the time of denoisers and closed forms counts as samples. Every try has all samples that were
+rendered so far, so that one that fails costs the time of its denoiser alone. Whatever is tried is
+accepted by its estimated error alone.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from factory.render.estimators import blends, closed_form, denoised, path_tracin
 from factory.render.estimators.halves import (
     CONFIDENCE,
     CURVE,
+    EFFORTS,
     OWN,
     DirectPicture,
     Estimate,
@@ -31,7 +32,7 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 8  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 9  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
@@ -75,6 +76,7 @@ def identity() -> list[object]:
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL, closed_form.SPREAD],
         sorted(denoised.COST.items()),
+        sorted(EFFORTS.items()),
         direct_light.constants(),
         [
             self_shading.TOLERANCE,
@@ -239,13 +241,14 @@ class _Attempt:
         most = MOST_SAMPLES - samples
         further = min(path_tracing.needed(self.now, samples, error), MOST_SAMPLES) - samples
         plans = [_Plan(further, path_tracing.NAME, further)]
-        denoiser = denoised.COST[tier]
         if self._may(denoised.NAME, denoised.MOST_TRIES):
             count = denoised.needed(self.now.noise_bound, samples, self.scale, error)
             if tried := self.tried.get(denoised.NAME):
                 count = max(math.ceil(denoised.CAUTION * count), tried[1] + 1)
-            if count <= most:
-                plans.append(_Plan(count + denoiser, denoised.NAME, count))
+            further = max(count - samples, 0)
+            if further <= most:
+                cost = denoised.cost(samples + further, tier)
+                plans.append(_Plan(further + cost, denoised.NAME, further))
         if self.direct is None:
             return plans
         if (
@@ -277,10 +280,14 @@ class _Attempt:
         return ratio.needed_after(tried, self.closed_direct, samples, self.error)
 
     def _ratio_plan(self, count: int) -> _Plan | None:
-        """Return the plan of a ratio of `count` further samples, if that is not too many."""
-        if count > MOST_SAMPLES - self.halves.samples:
+        """Return the plan of a ratio of `count` samples of each half, if that is not too many."""
+        if count > MOST_SAMPLES:
             return None
-        return _Plan(2 * (count + denoised.COST[self.shown.tier]), ratio.NAME, count)
+        further = max(count - self.halves.samples, 0)
+        total = self.halves.samples + further
+        rendered = further + total - self.halves.unblocked_samples
+        cost = rendered + 2 * denoised.cost(total, self.shown.tier)
+        return _Plan(cost, ratio.NAME, further)
 
     def _may(self, name: Estimator, most: int) -> bool:
         return name in self.estimators and self.tries.get(name, 0) < most
@@ -289,42 +296,36 @@ class _Attempt:
         """Render a plan's samples, and return the picture if it keeps the error."""
         halves, name = self.halves, plan.estimator
         self.tries[name] = self.tries.get(name, 0) + 1
-        count = min(plan.samples, (GROWTH - 1) * halves.samples)
+        if plan.samples:
+            halves.grow(min(plan.samples, (GROWTH - 1) * halves.samples))
         if name in (path_tracing.NAME, closed_form.NAME):
-            halves.grow(count)
             return None
-        smooth = halves.grow(count, denoise=True)
-        tried = [
-            _Tried(
-                denoised.NAME,
-                smooth,
-                denoised.predicted(self.pilot.noise * PILOT / count, self.scale, self.error),
-                halves.pictures,
-            )
-        ]
+        smooth = halves.denoised()
+        noise = self.pilot.noise * PILOT / halves.samples
+        by_law = denoised.predicted(noise, self.scale, self.error)
+        tried = [_Tried(denoised.NAME, smooth, by_law, halves.pictures)]
         if name == ratio.NAME:
-            assert self.direct is not None
-            radiance = self.direct.radiance
-            assert self.closed_alone is not None
-            unblocked = halves.unblocked(count)
-            pairs = list(zip(halves.last, unblocked, strict=True))
-            self.closed_direct = self._error_in_direct_light([each.noisy for each in unblocked])
+            assert self.direct is not None and self.closed_alone is not None
+            radiance, unblocked = self.direct.radiance, halves.unblocked()
+            self.closed_direct = self._error_in_direct_light(unblocked)
+            pairs = zip(smooth, halves.unblocked_denoised(), strict=True)
+            noisy = zip(halves.pictures, unblocked, strict=True)
+            pixels = self.shown.mask.size
             tried.insert(
                 0,
                 _Tried(
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
-                    ratio.predicted(self.closed_alone, count, self.shown.mask.size),
-                    [ratio.unbiased(radiance, *pair) for pair in pairs],
+                    ratio.predicted(self.closed_alone, halves.samples, pixels),
+                    [ratio.unbiased(radiance, *pair) for pair in noisy],
                 ),
             )
         for each in tried:
             blend = blends.best(halves, each.pair, each.unbiased, self.error)
             estimate, bias = self._estimate(each.estimator, blend)
-            self.tried[each.estimator] = _with_bias(estimate, bias), count
+            self.tried[each.estimator] = _with_bias(estimate, bias), halves.samples
             if each.estimator == denoised.NAME:
-                noise = halves.estimate().noise * halves.samples / count
-                self.scale = denoised.scale_measured(blend, noise)
+                self.scale = denoised.scale_measured(blend, halves.estimate().noise)
             if self._is_kept(estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,

@@ -36,16 +36,14 @@ def cost(pixels: int, directions: int) -> float:
 def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:
     """Return the closed form's error by two independent pictures of the tier `direct`.
 
-    Differences are taken of radiance and scaled by the display curve's slope, for the display
-    values of few samples are too dark on average.
+    Differences are taken of radiance and scaled by the display curve's slope (tone.display_slope).
 
     direct     (height, width, 3) by the closed form
     unblocked  two such pictures of equally many samples
     """
     exposure = tone.auto_exposure(direct, mask)
     exact = direct[mask]
-    step = np.float32(0.01) * exact + np.float32(1e-4 / exposure)
-    slope = (tone.display(exact + step, exposure) - tone.display(exact, exposure)) / step
+    slope = tone.display_slope(exact, exposure)
     one, other = ((each[mask] - exact) * slope for each in unblocked)
     return mean_over((one * other).mean(-1))
 

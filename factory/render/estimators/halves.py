@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,16 +23,38 @@ CURVE = 3.0
 
 
 class Portion(NamedTuple):
-    """Samples first … first + count − 1 of one seed's sequence.
+    """Samples first … first + count − 1 of one seed's sequence, or the mean of several such.
 
-    noisy     (height, width, 3) their mean, linear radiance
-    alpha     (height, width) the object's coverage
-    denoised  (height, width, 3), None where it was not requested
+    noisy   (height, width, 3) their mean, linear radiance
+    alpha   (height, width) the object's coverage
+    guides  (height, width, G) what a denoiser sees besides: albedo and normal
     """
 
     noisy: np.ndarray
     alpha: np.ndarray
-    denoised: np.ndarray | None = None
+    guides: np.ndarray
+
+
+class Effort(NamedTuple):
+    """How thoroughly a picture is denoised.
+
+    quality  of Open Image Denoise's network
+    flips    of the picture over which the mean is taken, 1 to 4
+    cost     processor time, in units of one flip at "HIGH"
+    """
+
+    quality: Literal["BALANCED", "HIGH"]
+    flips: int
+    cost: float
+
+
+# by the least samples of a half, so that the denoiser takes about a fifth of the samples' time
+EFFORTS = {0: Effort("BALANCED", 1, 0.45), 32: Effort("HIGH", 2, 2.0), 128: Effort("HIGH", 4, 4.0)}
+
+
+def effort(samples: int) -> Effort:
+    """Return how thoroughly a half of so many samples is denoised."""
+    return EFFORTS[max(least for least in EFFORTS if least <= samples)]
 
 
 class DirectPicture(NamedTuple):
@@ -45,14 +67,15 @@ class DirectPicture(NamedTuple):
 class Renderer(Protocol):
     """What the estimators call: factory.render.studio.Studio, or a substitute without Blender.
 
+    denoised              radiance (height, width, 3) of a portion, or of the mean of several
     direct_light          None where no closed form holds
     direct_light_samples  directions per pixel that it evaluates besides its maps; None as above
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
 
-    def portion(
-        self, first: int, count: int, seed: int, tier: Tier, denoise: bool = False
-    ) -> Portion: ...
+    def portion(self, first: int, count: int, seed: int, tier: Tier) -> Portion: ...
+
+    def denoised(self, portion: Portion, effort: Effort) -> np.ndarray: ...
 
     def direct_light(self) -> DirectPicture | None: ...
 
@@ -109,71 +132,115 @@ def half_seed(seed: int, half: int) -> int:
     return int.from_bytes(hashlib.blake2b(f"half {seed}".encode(), digest_size=4).digest(), "big")
 
 
+class _Growing:
+    """The portions of one seed's sequence that were rendered so far, in one tier.
+
+    samples  per pixel
+    mean     the portion of all of them; None before the first
+    """
+
+    def __init__(self, renderer: Renderer, seed: int, tier: Tier):
+        self._renderer, self._seed, self._tier = renderer, seed, tier
+        self.samples = 0
+        self.mean: Portion | None = None
+        self._sums: list[np.ndarray] = []
+        self._denoised: np.ndarray | None = None
+
+    def grow(self, count: int) -> None:
+        """Render `count` further samples."""
+        part = self._renderer.portion(self.samples, count, self._seed, self._tier)
+        sums = [each * np.float32(count) for each in part]
+        if self.samples:
+            sums = [a + b for a, b in zip(self._sums, sums, strict=True)]
+        self._sums, self._denoised = sums, None
+        self.samples += count
+        self.mean = Portion(*(each / np.float32(self.samples) for each in sums))
+
+    @property
+    def denoised(self) -> np.ndarray:
+        """Radiance (height, width, 3) of all samples, denoised."""
+        if self._denoised is None:
+            assert self.mean is not None
+            self._denoised = self._renderer.denoised(self.mean, effort(self.samples))
+        return self._denoised
+
+
 class Halves:
     """Two pictures of one shot by independent seeds, which grow.
 
     samples  of each half, per pixel
-    last     of each half, what `grow` added last
     """
 
     def __init__(self, shown: Shown):
-        self.shown, self.samples = shown, 0
-        self.last: list[Portion] = []
-        self._sums: list[np.ndarray] = []
-        self._alphas: list[np.ndarray] = []
+        self.shown = shown
+        seeds = [half_seed(shown.seed, half) for half in (0, 1)]
+        self._shown = [_Growing(shown.renderer, seed, shown.tier) for seed in seeds]
+        self._unblocked = [_Growing(shown.renderer, seed, "direct") for seed in seeds]
 
-    def unblocked(self, count: int, denoise: bool = True) -> list[Portion]:
-        """Return direct light without shadows of both halves' last `count` samples."""
-        at, first = self.shown, self.samples - count
-        return [
-            at.renderer.portion(first, count, half_seed(at.seed, half), "direct", denoise)
-            for half in (0, 1)
-        ]
+    @property
+    def samples(self) -> int:
+        return self._shown[0].samples
+
+    @property
+    def unblocked_samples(self) -> int:
+        """Samples of each half that have been rendered as direct light without shadows, too."""
+        return self._unblocked[0].samples
+
+    def grow(self, count: int) -> None:
+        """Render `count` further samples of each half."""
+        for half in self._shown:
+            half.grow(count)
+
+    def denoised(self) -> list[np.ndarray]:
+        """Return both halves' radiance (height, width, 3), each of all its samples, denoised."""
+        return [half.denoised for half in self._shown]
+
+    def unblocked(self) -> list[np.ndarray]:
+        """Return radiance (height, width, 3) of direct light without shadows, of both halves.
+
+        It has the samples that both halves have, of which only new ones are rendered.
+        """
+        for half in self._unblocked:
+            if half.samples < self.samples:
+                half.grow(self.samples - half.samples)
+        return [half.mean.noisy for half in self._unblocked if half.mean]
+
+    def unblocked_denoised(self) -> list[np.ndarray]:
+        """Return the same, denoised."""
+        self.unblocked()
+        return [half.denoised for half in self._unblocked]
 
     def error_of_direct_light(self) -> Estimate:
         """Return the error that direct light without shadows would have as the picture.
 
         It is rendered with the samples of both halves, most of whose noise is common with them.
         """
-        mask, exposure = self.shown.mask, self._exposure()
-        unblocked = self.unblocked(self.samples, denoise=False)
+        mask, exposure = self.shown.mask, self.exposure
         one, other = (
-            tone.display(shown[mask], exposure) - tone.display(alone.noisy[mask], exposure)
-            for shown, alone in zip(self.pictures, unblocked, strict=True)
+            tone.display(shown[mask], exposure) - tone.display(alone[mask], exposure)
+            for shown, alone in zip(self.pictures, self.unblocked(), strict=True)
         )
         return mean_over((one * other).mean(-1))
-
-    def grow(self, count: int, denoise: bool = False) -> list[np.ndarray]:
-        """Render `count` further samples of each half; return both denoised ones if requested."""
-        at, parts = self.shown, []
-        for half in (0, 1):
-            seed = half_seed(at.seed, half)
-            parts.append(at.renderer.portion(self.samples, count, seed, at.tier, denoise))
-        sums = [part.noisy * np.float32(count) for part in parts]
-        alphas = [part.alpha * np.float32(count) for part in parts]
-        if self.samples:
-            sums = [a + b for a, b in zip(self._sums, sums, strict=True)]
-            alphas = [a + b for a, b in zip(self._alphas, alphas, strict=True)]
-        self._sums, self._alphas = sums, alphas
-        self.samples += count
-        self.last = parts
-        return [part.denoised for part in parts if part.denoised is not None]
 
     @property
     def pictures(self) -> tuple[np.ndarray, np.ndarray]:
         """Both halves' radiance, (height, width, 3) each."""
-        first, second = (total / np.float32(self.samples) for total in self._sums)
-        return first, second
+        first, second = (half.mean for half in self._shown)
+        assert first is not None and second is not None
+        return first.noisy, second.noisy
 
     @property
     def picture(self) -> np.ndarray:
         """Radiance (height, width, 3) of both halves together."""
-        return (self._sums[0] + self._sums[1]) / np.float32(2 * self.samples)
+        first, second = self.pictures
+        return (first + second) / np.float32(2)
 
     @property
     def alpha(self) -> np.ndarray:
         """The object's coverage (height, width), by both halves together."""
-        return (self._alphas[0] + self._alphas[1]) / np.float32(2 * self.samples)
+        first, second = (half.mean for half in self._shown)
+        assert first is not None and second is not None
+        return (first.alpha + second.alpha) / np.float32(2)
 
     def estimate(self) -> Estimate:
         """Return the error of `picture`: a quarter of the halves' squared difference, and more.
@@ -183,7 +250,7 @@ class Halves:
         nearer to the dark one. By how much the picture is brighter there than its halves are on
         average is by how much noise darkens it, and CURVE times its square is added.
         """
-        mask, exposure = self.shown.mask, self._exposure()
+        mask, exposure = self.shown.mask, self.exposure
         a, b, both = (tone.display(each[mask], exposure) for each in (*self.pictures, self.picture))
         curve = CURVE * tone.squared_difference(both, (a + b) / 2)
         estimate = mean_over(tone.squared_difference(a, b) / 4 + curve)
@@ -198,15 +265,19 @@ class Halves:
 
         halves  unbiased pictures of both halves (default: `pictures`)
         """
-        exposure = tone.auto_exposure((denoised[0] + denoised[1]) / 2, self.shown.mask)
-        return self.error_and_bias(denoised, halves or self.pictures, exposure)[0]
+        return self.error_and_bias(denoised, halves or self.pictures, self.slope(denoised))[0]
+
+    def slope(self, smooth: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the display curve's slope (P, 3) at the mean of two pictures with little noise."""
+        return tone.display_slope(((smooth[0] + smooth[1]) / 2)[self.shown.mask], self.exposure)
 
     def error_and_bias(
-        self, pair: Sequence[np.ndarray], halves: Sequence[np.ndarray], exposure: float
+        self, pair: Sequence[np.ndarray], halves: Sequence[np.ndarray], slope: np.ndarray
     ) -> tuple[Estimate, float]:
         """Return the error of the mean of two pictures, and the squared bias that is part of it.
 
         halves  unbiased pictures: each of the pair is independent of the other half's
+        slope   (P, 3) as `slope` returns it
 
         A denoised half is compared with the other half as it was rendered, whose noise is
         independent: E|dA − B|² is dA's error plus B's noise, and |A − B|² / 2 is that noise. Of the
@@ -214,15 +285,15 @@ class Halves:
         noise of the mean, and what it leaves of the error is bias.
         """
         mask = self.shown.mask
-        a, b = (tone.display(half[mask], exposure) for half in halves)
-        da, db = (tone.display(half[mask], exposure) for half in pair)
+        a, b, da, db = (each[mask] * slope for each in (*halves, *pair))
         across = tone.squared_difference(da, b) + tone.squared_difference(db, a)
         noise = tone.squared_difference(a, b)
         spread = tone.squared_difference(da, db)
         estimate = mean_over((across - noise) / 2 - spread / 4)
         return estimate, estimate.error - float(spread.mean(dtype=np.float64)) / 4
 
-    def _exposure(self) -> float:
+    @property
+    def exposure(self) -> float:
         """Return the exposure of the picture without noise.
 
         Noise raises a percentile. To first order it does so in proportion to 1/samples, so the

@@ -19,7 +19,7 @@ import numpy as np
 
 from factory.render.estimators import denoised
 from factory.render.estimators.closed_form import weighed
-from factory.render.estimators.halves import CONFIDENCE, Estimate, Portion
+from factory.render.estimators.halves import CONFIDENCE, Estimate
 from manifests.schema import Estimator
 
 NAME: Estimator = "ratio"
@@ -38,25 +38,24 @@ MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 2
 
 
-def combined(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
+def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
     """Return the picture (height, width, 3).
 
     direct     (height, width, 3) by the closed form
-    shown      by all light paths of the tier
-    unblocked  by direct light without shadows, of the same samples
+    shown      by all light paths of the tier, denoised
+    unblocked  by direct light without shadows, of the same samples, denoised
     """
-    assert shown.denoised is not None and unblocked.denoised is not None
-    share = np.clip(shown.denoised / np.maximum(unblocked.denoised, np.float32(DARK)), 0, MOST)
-    lit = unblocked.denoised > DARK
-    return np.where(lit, direct * share, shown.denoised).astype(np.float32)
+    share = np.clip(shown / np.maximum(unblocked, np.float32(DARK)), 0, MOST)
+    return np.where(unblocked > DARK, direct * share, shown).astype(np.float32)
 
 
-def unbiased(direct: np.ndarray, shown: Portion, unblocked: Portion) -> np.ndarray:
+def unbiased(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
     """Return an unbiased picture of less noise: what both have in common is taken out.
 
-    It is with what a picture of the other half is compared; arguments as of `combined`.
+    It is with what a picture of the other half is compared; arguments as of `combined`, with their
+    noise.
     """
-    return direct + (shown.noisy - unblocked.noisy)
+    return direct + (shown - unblocked)
 
 
 def predicted(closed: Estimate, samples: int, pixels: int) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import blends, denoised
-from factory.render.estimators.halves import Halves, Shown
+from factory.render.estimators.halves import Halves, Shown, effort
 from factory.render.validation.scenes import TIERS, Stage, drawn
 from manifests.schema import Camera
 
@@ -41,14 +41,12 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
 
 def _tried(shown: Shown, samples: int) -> dict[str, Any]:
     """Return noise, bias and error of denoised halves, and the seconds of samples and denoiser."""
-    plain = Halves(shown)
-    start = time.process_time()
-    plain.grow(samples)
-    seconds = time.process_time() - start
     halves = Halves(shown)
     start = time.process_time()
-    smooth = halves.grow(samples, denoise=True)
-    denoiser = time.process_time() - start - seconds
+    halves.grow(samples)
+    rendered = time.process_time()
+    smooth = halves.denoised()
+    seconds, denoiser = rendered - start, time.process_time() - rendered
     blend = blends.best(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
     return {
         "pixels": shown.mask.size,
@@ -78,10 +76,13 @@ def fitted(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _costs(rows: list[dict[str, Any]]) -> dict[str, float | None]:
-    """Return how many samples take as long as denoising them, by tier; None without a shot."""
+    """Return denoised.COST by tier; None for one without a shot."""
     costs: dict[str, float | None] = {}
     for tier in TIERS:
         of = [row for row in rows if row["tier"] == tier and row["samples"] >= 16]
-        ratios = [row["denoiser"] / (row["seconds"] / row["samples"]) for row in of]
+        ratios = [
+            row["denoiser"] / effort(row["samples"]).cost / (row["seconds"] / row["samples"])
+            for row in of
+        ]
         costs[tier] = float(np.median(ratios)) if ratios else None
     return costs

@@ -35,7 +35,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import light as worlds
 from factory.render.estimators import ratio
-from factory.render.estimators.halves import Portion, Shown
+from factory.render.estimators.halves import Shown
 from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
 from factory.render.validation.light_bases import Basis, cells, factors, harmonics
@@ -92,8 +92,7 @@ def by_basis(
         exact = studio.direct_light()
         assert exact is not None
         unblocked = np.maximum(np.einsum("bhwc,bc->hwc", pairs[:, 1], weights), 0)
-        whole_one, direct_one = (Portion(e, exact.alpha, e) for e in (full, unblocked))
-        picture = ratio.combined(exact.radiance, whole_one, direct_one)
+        picture = ratio.combined(exact.radiance, full, unblocked)
         yield f"{basis.name}, ratio", number, picture, once, clock.seconds
 
 

@@ -38,7 +38,7 @@ import numpy as np
 
 from factory.render.estimators import choice, ratio
 from factory.render.estimators.adaptive_sampling import stopping_at
-from factory.render.estimators.halves import Shown
+from factory.render.estimators.halves import Shown, effort
 from factory.render.studio import Studio
 from factory.render.validation import command_line
 from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
@@ -79,24 +79,21 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
         return render
 
     def smooth(samples: int) -> Method:
-        def render(at: Shown) -> np.ndarray:
-            denoised = studio.portion(0, samples, at.seed, at.tier, denoise=True).denoised
-            assert denoised is not None
-            return denoised
-
-        return render
+        return lambda at: studio.denoised(
+            studio.portion(0, samples, at.seed, at.tier), effort(samples)
+        )
 
     def by_ratio(samples: int) -> Method:
         def render(at: Shown) -> np.ndarray:
             exact = studio.direct_light()
             if exact is not None and at.tier == "direct":
                 return exact.radiance
-            shown = studio.portion(0, samples, at.seed, at.tier, denoise=True)
+            shown = smooth(samples)(at)
             if exact is None:
-                assert shown.denoised is not None
-                return shown.denoised
-            unblocked = studio.portion(0, samples, at.seed, "direct", denoise=True)
-            return ratio.combined(exact.radiance, shown, unblocked)
+                return shown
+            return ratio.combined(
+                exact.radiance, shown, smooth(samples)(replace(at, tier="direct"))
+            )
 
         return render
 
