@@ -143,19 +143,23 @@ def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair)
 
 
 @pytest.mark.parametrize("tier", ["direct", "full"])
-def test_a_picture_keeps_its_error_beside_a_reference(chair, tier):
+def test_pictures_keep_their_error_beside_a_reference(chair, tier):
     mask = chair.geometry().mask
     reference = Halves(Shown(chair, 77, tier, mask))
     reference.grow(512)
     exposure = tone.auto_exposure(reference.picture, mask)
     for requested in (8.0, 60.0):
-        made = choice.picture(Shown(chair, 5, tier, mask), requested)
-        a, r1, r2 = (
-            tone.display(each[mask], exposure) for each in (made.radiance, *reference.pictures)
-        )
-        achieved = float(((a - r1) * (a - r2)).mean())
-        assert achieved <= requested
-        assert made.estimated.error == pytest.approx(achieved, rel=0.5)
+        achieved, estimated = [], []
+        for seed in range(6):
+            made = choice.picture(Shown(chair, seed, tier, mask), requested)
+            a, r1, r2 = (
+                tone.display(each[mask], exposure) for each in (made.radiance, *reference.pictures)
+            )
+            achieved.append(float(((a - r1) * (a - r2)).mean()))
+            estimated.append(made.estimated.error)
+        kept = sum(error <= requested for error in achieved)
+        assert kept >= 5 and np.mean(achieved) <= 0.9 * requested
+        assert np.mean(estimated) == pytest.approx(np.mean(achieved), rel=0.2)
 
 
 def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):

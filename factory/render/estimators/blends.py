@@ -21,6 +21,8 @@ from factory.render.estimators.halves import Estimate, Halves
 
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6)  # of the unbiased pictures
 MOST_BIAS = 1 / 3  # of the limit on the error
+# standard errors added to an estimated bias, because what is chosen for its estimate is worse
+DOUBT = 0.5
 
 
 class Blend(NamedTuple):
@@ -33,6 +35,11 @@ class Blend(NamedTuple):
     estimate: Estimate
     bias: float
     bias_alone: float
+
+
+def is_small(bias: float, estimate: Estimate, error: float) -> bool:
+    """Whether the squared bias is at most a third of a limit, of a picture of this estimate."""
+    return bias + DOUBT * estimate.standard_error <= MOST_BIAS * error
 
 
 def best(
@@ -59,5 +66,5 @@ def best(
         ]
         estimate, bias = halves.error_and_bias(pair, unbiased, slope)
         blends.append(Blend(pair, estimate, bias, blends[0].bias if blends else bias))
-    allowed = [each for each in blends if each.bias <= MOST_BIAS * error]
+    allowed = [each for each in blends if is_small(each.bias, each.estimate, error)]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

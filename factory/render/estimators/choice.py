@@ -72,7 +72,7 @@ def identity() -> list[object]:
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST, ratio.HOPED],
-        [blends.SHARES, blends.MOST_BIAS],
+        [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL, closed_form.SPREAD],
         sorted(denoised.COST.items()),
@@ -210,7 +210,7 @@ class _Attempt:
 
     def _is_kept(self, estimate: Estimate, bias: float) -> bool:
         """Whether a picture has an error and a squared bias that the limit allows."""
-        return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
+        return estimate.bound <= self.error and blends.is_small(bias, estimate, self.error)
 
     def _is_worth_asking(self) -> bool:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
