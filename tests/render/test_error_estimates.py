@@ -89,7 +89,7 @@ def test_every_try_denoises_all_samples_so_far():
     for _ in range(2):  # the second time nothing is rendered or denoised again
         halves.denoised()
         halves.unblocked_denoised()
-    assert len(seen) == 4 and {effort for _, effort in seen} == {EFFORTS[32]}
+    assert len(seen) == 4 and {effort for _, effort in seen} == {EFFORTS[40]}
     np.testing.assert_array_equal(seen[0][0].noisy, halves.pictures[0])
     counts = [count for _, count, _ in known.requested]
     assert counts == [4, 4, 4, 4, 60, 60, 60, 60]
@@ -100,7 +100,7 @@ def test_every_try_denoises_all_samples_so_far():
 
 
 def test_more_samples_are_denoised_more_thoroughly():
-    costs = [denoised.cost(samples, "full") for samples in (4, 31, 32, 127, 128, 2048)]
+    costs = [denoised.cost(samples, "full") for samples in (4, 39, 40, 127, 128, 2048)]
     assert costs[0] == costs[1] < costs[2] == costs[3] < costs[4] == costs[5]
     assert denoised.cost(4, "direct") > denoised.cost(4, "full")
 
@@ -147,7 +147,7 @@ def test_the_models_ask_for_the_samples_that_they_say_suffice():
     assert path_tracing.needed(pilot, 4, 10.0) == 42
     scale = denoised.scale(64 * 64)
     m = denoised.needed(pilot.noise, 4, scale, 10.0)
-    error = [denoised.predicted(100.0 * 4 / n, scale, 10.0) for n in (m, m / 1.2)]
+    error = [denoised.predicted(100.0 * 4 / n, scale, m, 10.0) for n in (m, m / 1.2)]
     assert m < 40 and error[0] <= 10 < error[1]
 
 
@@ -158,7 +158,7 @@ def test_the_denoisers_law_counts_the_bias_that_a_limit_allows():
     assert bias * (1 - max(blends.SHARES)) ** 2 <= blends.MOST_BIAS * 10
     # noise that the largest share would allow, with a bias that it does not
     noisy, biased = 20.0, 60.0
-    assert denoised.predicted(noisy, biased / noisy**denoised.POWER, 25.0) <= 25
+    assert denoised.predicted(noisy, biased / noisy**denoised.POWER, 4, 25.0) <= 25
     assert denoised.needed(noisy, 4, biased / noisy**denoised.POWER, 25.0) > 4
 
 

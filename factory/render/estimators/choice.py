@@ -302,7 +302,7 @@ class _Attempt:
             return None
         smooth = halves.denoised()
         noise = self.pilot.noise * PILOT / halves.samples
-        by_law = denoised.predicted(noise, self.scale, self.error)
+        by_law = denoised.predicted(noise, self.scale, halves.samples, self.error)
         tried = [_Tried(denoised.NAME, smooth, by_law, halves.pictures)]
         if name == ratio.NAME:
             assert self.direct is not None and self.closed_alone is not None
@@ -325,7 +325,8 @@ class _Attempt:
             estimate, bias = self._estimate(each.estimator, blend)
             self.tried[each.estimator] = _with_bias(estimate, bias), halves.samples
             if each.estimator == denoised.NAME:
-                self.scale = denoised.scale_measured(blend, halves.estimate().noise)
+                noise = halves.estimate().noise
+                self.scale = denoised.scale_measured(blend, noise, halves.samples)
             if self._is_kept(estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,

@@ -5,9 +5,9 @@ what      each half is denoised by itself, and the picture is the mean of both, 
 bias      detail that noise hides is smoothed; the estimate includes it, because each denoised half
           is compared with the other half's noisy pixels. It is at most a third of the limit
 cost      the samples, and a fixed time per half, here as the samples that take as long
-law       squared bias = scale · noise^POWER, where noise is the error of the same samples without
-          denoiser. The scale is SCALE · (STANDARD / pixels of the frame)^SIZE until the first try
-          has measured it, since more pixels show the same detail
+law       squared bias = scale · noise^POWER · what the effort leaves, where noise is the error of
+          the same samples without denoiser. The scale is SCALE · (STANDARD / pixels of the
+          frame)^SIZE until the first try has measured it, since more pixels show the same detail
 fails     sharp reflections, whose detail no guide shows: there it saves no samples
 """
 
@@ -19,8 +19,8 @@ from factory.render.estimators.halves import effort
 from manifests.schema import Estimator, Tier
 
 NAME: Estimator = "denoised"
-SCALE, POWER = 1.85, 0.66
-STANDARD, SIZE = 64 * 64, 0.46
+SCALE, POWER = 2.8, 0.58
+STANDARD, SIZE = 64 * 64, 0.47
 WITH_NOISE = 1.45  # error of denoised halves' mean, over its bias: the rest is their own noise
 CAUTION = 1.4  # times the samples that the law asks for after a try that failed
 MOST_SAMPLES = 1 << 20  # more never help
@@ -45,21 +45,24 @@ def scale(pixels: int) -> float:
     return SCALE * left(pixels)
 
 
-def scale_measured(blend: Blend, noise: float) -> float:
+def scale_measured(blend: Blend, noise: float, samples: int) -> float:
     """Return the law's scale by denoised halves whose blend is given.
 
-    noise  error of the same samples without denoiser
+    noise    error of the same samples without denoiser
+    samples  of each half
     """
     # a bias that is not seen may be as large as its uncertainty
-    return max(blend.bias_alone, blend.estimate.standard_error) / noise**POWER
+    seen = max(blend.bias_alone, blend.estimate.standard_error)
+    return seen / (noise**POWER * effort(samples).leaves)
 
 
-def predicted(noise: float, scale: float, limit: float) -> float:
+def predicted(noise: float, scale: float, samples: int, limit: float) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all.
 
-    noise  error of the same samples without denoiser
+    noise    error of the same samples without denoiser
+    samples  of each half
     """
-    known = _blends(noise, scale)
+    known = _blends(noise, scale, samples)
     allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
     return min(allowed or [error for error, _ in known])
 
@@ -73,15 +76,15 @@ def needed(noise: float, samples: int, scale: float, limit: float, least: int = 
     count = least
     while count <= MOST_SAMPLES and not any(
         error <= limit and bias <= blends.MOST_BIAS * limit
-        for error, bias in _blends(noise * samples / count, scale)
+        for error, bias in _blends(noise * samples / count, scale, count)
     ):
         count = math.ceil(1.1 * count)
     return count
 
 
-def _blends(noise: float, scale: float) -> list[tuple[float, float]]:
+def _blends(noise: float, scale: float, samples: int) -> list[tuple[float, float]]:
     """Return error and squared bias of each blend, by the law."""
-    bias = scale * noise**POWER
+    bias = scale * noise**POWER * effort(samples).leaves
     return [
         ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
         for share in blends.SHARES

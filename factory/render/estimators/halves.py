@@ -41,15 +41,21 @@ class Effort(NamedTuple):
     quality  of Open Image Denoise's network
     flips    of the picture over which the mean is taken, 1 to 4
     cost     processor time, in units of one flip at "HIGH"
+    leaves   error, in units of that of the least effort
     """
 
     quality: Literal["BALANCED", "HIGH"]
     flips: int
     cost: float
+    leaves: float
 
 
 # by the least samples of a half, so that the denoiser takes about a fifth of the samples' time
-EFFORTS = {0: Effort("BALANCED", 1, 0.45), 32: Effort("HIGH", 2, 2.0), 128: Effort("HIGH", 4, 4.0)}
+EFFORTS = {
+    0: Effort("BALANCED", 1, cost=0.45, leaves=1.0),
+    40: Effort("HIGH", 2, cost=2.0, leaves=0.8),
+    128: Effort("HIGH", 4, cost=4.0, leaves=0.74),
+}
 
 
 def effort(samples: int) -> Effort:

@@ -3,7 +3,8 @@
 shots    drawn from a seed; each in frames of SIZES, in which the denoiser is tried on TRIED samples
 bias     of denoised halves, squared, by the comparison with the other half's noisy pixels
 noise    error of the same samples without denoiser, by the halves' difference
-fit      log bias = a factor of the shot + power · log noise + size · log (STANDARD / pixels)
+fit      log (bias / what the effort leaves) = a factor of the shot + power · log noise
+         + size · log (STANDARD / pixels)
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def _tried(shown: Shown, samples: int) -> dict[str, Any]:
 def fitted(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return power, size, the scale's percentiles over shots, and error over bias (median)."""
     usable = [row for row in rows if row["bias"] > LEAST and row["noise"] > 0]
-    bias, noise = (np.log([row[name] for row in usable]) for name in ("bias", "noise"))
+    noise = np.log([row["noise"] for row in usable])
+    bias = np.log([row["bias"] / effort(row["samples"]).leaves for row in usable])
     fewer = np.log([denoised.STANDARD / row["pixels"] for row in usable])
     shots, of = np.unique([row["shot"] for row in usable], return_inverse=True)
     columns = np.column_stack([noise, fewer, np.eye(len(shots))[of]])
