@@ -5,6 +5,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,6 +25,18 @@ def provenance(command: str | None = None) -> dict:
         "machine": f"{processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
         "versions": versions(),
     }
+
+
+def in_one_line(made_by: Mapping[str, object]) -> str:
+    """Return all of a provenance as a reader sees it, on one line."""
+    return " · ".join(map(readable, made_by.values()))
+
+
+def readable(value: object) -> str:
+    """Return a value of a provenance as a reader sees it."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {version}" for name, version in value.items())
+    return str(value)
 
 
 def own_command() -> str:

@@ -16,6 +16,7 @@ from learn.agreement import uncertainty
 from learn.figures.html import image, page, paragraph, table
 from manifests.errors import InputError
 from manifests.files import write_text
+from manifests.provenance import in_one_line
 
 COLUMNS = {
     "pictures": ("pictures", "{:d}"),
@@ -147,7 +148,7 @@ def demo_page(
         return [f"<p class=sheets>{linked(path, description)}</p>" for path in paths]
 
     body = [
-        paragraph(" · ".join(str(value) for value in about.values()), "soft"),
+        paragraph(in_one_line(about), "soft"),
         f"<p>{html.escape(verdict(summary['direct']))}"
         f" <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>",
         "<h2>What was rendered</h2>",

@@ -9,6 +9,7 @@ from learn.agreement import uncertainty
 from learn.agreement.plots import NAMES
 from learn.agreement.summary import FIGURES, LIMIT
 from learn.figures.html import encoded, encoded_picture, image, page, paragraph, table
+from manifests.provenance import in_one_line, readable
 
 TITLES = {
     "pictures": "pictures",
@@ -131,7 +132,7 @@ def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
     lines = [
         "# Agreement of Cycles and the layer",
         "",
-        *(f"- {key}: {value}" for key, value in about.items()),
+        *(f"- {key}: {readable(value)}" for key, value in about.items()),
         "",
         verdict(summary["direct"]),
         "",
@@ -189,7 +190,7 @@ def web(
     panels  (caption, Cycles' display picture, the layer's) of each picture shown
     """
     body = [
-        paragraph(" · ".join(str(value) for value in about.values()), "soft"),
+        paragraph(in_one_line(about), "soft"),
         paragraph(verdict(summary["direct"])),
         cards(summary),
         "<h2>Why they differ</h2>",

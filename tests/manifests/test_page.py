@@ -32,6 +32,9 @@ MISSED = {
 }
 
 
+ABOUT = {"command": "learn agree a & b", "versions": {"numpy": "1.26", "bpy": "4.5"}}
+
+
 @pytest.fixture
 def agreement(tmp_path):
     """A folder as `learn agree` leaves it."""
@@ -42,9 +45,7 @@ def agreement(tmp_path):
         "causes": {"edges": 0.321, "noise": 0.75, "look_up_texels": {"median": 0.1}},
         "breakdowns": {"material": {"<brass>": FIGURES}, "highlight": {"wide": FIGURES}},
     }
-    (folder / "report.json").write_text(
-        json.dumps({"about": {"command": "learn agree a & b"}, "summary": summary})
-    )
+    (folder / "report.json").write_text(json.dumps({"about": ABOUT, "summary": summary}))
     (folder / "causes.png").write_bytes(b"")
     return folder
 
@@ -66,6 +67,9 @@ def test_the_page_shows_the_figures_of_the_report_and_escapes_names(tmp_path, ag
     assert run(out, agreement) == 0
     text = out.read_text()
     assert "&lt;brass&gt;" in text and "<brass>" not in text and "a &amp; b" in text
+    assert "numpy 1.26, bpy 4.5" in text and "{" not in re.sub(
+        r"<style>.*?</style>", "", text, flags=re.S
+    )
     for shown in ("0.9991", "-1.23%", "2.00%", "within it", "0.321"):
         assert shown in text
     assert "node fit L2" not in text  # no figure, no column
