@@ -83,6 +83,7 @@ WEIGHTS_LIGHTS ?= 1000
 WEIGHTS_STEPS ?= 30000
 weights: $(VENV)/installed
 	$(VENV)/bin/python -m factory render geometry-general --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
+	$(VENV)/bin/python -m factory render geometry-20 --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory lights make --count $(WEIGHTS_LIGHTS) --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
 	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --steps $(WEIGHTS_STEPS) --workers 2 --out $(WEIGHTS_OUT)/run
 
