@@ -77,5 +77,5 @@ def _run(scene: Any, values: np.ndarray) -> np.ndarray:
             f"Cycles: expected a denoised picture, found {outcome} (render the shot in a new"
             " process)"
         )
-    found = OpenEXR.File(smooth).channels()[f"{LAYER}.Combined"].pixels
-    return np.maximum(found[..., :3], np.float32(0))
+    picture = OpenEXR.File(smooth).channels()[f"{LAYER}.Combined"].pixels
+    return np.maximum(picture[..., :3], np.float32(0))
