@@ -21,6 +21,7 @@ LEAST_EXTENT = np.float32(3)  # in units of tan θ_h / α
 SHORT_TAILED = np.float32(25)  # t at which exponential lobes have ended
 ONE = np.float32(1)
 HALF = np.float32(0.5)
+ENDED = np.float32(20)  # of the exponent of a lobe that reflects nothing more
 LEAST_WEIGHT = np.float32(1e-5)  # of a closure that Cycles keeps
 LEAST_SHARE = np.float32(0.125)  # of the samples that follow a closure, before normalisation
 LEAST = np.float32(1e-4)  # cosine; shaders.closures.MIN_COS
@@ -35,6 +36,7 @@ W, H, ENERGY, SUM = 0, 3, 6, 9  # three rows each: direction, half vector, radia
 CD, P, DENSITY, BELOW = 12, 13, 14, 15
 N, FACET, AXIS, X, Y, OUT = 0, 3, 6, 9, 11, 14  # of `add_samples`
 ALPHA, END, MOST, TAIL, SHIFT_OF, COS, SIN, T, VALUE = 17, 18, 19, 20, 21, 22, 23, 24, 25
+ACROSS, DOWN = 3, 7  # of `interpolate`: four rows each, of a spline's weights
 ROWS = 26
 
 _inlined = njit(forceinline=True, fastmath=True, error_model="numpy")
@@ -367,11 +369,20 @@ def add_blocks(
 
 
 @_inlined
+def _rows(m):
+    """The numbers of a matrix (3, 3), row by row."""
+    return m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+
+
+@_inlined
 def _texel(to_light, wx, wy, wz, height, width):
-    """Return row and column of the map's texel in a direction of the camera frame."""
-    lx = to_light[0, 0] * wx + to_light[0, 1] * wy + to_light[0, 2] * wz
-    ly = to_light[1, 0] * wx + to_light[1, 1] * wy + to_light[1, 2] * wz
-    lz = to_light[2, 0] * wx + to_light[2, 1] * wy + to_light[2, 2] * wz
+    """Return row and column of the map's texel in a direction of the camera frame.
+
+    to_light  nine numbers, row by row
+    """
+    lx = to_light[0] * wx + to_light[1] * wy + to_light[2] * wz
+    ly = to_light[3] * wx + to_light[4] * wy + to_light[5] * wz
+    lz = to_light[6] * wx + to_light[7] * wy + to_light[8] * wz
     polar = _arctan(math.sqrt(lx * lx + lz * lz), ly)
     row = min(int(polar / PI * np.float32(height)), height - 1)
     around = _arctan(lz, lx) / (np.float32(2) * PI)
@@ -477,7 +488,7 @@ def add_samples(
     count  directions of each of the two distributions
     """
     height, width = light.shape[0], light.shape[1]
-    flat = light.reshape(height * width, 3)
+    flat, rotation = light.reshape(height * width, 3), _rows(to_light)
     r = np.empty((ROWS, LANES), np.float32)
     texels = np.empty(LANES, np.int32)
     v = np.empty(5, np.float32)
@@ -502,11 +513,11 @@ def add_samples(
             r[SHIFT_OF, i] = turns[pattern, 2]
         for j in range(2 * count):
             if kind == 1:
-                _lobe_samples(1, r, j, count, height, width, to_light, texels)
+                _lobe_samples(1, r, j, count, height, width, rotation, texels)
             elif kind == 2:
-                _lobe_samples(2, r, j, count, height, width, to_light, texels)
+                _lobe_samples(2, r, j, count, height, width, rotation, texels)
             else:
-                _lobe_samples(3, r, j, count, height, width, to_light, texels)
+                _lobe_samples(3, r, j, count, height, width, rotation, texels)
             _add_texels(r, flat, texels)
         for i in range(min(LANES, len(n) - first)):
             low, t = _step(table, n[first + i, 2])
@@ -516,72 +527,121 @@ def add_samples(
 
 
 @_inlined
-def _catmull_rom(f, weights):
+def _set_spline(r, row, f, i):
+    """Set four rows of the lanes r, from `row`, to Catmull–Rom weights at f in [0, 1)."""
     f2 = f * f
     f3 = f2 * f
-    weights[0] = HALF * (np.float32(2) * f2 - f - f3)
-    weights[1] = HALF * (np.float32(2) - np.float32(5) * f2 + np.float32(3) * f3)
-    weights[2] = HALF * (f + np.float32(4) * f2 - np.float32(3) * f3)
-    weights[3] = HALF * (f3 - f2)
+    r[row, i] = HALF * (np.float32(2) * f2 - f - f3)
+    r[row + 1, i] = HALF * (np.float32(2) - np.float32(5) * f2 + np.float32(3) * f3)
+    r[row + 2, i] = HALF * (f + np.float32(4) * f2 - np.float32(3) * f3)
+    r[row + 3, i] = HALF * (f3 - f2)
 
 
 @_inlined
-def _place(n, size, x, y):
-    """Set the spline's weights x, y (4,) at a normal; return the first row and column of 4 × 4."""
-    flat = math.sqrt(n[0] * n[0] + n[1] * n[1])
-    theta = _arctan(flat, n[2]) * np.float32(2 / math.pi)
-    along = theta / max(flat, np.float32(1e-12))
-    px = (along * n[0] + ONE) * HALF * np.float32(size - 3) + ONE
-    py = (along * n[1] + ONE) * HALF * np.float32(size - 3) + ONE
-    column = min(max(int(px), 1), size - 3)
-    row = min(max(int(py), 1), size - 3)
-    _catmull_rom(px - np.float32(column), x)
-    _catmull_rom(py - np.float32(row), y)
-    return row - 1, column - 1
+def _set_places(r, size, rows, columns):
+    """Set rows ACROSS and DOWN, and rows and columns (LANES,) of a map's first nodes, from row N.
+
+    size  of the map's sides
+    """
+    for i in range(LANES):
+        nx, ny, nz = r[N, i], r[N + 1, i], r[N + 2, i]
+        flat = math.sqrt(nx * nx + ny * ny)
+        theta = _arctan(flat, nz) * np.float32(2 / math.pi)
+        along = theta / max(flat, np.float32(1e-12))
+        x = (along * nx + ONE) * HALF * np.float32(size - 3) + ONE
+        y = (along * ny + ONE) * HALF * np.float32(size - 3) + ONE
+        column = min(max(np.int32(x), np.int32(1)), np.int32(size - 3))
+        row = min(max(np.int32(y), np.int32(1)), np.int32(size - 3))
+        _set_spline(r, ACROSS, x - np.float32(column), i)
+        _set_spline(r, DOWN, y - np.float32(row), i)
+        rows[i], columns[i] = row - np.int32(1), column - np.int32(1)
 
 
 @_compiled
-def mark(n: np.ndarray, known: np.ndarray) -> int:
-    """Mark with 2 the nodes that `interpolate` needs at normals (N, 3) and that are not known.
+def interpolate(
+    n: np.ndarray,
+    least: float,
+    known: np.ndarray,
+    nodes: np.ndarray,
+    table: np.ndarray,
+    pending: np.ndarray,
+    out: np.ndarray,
+) -> int:
+    """Add to out (N, 3) a map's radiance at normals (N, 3) times the closure's weights there.
 
-    known    (S, S) uint8, 1: is known
-    Returns  the number of nodes that are marked
+    By Catmull–Rom splines over 4 × 4 of the nodes. Where one of them is not known nothing is added,
+    and it is marked by 2.
+
+    least    n·v of normals below which nothing is done
+    known    (S, S) uint8, 1: the node is known
+    nodes    (S, S, 4), of which the last is not used
+    table    as of `add_lights`
+    pending  (N,) int32, of which the first are set to the normals that lack nodes
+    Returns  the number of these
     """
-    marked = 0
-    x = np.empty(4, np.float32)
-    y = np.empty(4, np.float32)
-    for i in range(len(n)):
-        row, column = _place(n[i], known.shape[0], x, y)
-        for a in range(4):
-            for c in range(4):
-                if known[row + a, column + c] == 0:
-                    known[row + a, column + c] = 2
-                    marked += 1
-    return marked
+    size = nodes.shape[0]
+    flat = nodes.reshape(size, size * 4)
+    r = np.empty((ROWS, LANES), np.float32)
+    rows, columns = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    sums = np.empty(16, np.float32)
+    lacking = 0
+    for first in range(0, len(n), LANES):
+        for i in range(LANES):
+            at = min(first + i, len(n) - 1)
+            r[N, i], r[N + 1, i], r[N + 2, i] = n[at, 0], n[at, 1], n[at, 2]
+        _set_places(r, size, rows, columns)
+        for i in range(min(LANES, len(n) - first)):
+            if r[N + 2, i] < least:
+                continue
+            row, column = np.intp(rows[i]), np.intp(columns[i])
+            complete = np.uint8(1)
+            for a in range(4):
+                for c in range(4):
+                    complete &= known[row + a, column + c]
+            if complete != 1:
+                pending[lacking] = first + i
+                lacking += 1
+                for a in range(4):
+                    for c in range(4):
+                        if known[row + a, column + c] == 0:
+                            known[row + a, column + c] = 2
+                continue
+            down = r[DOWN, i], r[DOWN + 1, i], r[DOWN + 2, i], r[DOWN + 3, i]
+            for m in range(16):
+                j = 4 * column + m
+                sums[m] = (
+                    down[0] * flat[row, j]
+                    + down[1] * flat[row + 1, j]
+                    + down[2] * flat[row + 2, j]
+                    + down[3] * flat[row + 3, j]
+                )
+            low, t = _step(table, r[N + 2, i])
+            for c in range(3):
+                value = (
+                    r[ACROSS, i] * sums[c]
+                    + r[ACROSS + 1, i] * sums[4 + c]
+                    + r[ACROSS + 2, i] * sums[8 + c]
+                    + r[ACROSS + 3, i] * sums[12 + c]
+                )
+                weight = table[low, 2 + c] + t * (table[low + 1, 2 + c] - table[low, 2 + c])
+                out[first + i, c] += max(value, np.float32(0)) * weight
+    return lacking
 
 
 @_compiled
-def interpolate(n: np.ndarray, nodes: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
-    """Add to out (N, 3) a map's radiance at normals times the closure's weights there.
+def face(n: np.ndarray, facets: np.ndarray, least: float, cosine: float, out: np.ndarray) -> int:
+    """Set out (N, 3) to unit normals (N, 3) whose n·v is raised to `least` before they are scaled.
 
-    By Catmull–Rom splines over 4 × 4 of the nodes (S, S, 3); table as of `add_lights`.
+    Returns  how many of them have a lesser cosine to their facets (N, 3)
     """
-    x = np.empty(4, np.float32)
-    y = np.empty(4, np.float32)
-    v = np.empty(5, np.float32)
+    leaning = 0
     for i in range(len(n)):
-        row, column = _place(n[i], nodes.shape[0], x, y)
-        r = g = b = np.float32(0)
-        for a in range(4):
-            for c in range(4):
-                weight = y[a] * x[c]
-                r += weight * nodes[row + a, column + c, 0]
-                g += weight * nodes[row + a, column + c, 1]
-                b += weight * nodes[row + a, column + c, 2]
-        _parameters(table, n[i, 2], v)
-        out[i, 0] += max(r, np.float32(0)) * v[2]
-        out[i, 1] += max(g, np.float32(0)) * v[3]
-        out[i, 2] += max(b, np.float32(0)) * v[4]
+        x, y, z = n[i, 0], n[i, 1], max(n[i, 2], np.float32(least))
+        scale = ONE / math.sqrt(x * x + y * y + z * z)
+        x, y, z = x * scale, y * scale, z * scale
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z
+        leaning += x * facets[i, 0] + y * facets[i, 1] + z * facets[i, 2] < np.float32(cosine)
+    return leaning
 
 
 @_inlined
@@ -611,8 +671,22 @@ def _lobe(kind, alpha, o, i, ch, cd):
 
 
 @_inlined
+def _has_ended(kind, alpha, ch):
+    """Whether an exponential lobe is below e^−20 of its peak."""
+    if kind == BECKMANN:
+        return ONE - ch * ch > ENDED * ch * ch * alpha * alpha
+    return (np.float32(2) / (alpha * alpha) - np.float32(2)) * (ONE - ch) > ENDED
+
+
+@_inlined
 def _lobe_lanes(kind, r, v, ax, ay, az, least, end, picked):
     alpha, red, green, blue = v[0], v[2], v[3], v[4]
+    if kind in (BECKMANN, ASHIKHMIN_SHIRLEY):
+        nearest = LEAST
+        for j in range(LANES):
+            nearest = max(nearest, ax * r[H, j] + ay * r[H + 1, j] + az * r[H + 2, j])
+        if _has_ended(kind, alpha, min(nearest, ONE)):
+            return
     o = min(az, ONE)
     inverse = ONE / end if end > 0 else np.float32(1e30)  # of which no t is within
     for j in range(LANES):
@@ -713,6 +787,7 @@ def add_leaning(
     closures = len(kinds)
     r = np.empty((ROWS, LANES), np.float32)
     which = np.empty(lights.shape[1] + LANES, np.int32)
+    counted = np.empty(lights.shape[1], np.uint8)
     v = np.empty((closures, 5), np.float32)
     axes = np.empty((closures, 3), np.float32)
     ends = np.empty(closures, np.float32)
@@ -735,11 +810,18 @@ def add_leaning(
                 continue  # all of it is below the horizon
             if not away and fx * cx + fy * cy + fz * cz > sines[b]:
                 continue  # all of it is above the facet
-            for j in range(firsts[b], firsts[b + 1]):
-                wx, wy, wz = lights[0, j], lights[1, j], lights[2, j]
-                lit = nx * wx + ny * wy + co * wz > LEAST
-                which[found] = j
-                found += lit & (away | (fx * wx + fy * wy + fz * wz < 0))
+            x, y, z = (
+                lights[0, firsts[b] : firsts[b + 1]],
+                lights[1, firsts[b] : firsts[b + 1]],
+                lights[2, firsts[b] : firsts[b + 1]],
+            )
+            for j in range(len(x)):
+                lit = nx * x[j] + ny * y[j] + co * z[j] > LEAST
+                below = fx * x[j] + fy * y[j] + fz * z[j] < 0
+                counted[j] = lit & (below | away)
+            for j in range(len(x)):
+                which[found] = firsts[b] + j
+                found += counted[j]
         red = green = blue = np.float32(0)
         for first in range(0, found, LANES):
             here = min(LANES, found - first)
@@ -843,6 +925,7 @@ def add_misdirected(
     height, width = light.shape[0], light.shape[1]
     closures = len(kinds)
     flat, other = light.reshape(height * width, 3), density.reshape(height * width)
+    rotation = _rows(to_light)
     r = np.empty((ROWS, LANES), np.float32)
     texels = np.empty(LANES, np.int32)
     v = np.empty((closures, 5), np.float32)
@@ -884,7 +967,7 @@ def add_misdirected(
                     wx, wy, wz = r[W, j], r[W + 1, j], r[W + 2, j]
                     length = ONE / max(math.sqrt(wx * wx + wy * wy + wz * wz), np.float32(1e-12))
                     wx, wy, wz = wx * length, wy * length, wz * length
-                    row, column = _texel(to_light, wx, wy, wz, height, width)
+                    row, column = _texel(rotation, wx, wy, wz, height, width)
                     texels[j] = row * width + column
                 for j in range(LANES):
                     r[DENSITY, j] = other[texels[j]]
