@@ -787,7 +787,8 @@ def add_leaning(
     closures = len(kinds)
     r = np.empty((ROWS, LANES), np.float32)
     which = np.empty(lights.shape[1] + LANES, np.int32)
-    counted = np.empty(lights.shape[1], np.uint8)
+    counted = np.empty((lights.shape[1] + 7) // 8 * 8, np.uint8)
+    eights = counted.view(np.uint64)
     v = np.empty((closures, 5), np.float32)
     axes = np.empty((closures, 3), np.float32)
     ends = np.empty(closures, np.float32)
@@ -819,19 +820,24 @@ def add_leaning(
                 lit = nx * x[j] + ny * y[j] + co * z[j] > LEAST
                 below = fx * x[j] + fy * y[j] + fz * z[j] < 0
                 counted[j] = lit & (below | away)
-            for j in range(len(x)):
-                which[found] = firsts[b] + j
-                found += counted[j]
+            for j in range(len(x), (len(x) + 7) // 8 * 8):
+                counted[j] = 0
+            for m in range((len(x) + 7) // 8):
+                if eights[m] == 0:
+                    continue  # most do not count, and those that do are neighbours
+                for j in range(8 * m, 8 * m + 8):
+                    which[found] = firsts[b] + j
+                    found += counted[j]
         red = green = blue = np.float32(0)
         for first in range(0, found, LANES):
             here = min(LANES, found - first)
             for j in range(here, LANES):
                 which[first + j] = which[first]
-            for m in range(9):
-                for j in range(LANES):
-                    r[m, j] = lights[m, which[first + j]]
             for j in range(LANES):
-                r[DENSITY, j] = density[which[first + j]]
+                at = np.intp(which[first + j])
+                for m in range(9):
+                    r[m, j] = lights[m, at]
+                r[DENSITY, j] = density[at]
             for j in range(here, LANES):
                 r[ENERGY, j] = r[ENERGY + 1, j] = r[ENERGY + 2, j] = np.float32(0)
             for j in range(LANES):
@@ -858,11 +864,10 @@ def add_leaning(
 
 
 @_inlined
-def _draw_turned(r, n, facet, axis, least, exponent, drawn, first, here):
+def _draw_turned(r, n, facet, axis, least, exponent, drawn, first):
     """Set rows W, H, CD and BELOW of the lanes r for half vectors that may face away.
 
-    BELOW is 1 where one does not, or where its direction is below the normal or the facet. Rows P
-    and SUM are set to 0.
+    BELOW is 1 where one does not, or where its direction is below the normal or the facet.
 
     least   sine of the axis' angle to the viewer: of all half vectors only those whose cosine to
             the axis is less may face away
@@ -893,9 +898,6 @@ def _draw_turned(r, n, facet, axis, least, exponent, drawn, first, here):
         r[W, j], r[W + 1, j], r[W + 2, j] = wx, wy, wz
         r[CD, j] = cd
         r[BELOW, j] = np.float32(0) if found else ONE
-        r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
-    for j in range(here, LANES):
-        r[BELOW, j] = ONE
 
 
 @_compiled
@@ -934,6 +936,7 @@ def add_misdirected(
     counts = np.ones(closures, np.uint8)
     padded = (count + LANES - 1) // LANES * LANES
     drawn = np.zeros((3, padded), np.float32)  # log u, and cosine and sine of φ
+    kept = np.ones((7, padded + LANES), np.float32)  # rows W, H and CD of those that count
     for j in range(count):
         phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
         drawn[0, j] = math.log((np.float32(j) + HALF) / np.float32(count))
@@ -955,10 +958,25 @@ def add_misdirected(
             chance = np.float32(least**exponent)
             if chance < np.float32(1e-4):
                 continue  # hardly any half vector faces away
-            red = green = blue = np.float32(0)
+            found = 0
             for first in range(0, count, LANES):
                 here = min(LANES, count - first)
-                _draw_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, first, here)
+                _draw_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, first)
+                for j in range(here):
+                    for m in range(6):  # rows W and H
+                        kept[m, found] = r[m, j]
+                    kept[6, found] = r[CD, j]
+                    found += r[BELOW, j] == 0
+            red = green = blue = np.float32(0)
+            for first in range(0, found, LANES):
+                here = min(LANES, found - first)
+                for m in range(6):
+                    for j in range(LANES):
+                        r[m, j] = kept[m, first + j]
+                for j in range(LANES):
+                    r[CD, j] = kept[6, first + j]
+                    r[BELOW, j] = np.float32(0) if j < here else ONE
+                    r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
                 for m in range(closures):
                     bx, by, bz = axes[m, 0], axes[m, 1], axes[m, 2]
                     if bz > LEAST:
