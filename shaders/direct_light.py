@@ -319,7 +319,7 @@ class _Map:
         along = place / np.maximum(theta[:, None], 1e-12)
         theta = np.minimum(theta, np.arccos(FACING))
         n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
-        return n.astype(np.float32)
+        return np.ascontiguousarray(n, np.float32)  # its layout decides what is compiled
 
     def set(self, nodes: np.ndarray, radiance: np.ndarray) -> None:
         """Keep the radiance (N, 3) of nodes (N, 2)."""

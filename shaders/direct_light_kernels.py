@@ -101,7 +101,7 @@ def _from_bits(context, x):
 def _log_of_any(c):
     """Logarithm of a normal number c > 0: absolute error below 1e-5."""
     # c = 2^power · mantissa, the mantissa from √½ to √2
-    bits = np.int32(_bits(np.float32(c)) - np.int32(0x3F3504F3))
+    bits = np.int32(_bits(np.float32(c)) - np.int32(0x3F3504F3))  # type: ignore[call-arg]
     power = np.int32(bits >> np.int32(23))
     mantissa = _from_bits(np.int32((bits & np.int32(0x7FFFFF)) + np.int32(0x3F3504F3)))
     return np.float32(power) * LN_2 + _log(mantissa)
@@ -983,8 +983,8 @@ def add_misdirected(
                         _add_lobe(kinds[m], r, v[m], bx, by, bz, LEAST, np.float32(0), picked[m])
                 for j in range(LANES):
                     wx, wy, wz = r[W, j], r[W + 1, j], r[W + 2, j]
-                    length = ONE / max(math.sqrt(wx * wx + wy * wy + wz * wz), np.float32(1e-12))
-                    wx, wy, wz = wx * length, wy * length, wz * length
+                    length = math.sqrt(max(wx * wx + wy * wy + wz * wz, np.float32(1e-24)))
+                    wx, wy, wz = wx / length, wy / length, wz / length
                     row, column = _texel(rotation, wx, wy, wz, height, width)
                     texels[j] = row * width + column
                 for j in range(LANES):
