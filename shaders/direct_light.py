@@ -126,16 +126,17 @@ class DirectLight:
                      for each cell. None: for each normal
         """
         given = np.ascontiguousarray(n, np.float32)
-        n = _facing(given)
-        facets = n if facets is None else np.ascontiguousarray(facets, np.float32)
+        facets = None if facets is None else np.ascontiguousarray(facets, np.float32)
+        n, lean = _facing(given, facets)
+        facets = n if facets is None else facets
         radiance = np.zeros_like(n)
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
                 self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance, cells)
             if self._is_narrow(k):
                 self._sample(k, n, facets, samples, radiance)
-        (leaning,) = np.nonzero((facets * n).sum(1) < COS_LEANING)
-        if len(leaning):
+        if lean:
+            (leaning,) = np.nonzero(np.einsum("ij,ij->i", facets, n) < COS_LEANING)
             first, each = _distinct(leaning, cells)
             radiance[leaning] -= self._leaning(n[first], facets[first], away=False)[each]
             np.maximum(radiance, 0, out=radiance)
@@ -151,7 +152,7 @@ class DirectLight:
         radiance = np.zeros_like(n)
         if self._misdirected is None:
             return radiance
-        self._look_up(self._misdirected, self.misdirected, None, _facing(n), radiance, cells)
+        self._look_up(self._misdirected, self.misdirected, None, _facing(n)[0], radiance, cells)
         (away,) = np.nonzero(n[:, 2] < FACING)
         if len(away):
             radiance[away] = self.misdirected(n[away], facets[away])
@@ -212,17 +213,18 @@ class DirectLight:
         compute  the map's function of normals (N, 3)
         """
         table = UNWEIGHTED if k is None else self._tables[k]
-        low = n[:, 2] < self._horizon(at, k)
-        above = np.ascontiguousarray(n[~low])
-        if direct_light_kernels.mark(above, at.known):
+        horizon = self._horizon(at, k)
+        lacking = at.add(n, horizon, table, out)
+        if len(lacking):
             nodes = np.argwhere(at.known == 2)
             at.set(nodes, compute(at.normals(nodes)))
-        radiance = np.zeros_like(above)
-        direct_light_kernels.interpolate(above, at.nodes, table, radiance)
-        out[~low] += radiance
-        if low.any():
+            radiance = np.zeros((len(lacking), 3), np.float32)
+            at.add(n[lacking], horizon, table, radiance)
+            out[lacking] += radiance
+        (low,) = np.nonzero(n[:, 2] < np.float32(horizon))
+        if len(low):
             weights = table_look_up(table[:, 2:], 1 - n[low, 2])
-            first, each = _distinct(np.nonzero(low)[0], cells)
+            first, each = _distinct(low, cells)
             out[low] += compute(np.ascontiguousarray(n[first]))[each] * weights
 
     def _horizon(self, at: _Map, k: int | None) -> float:
@@ -305,7 +307,7 @@ class DirectLight:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """Radiance of a closure of unit weight: nodes (S, S, 3), and known (S, S) uint8."""
+    """Radiance of a closure of unit weight: nodes (S, S, 4), the last 0, and known (S, S) uint8."""
 
     nodes: np.ndarray
     known: np.ndarray
@@ -317,17 +319,29 @@ class _Map:
         along = place / np.maximum(theta[:, None], 1e-12)
         theta = np.minimum(theta, np.arccos(FACING))
         n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
-        return n.astype(np.float32)
+        return np.ascontiguousarray(n, np.float32)  # its layout decides what is compiled
 
     def set(self, nodes: np.ndarray, radiance: np.ndarray) -> None:
         """Keep the radiance (N, 3) of nodes (N, 2)."""
         rows, columns = nodes.T
-        self.nodes[rows, columns] = radiance
+        self.nodes[rows, columns, :3] = radiance
         self.known[rows, columns] = 1
+
+    def add(self, n: np.ndarray, horizon: float, table: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Add to out (N, 3) the radiance at normals (N, 3) times the weights of a table (S, 5).
+
+        horizon  n·v of normals below which nothing is done
+        Returns  indices of normals where nothing was added, because nodes are not known; they are 2
+        """
+        lacking = np.empty(len(n), np.int32)
+        count = direct_light_kernels.interpolate(
+            n, np.float32(horizon), self.known, self.nodes, table, lacking, out
+        )
+        return lacking[:count]
 
     @classmethod
     def empty(cls, size: int) -> _Map:
-        return cls(np.zeros((size, size, 3), np.float32), np.zeros((size, size), np.uint8))
+        return cls(np.zeros((size, size, 4), np.float32), np.zeros((size, size), np.uint8))
 
 
 def _distinct(
@@ -340,10 +354,14 @@ def _distinct(
     return indices[first], each
 
 
-def _facing(n: np.ndarray) -> np.ndarray:
-    """Return normals (P, 3) with n·v of at least FACING."""
-    n = np.concatenate([n[:, :2], np.maximum(n[:, 2:], FACING)], axis=1)
-    return (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+def _facing(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
+    """Return normals (P, 3) with n·v of at least FACING, and whether any leans from its facet."""
+    out = np.empty(n.shape, np.float32)
+    facets = n if facets is None else facets
+    leaning = direct_light_kernels.face(
+        np.ascontiguousarray(n, np.float32), facets, np.float32(FACING), COS_LEANING, out
+    )
+    return out, leaning > 0
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 DIFFUSE, GGX, BECKMANN, ASHIKHMIN_SHIRLEY, SHEEN = range(5)
 KINDS = {"diffuse": 0, "ggx": 1, "beckmann": 2, "ashikhmin_shirley": 3, "sheen": 4}
@@ -25,8 +26,18 @@ LEAST_WEIGHT = np.float32(1e-5)  # of a closure that Cycles keeps
 LEAST_SHARE = np.float32(0.125)  # of the samples that follow a closure, before normalisation
 LEAST = np.float32(1e-4)  # cosine; shaders.closures.MIN_COS
 PI = np.float32(math.pi)
+LN_2 = np.float32(math.log(2))
 GOLDEN = np.float32((math.sqrt(5) - 1) / 2)
 SHIFT = np.float32(0.7548776662)  # irrational, and independent of the golden ratio
+LANES = 64  # lights, half vectors or normals that are evaluated side by side
+# rows of the lanes (ROWS, LANES) of a kernel: their numbers are constants, and the lanes one array,
+# so that the compiler sees that no row overlaps another
+W, H, ENERGY, SUM = 0, 3, 6, 9  # three rows each: direction, half vector, radiance, Σ f cos_i
+CD, P, DENSITY, BELOW = 12, 13, 14, 15
+N, FACET, AXIS, X, Y, OUT = 0, 3, 6, 9, 11, 14  # of `add_samples`
+ALPHA, END, MOST, TAIL, SHIFT_OF, COS, SIN, T, VALUE = 17, 18, 19, 20, 21, 22, 23, 24, 25
+ACROSS, DOWN = 3, 7  # of `interpolate`: four rows each, of a spline's weights
+ROWS = 26
 
 _inlined = njit(forceinline=True, fastmath=True, error_model="numpy")
 
@@ -64,6 +75,36 @@ def _log(c):
     tail = np.float32(1 / 9) + s * (np.float32(1 / 11) + s * np.float32(1 / 13))
     tail = np.float32(1 / 5) + s * (np.float32(1 / 7) + s * tail)
     return np.float32(2) * z * (ONE + s * (np.float32(1 / 3) + s * tail))
+
+
+@intrinsic
+def _bits(context, x):
+    """The bits of a float32 as an int32."""
+    if x != types.float32:
+        return None
+    return types.int32(x), lambda target, builder, signature, args: builder.bitcast(
+        args[0], target.get_value_type(types.int32)
+    )
+
+
+@intrinsic
+def _from_bits(context, x):
+    """The float32 of an int32's bits."""
+    if x != types.int32:
+        return None
+    return types.float32(x), lambda target, builder, signature, args: builder.bitcast(
+        args[0], target.get_value_type(types.float32)
+    )
+
+
+@_inlined
+def _log_of_any(c):
+    """Logarithm of a normal number c > 0: absolute error below 1e-5."""
+    # c = 2^power · mantissa, the mantissa from √½ to √2
+    bits = np.int32(_bits(np.float32(c)) - np.int32(0x3F3504F3))  # type: ignore[call-arg]
+    power = np.int32(bits >> np.int32(23))
+    mantissa = _from_bits(np.int32((bits & np.int32(0x7FFFFF)) + np.int32(0x3F3504F3)))
+    return np.float32(power) * LN_2 + _log(mantissa)
 
 
 @_inlined
@@ -175,12 +216,18 @@ def _row(kind, n, alpha, tilt, end, wx, wy, wz, hx, hy, hz, f):
 
 
 @_inlined
-def _parameters(table, co, values):
-    """Set values (5,) to α, tilt and the weights of three channels at n·v = co."""
+def _step(table, co):
+    """Return the row of a table (S, 5) before n·v = co, and the part of the step beyond it."""
     last = len(table) - 1
     place = min(max(ONE - co, np.float32(0)), ONE) * np.float32(last)
     low = min(int(place), last - 1)
-    t = place - np.float32(low)
+    return low, place - np.float32(low)
+
+
+@_inlined
+def _parameters(table, co, values):
+    """Set values (5,) to α, tilt and the weights of three channels at n·v = co."""
+    low, t = _step(table, co)
     for m in range(5):
         values[m] = table[low, m] + t * (table[low + 1, m] - table[low, m])
     values[0] = math.exp(values[0])
@@ -322,11 +369,20 @@ def add_blocks(
 
 
 @_inlined
+def _rows(m):
+    """The numbers of a matrix (3, 3), row by row."""
+    return m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+
+
+@_inlined
 def _texel(to_light, wx, wy, wz, height, width):
-    """Return row and column of the map's texel in a direction of the camera frame."""
-    lx = to_light[0, 0] * wx + to_light[0, 1] * wy + to_light[0, 2] * wz
-    ly = to_light[1, 0] * wx + to_light[1, 1] * wy + to_light[1, 2] * wz
-    lz = to_light[2, 0] * wx + to_light[2, 1] * wy + to_light[2, 2] * wz
+    """Return row and column of the map's texel in a direction of the camera frame.
+
+    to_light  nine numbers, row by row
+    """
+    lx = to_light[0] * wx + to_light[1] * wy + to_light[2] * wz
+    ly = to_light[3] * wx + to_light[4] * wy + to_light[5] * wz
+    lz = to_light[6] * wx + to_light[7] * wy + to_light[8] * wz
     polar = _arctan(math.sqrt(lx * lx + lz * lz), ly)
     row = min(int(polar / PI * np.float32(height)), height - 1)
     around = _arctan(lz, lx) / (np.float32(2) * PI)
@@ -335,67 +391,82 @@ def _texel(to_light, wx, wy, wz, height, width):
 
 
 @_inlined
-def _samples(kind, first, n, facet, alpha, tilt, end, light, to_light, count, out):
-    """Set out (3,) to what one closure reflects at one normal from within its extent."""
-    height, width = light.shape[0], light.shape[1]
-    co = n[2]
-    sin2_o = ONE - co * co
-    scale = ONE / math.sqrt(ONE + tilt * tilt * sin2_o)
-    o = scale * (co + tilt * sin2_o)
-    out[0] = out[1] = out[2] = np.float32(0)
-    if o <= LEAST:
-        return
-    # the lobe's axis, and two directions across it
-    ax, ay = scale * (n[0] - tilt * co * n[0]), scale * (n[1] - tilt * co * n[1])
-    az = o
-    side = math.sqrt(ax * ax + ay * ay)
-    if side > np.float32(1e-6):
-        xx, xy, xz = ay / side, -ax / side, np.float32(0)
+def _lobe_samples(kind, r, j, count, light_rows, light_columns, to_light, texels):
+    """Set rows T and VALUE and texels (LANES,) for direction j of each normal of the lanes r."""
+    share = ONE / np.float32(2 * count)
+    of = np.float32(j % count)
+    per = ONE / np.float32(count)
+    # rounding may take t at u = 0 below 0
+    if j >= count:
+        for i in range(LANES):
+            rest = ONE - (of + r[SHIFT_OF, i]) * per * r[TAIL, i]
+            r[T, i] = max(ONE / (rest * rest) - ONE, np.float32(0))
+    elif kind == GGX:
+        for i in range(LANES):
+            u = (of + r[SHIFT_OF, i]) * per * r[MOST, i]
+            r[T, i] = max(u / (ONE - u), np.float32(0))
     else:
-        xx, xy, xz = ONE, np.float32(0), np.float32(0)
-    yx, yy, yz = ay * xz - az * xy, az * xx - ax * xz, ax * xy - ay * xx
-    shift = (np.float32(first % 65536) * GOLDEN) % ONE
-    turn = np.float32(2) * PI * ((np.float32(first % 65536) * SHIFT) % ONE)
-    most = end / (ONE + end) if kind == GGX else ONE - math.exp(-end)
-    tail = ONE - ONE / math.sqrt(ONE + end)
-    a2 = alpha * alpha
-    for j in range(2 * count):
-        u = (np.float32(j % count) + shift) / np.float32(count)
-        if j >= count:
-            t = ONE / ((ONE - u * tail) * (ONE - u * tail)) - ONE
-        elif kind == GGX:
-            t = u * most / (ONE - u * most)
-        else:
-            t = np.float32(-math.log(ONE - u * most))
-        t = max(t, np.float32(0))  # rounding may take that of u = 0 below it
-        r = np.float32(ONE / math.sqrt(ONE + t))
-        density = r * r * r * r if kind == GGX else _exp(-t)
+        for i in range(LANES):
+            u = (of + r[SHIFT_OF, i]) * per * r[MOST, i]
+            r[T, i] = max(-_log_of_any(max(ONE - u, np.float32(1e-11))), np.float32(0))
+    phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
+    cos_phi, sin_phi = np.float32(math.cos(phi)), np.float32(math.sin(phi))
+    for i in range(LANES):
+        t, a2 = r[T, i], r[ALPHA, i] * r[ALPHA, i]
+        q = np.float32(ONE / math.sqrt(ONE + t))
+        density = q * q * q * q if kind == GGX else _exp(-t)
         c2 = ONE / (ONE + a2 * t)
         cos = math.sqrt(c2)
-        p = (density / most + HALF * r * r * r / tail) / (np.float32(2) * PI * a2 * cos * c2)
-        sin = alpha * math.sqrt(t) * cos
-        phi = turn + np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
-        sx, sy = sin * math.cos(phi), sin * math.sin(phi)
-        hx, hy, hz = (
-            ax * cos + xx * sx + yx * sy,
-            ay * cos + xy * sx + yy * sy,
-            az * cos + xz * sx + yz * sy,
-        )
+        p = (density / r[MOST, i] + HALF * q * q * q / r[TAIL, i]) / (np.float32(2) * PI)
+        p = p / (a2 * cos * c2)
+        sin = r[ALPHA, i] * math.sqrt(t) * cos
+        sx = sin * (r[COS, i] * cos_phi - r[SIN, i] * sin_phi)
+        sy = sin * (r[SIN, i] * cos_phi + r[COS, i] * sin_phi)
+        ax, ay, az = r[AXIS, i], r[AXIS + 1, i], r[AXIS + 2, i]
+        hx = ax * cos + r[X, i] * sx + r[Y, i] * sy
+        hy = ay * cos + r[X + 1, i] * sx + r[Y + 1, i] * sy
+        hz = az * cos + r[Y + 2, i] * sy
         wx, wy, wz = np.float32(2) * hz * hx, np.float32(2) * hz * hy, np.float32(2) * hz * hz - ONE
-        cos_i = wx * n[0] + wy * n[1] + wz * co
+        cos_i = wx * r[N, i] + wy * r[N + 1, i] + wz * r[N + 2, i]
         ci = wx * ax + wy * ay + wz * az
-        if cos_i <= LEAST or ci <= LEAST or hz <= LEAST:
-            continue
-        if wx * facet[0] + wy * facet[1] + wz * facet[2] < 0:
-            continue
-        value = _value(kind, alpha, min(ci, ONE), min(o, ONE), min(cos, ONE), hz)
-        value *= ci * np.float32(4) * hz / (np.float32(2 * count) * p)
+        above = wx * r[FACET, i] + wy * r[FACET + 1, i] + wz * r[FACET + 2, i] >= 0
+        lit = (cos_i > LEAST) & (ci > LEAST) & (hz > LEAST) & above & (az > LEAST)
+        ci = max(ci, LEAST)
+        hz = max(hz, LEAST)
+        o = min(max(az, LEAST), ONE)
+        value = _value(kind, r[ALPHA, i], min(ci, ONE), o, min(cos, ONE), hz)
+        value *= ci * np.float32(4) * hz * share / p
         if kind == GGX:
-            value *= _share(t, end)
-        row, column = _texel(to_light, wx, wy, wz, height, width)
-        out[0] += value * light[row, column, 0]
-        out[1] += value * light[row, column, 1]
-        out[2] += value * light[row, column, 2]
+            value *= _share(t, r[END, i])
+        r[VALUE, i] = value if lit else np.float32(0)
+        row, column = _texel(to_light, wx, wy, wz, light_rows, light_columns)
+        texels[i] = row * light_columns + column
+
+
+@_inlined
+def _add_texels(r, light, texels):
+    """Add to rows OUT row VALUE times texels of the light (T, 3)."""
+    for i in range(LANES):
+        value, at = r[VALUE, i], texels[i]
+        r[OUT, i] += value * light[at, 0]
+        r[OUT + 1, i] += value * light[at, 1]
+        r[OUT + 2, i] += value * light[at, 2]
+
+
+@_inlined
+def _set_frame(r, i, n, facet, alpha, tilt):
+    """Set what `_lobe_samples` needs of one normal in lane i."""
+    ax, ay, az = _axis(n, tilt)
+    side = math.sqrt(ax * ax + ay * ay)
+    xx, xy = ONE, np.float32(0)
+    if side > np.float32(1e-6):
+        xx, xy = ay / side, -ax / side
+    for c in range(3):
+        r[N + c, i], r[FACET + c, i], r[OUT + c, i] = n[c], facet[c], np.float32(0)
+    r[AXIS, i], r[AXIS + 1, i], r[AXIS + 2, i] = ax, ay, az
+    r[X, i], r[X + 1, i] = xx, xy
+    r[Y, i], r[Y + 1, i], r[Y + 2, i] = -az * xy, az * xx, ax * xy - ay * xx
+    r[ALPHA, i] = alpha
 
 
 @_compiled
@@ -416,88 +487,161 @@ def add_samples(
     light  (height, width, 3) float32; to_light (3, 3) from the camera frame to the light frame
     count  directions of each of the two distributions
     """
-    here = np.empty(3, np.float32)
+    height, width = light.shape[0], light.shape[1]
+    flat, rotation = light.reshape(height * width, 3), _rows(to_light)
+    r = np.empty((ROWS, LANES), np.float32)
+    texels = np.empty(LANES, np.int32)
     v = np.empty(5, np.float32)
-    for i in range(len(n)):
-        _parameters(table, n[i, 2], v)
-        e = _end(v[0], extent) if kind == GGX else SHORT_TAILED
-        if kind == 1:
-            _samples(1, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
-        elif kind == 2:
-            _samples(2, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
-        else:
-            _samples(3, i, n[i], facets[i], v[0], v[1], e, light, to_light, count, here)
-        for c in range(3):
-            out[i, c] += here[c] * v[2 + c]
+    patterns = min(len(n), 65536)
+    turns = np.empty((patterns, 3), np.float32)  # each normal turns and shifts its directions
+    for i in range(patterns):
+        turn = np.float32(2) * PI * ((np.float32(i) * SHIFT) % ONE)
+        turns[i, 0], turns[i, 1] = math.cos(turn), math.sin(turn)
+        turns[i, 2] = (np.float32(i) * GOLDEN) % ONE
+    short = ONE - np.float32(math.exp(-SHORT_TAILED))
+    for first in range(0, len(n), LANES):
+        for i in range(LANES):
+            at = min(first + i, len(n) - 1)
+            _parameters(table, n[at, 2], v)
+            end = _end(v[0], extent) if kind == GGX else SHORT_TAILED
+            _set_frame(r, i, n[at], facets[at], v[0], v[1])
+            r[END, i] = end
+            r[MOST, i] = end / (ONE + end) if kind == GGX else short
+            r[TAIL, i] = ONE - ONE / math.sqrt(ONE + end)
+            pattern = at % 65536
+            r[COS, i], r[SIN, i] = turns[pattern, 0], turns[pattern, 1]
+            r[SHIFT_OF, i] = turns[pattern, 2]
+        for j in range(2 * count):
+            if kind == 1:
+                _lobe_samples(1, r, j, count, height, width, rotation, texels)
+            elif kind == 2:
+                _lobe_samples(2, r, j, count, height, width, rotation, texels)
+            else:
+                _lobe_samples(3, r, j, count, height, width, rotation, texels)
+            _add_texels(r, flat, texels)
+        for i in range(min(LANES, len(n) - first)):
+            low, t = _step(table, n[first + i, 2])
+            for c in range(3):
+                weight = table[low, 2 + c] + t * (table[low + 1, 2 + c] - table[low, 2 + c])
+                out[first + i, c] += r[OUT + c, i] * weight
 
 
 @_inlined
-def _catmull_rom(f, weights):
+def _set_spline(r, row, f, i):
+    """Set four rows of the lanes r, from `row`, to Catmull–Rom weights at f in [0, 1)."""
     f2 = f * f
     f3 = f2 * f
-    weights[0] = HALF * (np.float32(2) * f2 - f - f3)
-    weights[1] = HALF * (np.float32(2) - np.float32(5) * f2 + np.float32(3) * f3)
-    weights[2] = HALF * (f + np.float32(4) * f2 - np.float32(3) * f3)
-    weights[3] = HALF * (f3 - f2)
+    r[row, i] = HALF * (np.float32(2) * f2 - f - f3)
+    r[row + 1, i] = HALF * (np.float32(2) - np.float32(5) * f2 + np.float32(3) * f3)
+    r[row + 2, i] = HALF * (f + np.float32(4) * f2 - np.float32(3) * f3)
+    r[row + 3, i] = HALF * (f3 - f2)
 
 
 @_inlined
-def _place(n, size, x, y):
-    """Set the spline's weights x, y (4,) at a normal; return the first row and column of 4 × 4."""
-    flat = math.sqrt(n[0] * n[0] + n[1] * n[1])
-    theta = _arctan(flat, n[2]) * np.float32(2 / math.pi)
-    along = theta / max(flat, np.float32(1e-12))
-    px = (along * n[0] + ONE) * HALF * np.float32(size - 3) + ONE
-    py = (along * n[1] + ONE) * HALF * np.float32(size - 3) + ONE
-    column = min(max(int(px), 1), size - 3)
-    row = min(max(int(py), 1), size - 3)
-    _catmull_rom(px - np.float32(column), x)
-    _catmull_rom(py - np.float32(row), y)
-    return row - 1, column - 1
+def _set_places(r, size, rows, columns):
+    """Set rows ACROSS and DOWN, and rows and columns (LANES,) of a map's first nodes, from row N.
+
+    size  of the map's sides
+    """
+    for i in range(LANES):
+        nx, ny, nz = r[N, i], r[N + 1, i], r[N + 2, i]
+        flat = math.sqrt(nx * nx + ny * ny)
+        theta = _arctan(flat, nz) * np.float32(2 / math.pi)
+        along = theta / max(flat, np.float32(1e-12))
+        x = (along * nx + ONE) * HALF * np.float32(size - 3) + ONE
+        y = (along * ny + ONE) * HALF * np.float32(size - 3) + ONE
+        column = min(max(np.int32(x), np.int32(1)), np.int32(size - 3))
+        row = min(max(np.int32(y), np.int32(1)), np.int32(size - 3))
+        _set_spline(r, ACROSS, x - np.float32(column), i)
+        _set_spline(r, DOWN, y - np.float32(row), i)
+        rows[i], columns[i] = row - np.int32(1), column - np.int32(1)
 
 
 @_compiled
-def mark(n: np.ndarray, known: np.ndarray) -> int:
-    """Mark with 2 the nodes that `interpolate` needs at normals (N, 3) and that are not known.
+def interpolate(
+    n: np.ndarray,
+    least: float,
+    known: np.ndarray,
+    nodes: np.ndarray,
+    table: np.ndarray,
+    pending: np.ndarray,
+    out: np.ndarray,
+) -> int:
+    """Add to out (N, 3) a map's radiance at normals (N, 3) times the closure's weights there.
 
-    known    (S, S) uint8, 1: is known
-    Returns  the number of nodes that are marked
+    By Catmull–Rom splines over 4 × 4 of the nodes. Where one of them is not known nothing is added,
+    and it is marked by 2.
+
+    least    n·v of normals below which nothing is done
+    known    (S, S) uint8, 1: the node is known
+    nodes    (S, S, 4), of which the last is not used
+    table    as of `add_lights`
+    pending  (N,) int32, of which the first are set to the normals that lack nodes
+    Returns  the number of these
     """
-    marked = 0
-    x = np.empty(4, np.float32)
-    y = np.empty(4, np.float32)
-    for i in range(len(n)):
-        row, column = _place(n[i], known.shape[0], x, y)
-        for a in range(4):
-            for c in range(4):
-                if known[row + a, column + c] == 0:
-                    known[row + a, column + c] = 2
-                    marked += 1
-    return marked
+    size = nodes.shape[0]
+    flat = nodes.reshape(size, size * 4)
+    r = np.empty((ROWS, LANES), np.float32)
+    rows, columns = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    sums = np.empty(16, np.float32)
+    lacking = 0
+    for first in range(0, len(n), LANES):
+        for i in range(LANES):
+            at = min(first + i, len(n) - 1)
+            r[N, i], r[N + 1, i], r[N + 2, i] = n[at, 0], n[at, 1], n[at, 2]
+        _set_places(r, size, rows, columns)
+        for i in range(min(LANES, len(n) - first)):
+            if r[N + 2, i] < least:
+                continue
+            row, column = np.intp(rows[i]), np.intp(columns[i])
+            complete = np.uint8(1)
+            for a in range(4):
+                for c in range(4):
+                    complete &= known[row + a, column + c]
+            if complete != 1:
+                pending[lacking] = first + i
+                lacking += 1
+                for a in range(4):
+                    for c in range(4):
+                        if known[row + a, column + c] == 0:
+                            known[row + a, column + c] = 2
+                continue
+            down = r[DOWN, i], r[DOWN + 1, i], r[DOWN + 2, i], r[DOWN + 3, i]
+            for m in range(16):
+                j = 4 * column + m
+                sums[m] = (
+                    down[0] * flat[row, j]
+                    + down[1] * flat[row + 1, j]
+                    + down[2] * flat[row + 2, j]
+                    + down[3] * flat[row + 3, j]
+                )
+            low, t = _step(table, r[N + 2, i])
+            for c in range(3):
+                value = (
+                    r[ACROSS, i] * sums[c]
+                    + r[ACROSS + 1, i] * sums[4 + c]
+                    + r[ACROSS + 2, i] * sums[8 + c]
+                    + r[ACROSS + 3, i] * sums[12 + c]
+                )
+                weight = table[low, 2 + c] + t * (table[low + 1, 2 + c] - table[low, 2 + c])
+                out[first + i, c] += max(value, np.float32(0)) * weight
+    return lacking
 
 
 @_compiled
-def interpolate(n: np.ndarray, nodes: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
-    """Add to out (N, 3) a map's radiance at normals times the closure's weights there.
+def face(n: np.ndarray, facets: np.ndarray, least: float, cosine: float, out: np.ndarray) -> int:
+    """Set out (N, 3) to unit normals (N, 3) whose n·v is raised to `least` before they are scaled.
 
-    By Catmull–Rom splines over 4 × 4 of the nodes (S, S, 3); table as of `add_lights`.
+    Returns  how many of them have a lesser cosine to their facets (N, 3)
     """
-    x = np.empty(4, np.float32)
-    y = np.empty(4, np.float32)
-    v = np.empty(5, np.float32)
+    leaning = 0
     for i in range(len(n)):
-        row, column = _place(n[i], nodes.shape[0], x, y)
-        r = g = b = np.float32(0)
-        for a in range(4):
-            for c in range(4):
-                weight = y[a] * x[c]
-                r += weight * nodes[row + a, column + c, 0]
-                g += weight * nodes[row + a, column + c, 1]
-                b += weight * nodes[row + a, column + c, 2]
-        _parameters(table, n[i, 2], v)
-        out[i, 0] += max(r, np.float32(0)) * v[2]
-        out[i, 1] += max(g, np.float32(0)) * v[3]
-        out[i, 2] += max(b, np.float32(0)) * v[4]
+        x, y, z = n[i, 0], n[i, 1], max(n[i, 2], np.float32(least))
+        scale = ONE / math.sqrt(x * x + y * y + z * z)
+        x, y, z = x * scale, y * scale, z * scale
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z
+        leaning += x * facets[i, 0] + y * facets[i, 1] + z * facets[i, 2] < np.float32(cosine)
+    return leaning
 
 
 @_inlined
@@ -509,7 +653,7 @@ def _lobe(kind, alpha, o, i, ch, cd):
         return _sheen(alpha, i, o, ch, cd) * i, HALF / PI
     if kind == ASHIKHMIN_SHIRLEY:
         n = np.float32(2) / (alpha * alpha) - np.float32(2)
-        density = (n + ONE) / (np.float32(8) * PI) * np.float32(ch**n) / cd
+        density = (n + ONE) / (np.float32(8) * PI) * _exp(n * _log(ch)) / cd
         return i / max(o, i) * density, density
     c2, a2 = ch * ch, alpha * alpha
     tan2 = max(ONE / (i * i) - ONE, np.float32(0))
@@ -519,7 +663,7 @@ def _lobe(kind, alpha, o, i, ch, cd):
         hidden_i = HALF * (math.sqrt(ONE + a2 * tan2) - ONE)
         hidden_o = HALF * (math.sqrt(ONE + a2 * (ONE / (o * o) - ONE)) - ONE)
     else:
-        d = math.exp(-(ONE - c2) / (c2 * a2)) / (PI * a2 * c2 * c2)
+        d = _exp(-(ONE - c2) / (c2 * a2)) / (PI * a2 * c2 * c2)
         hidden_i = _smith(min(i, ONE), alpha)
         hidden_o = _smith(o, alpha)
     common = np.float32(0.25) * d / o
@@ -528,12 +672,61 @@ def _lobe(kind, alpha, o, i, ch, cd):
 
 @_inlined
 def _has_ended(kind, alpha, ch):
-    """Whether an exponential lobe is below e^−20 of its peak, which saves its exponential."""
+    """Whether an exponential lobe is below e^−20 of its peak."""
     if kind == BECKMANN:
         return ONE - ch * ch > ENDED * ch * ch * alpha * alpha
-    if kind == ASHIKHMIN_SHIRLEY:
-        return (np.float32(2) / (alpha * alpha) - np.float32(2)) * (ONE - ch) > ENDED
-    return False
+    return (np.float32(2) / (alpha * alpha) - np.float32(2)) * (ONE - ch) > ENDED
+
+
+@_inlined
+def _lobe_lanes(kind, r, v, ax, ay, az, least, end, picked):
+    alpha, red, green, blue = v[0], v[2], v[3], v[4]
+    if kind in (BECKMANN, ASHIKHMIN_SHIRLEY):
+        nearest = LEAST
+        for j in range(LANES):
+            nearest = max(nearest, ax * r[H, j] + ay * r[H + 1, j] + az * r[H + 2, j])
+        if _has_ended(kind, alpha, min(nearest, ONE)):
+            return
+    o = min(az, ONE)
+    inverse = ONE / end if end > 0 else np.float32(1e30)  # of which no t is within
+    for j in range(LANES):
+        ci = ax * r[W, j] + ay * r[W + 1, j] + az * r[W + 2, j]
+        ch = ax * r[H, j] + ay * r[H + 1, j] + az * r[H + 2, j]
+        lit = (ci > LEAST) & (ch > least)
+        ci = max(ci, LEAST)
+        ch = min(max(ch, LEAST), ONE)
+        f, p = _lobe(kind, alpha, o, ci, ch, r[CD, j])
+        if kind != DIFFUSE and kind != SHEEN:
+            t = max((ONE - ch * ch) / (ch * ch * alpha * alpha), np.float32(1e-12))
+            f *= ONE - _share(t * inverse, ONE)
+        f = f if lit else np.float32(0)
+        r[P, j] += p * picked if lit else np.float32(0)
+        r[SUM, j] += f * red
+        r[SUM + 1, j] += f * green
+        r[SUM + 2, j] += f * blue
+
+
+@_inlined
+def _add_lobe(kind, r, v, ax, ay, az, least, end, picked):
+    """Add a closure's f · cos_i to rows SUM of the lanes r, and its density to row P.
+
+    It reads rows W, H and CD.
+
+    v       (5,) α, tilt and weights; (ax, ay, az) the closure's axis
+    least   cosine of half vectors to the axis, of which none reflects
+    end     t at which samples take over, 0: nowhere
+    picked  chance with which Cycles draws by the closure
+    """
+    if kind == 0:
+        _lobe_lanes(0, r, v, ax, ay, az, least, end, picked)
+    elif kind == 1:
+        _lobe_lanes(1, r, v, ax, ay, az, least, end, picked)
+    elif kind == 2:
+        _lobe_lanes(2, r, v, ax, ay, az, least, end, picked)
+    elif kind == 3:
+        _lobe_lanes(3, r, v, ax, ay, az, least, end, picked)
+    else:
+        _lobe_lanes(4, r, v, ax, ay, az, least, end, picked)
 
 
 @_inlined
@@ -592,60 +785,119 @@ def add_leaning(
              closures reflect there as elsewhere, others where their tilted normal faces the viewer
     """
     closures = len(kinds)
+    r = np.empty((ROWS, LANES), np.float32)
+    which = np.empty(lights.shape[1] + LANES, np.int32)
+    counted = np.empty((lights.shape[1] + 7) // 8 * 8, np.uint8)
+    eights = counted.view(np.uint64)
     v = np.empty((closures, 5), np.float32)
     axes = np.empty((closures, 3), np.float32)
     ends = np.empty(closures, np.float32)
     picked = np.empty(closures, np.float32)
     counts = np.ones(closures, np.uint8)
+    # the share is p²/(p² + q²), or of light below the facet the rest
+    whole, sign = (ONE, -ONE) if away else (np.float32(0), ONE)
     for i in range(len(n)):
         nx, ny, co = n[i, 0], n[i, 1], n[i, 2]
+        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
         for k in range(closures):
             _parameters(tables[k], abs(co), v[k])
             axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
             ends[k] = _end(v[k, 0], extents[k])
         _picked(v, counts, picked)
+        found = 0
         for b in range(len(sines)):
             cx, cy, cz = centres[b, 0], centres[b, 1], centres[b, 2]
             if nx * cx + ny * cy + co * cz <= -sines[b]:
                 continue  # all of it is below the horizon
-            if not away and facets[i, 0] * cx + facets[i, 1] * cy + facets[i, 2] * cz > sines[b]:
+            if not away and fx * cx + fy * cy + fz * cz > sines[b]:
                 continue  # all of it is above the facet
-            for j in range(firsts[b], firsts[b + 1]):
-                wx, wy, wz = lights[0, j], lights[1, j], lights[2, j]
-                below = facets[i, 0] * wx + facets[i, 1] * wy + facets[i, 2] * wz < 0
-                if not (below or away) or nx * wx + ny * wy + co * wz <= LEAST:
-                    continue
-                hx, hy, hz = lights[3, j], lights[4, j], lights[5, j]
-                fr = fg = fb = p = np.float32(0)
-                for k in range(closures):
-                    if picked[k] <= 0:
-                        continue  # Cycles drops it
-                    o = axes[k, 2]
-                    ci = axes[k, 0] * wx + axes[k, 1] * wy + o * wz
-                    ch = axes[k, 0] * hx + axes[k, 1] * hy + o * hz
-                    if ci <= LEAST or (kinds[k] != DIFFUSE and (o <= LEAST or ch <= LEAST)):
-                        continue
-                    ch = min(ch, ONE)
-                    if _has_ended(kinds[k], v[k, 0], ch):
-                        continue
-                    f, q = _lobe(
-                        kinds[k], v[k, 0], min(o, ONE), min(ci, ONE), ch, max(hz, np.float32(1e-6))
-                    )
-                    p += q * picked[k]
-                    if ends[k] > 0:
-                        t = (ONE - ch * ch) / (ch * ch * v[k, 0] * v[k, 0])
-                        f *= ONE - _share(t, ends[k])
-                    fr += f * v[k, 2]
-                    fg += f * v[k, 3]
-                    fb += f * v[k, 4]
-                share = ONE
-                if below:
-                    share = p * p / max(p * p + density[j] * density[j], np.float32(1e-30))
-                    if away:
-                        share = ONE - share
-                out[i, 0] += share * fr * lights[6, j]
-                out[i, 1] += share * fg * lights[7, j]
-                out[i, 2] += share * fb * lights[8, j]
+            x, y, z = (
+                lights[0, firsts[b] : firsts[b + 1]],
+                lights[1, firsts[b] : firsts[b + 1]],
+                lights[2, firsts[b] : firsts[b + 1]],
+            )
+            for j in range(len(x)):
+                lit = nx * x[j] + ny * y[j] + co * z[j] > LEAST
+                below = fx * x[j] + fy * y[j] + fz * z[j] < 0
+                counted[j] = lit & (below | away)
+            for j in range(len(x), (len(x) + 7) // 8 * 8):
+                counted[j] = 0
+            for m in range((len(x) + 7) // 8):
+                if eights[m] == 0:
+                    continue  # most do not count, and those that do are neighbours
+                for j in range(8 * m, 8 * m + 8):
+                    which[found] = firsts[b] + j
+                    found += counted[j]
+        red = green = blue = np.float32(0)
+        for first in range(0, found, LANES):
+            here = min(LANES, found - first)
+            for j in range(here, LANES):
+                which[first + j] = which[first]
+            for j in range(LANES):
+                at = np.intp(which[first + j])
+                for m in range(9):
+                    r[m, j] = lights[m, at]
+                r[DENSITY, j] = density[at]
+            for j in range(here, LANES):
+                r[ENERGY, j] = r[ENERGY + 1, j] = r[ENERGY + 2, j] = np.float32(0)
+            for j in range(LANES):
+                r[CD, j] = max(r[H + 2, j], np.float32(1e-6))
+                r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
+            for k in range(closures):
+                matte = kinds[k] == DIFFUSE
+                # Cycles drops closures that it never draws
+                if picked[k] > 0 and (matte or axes[k, 2] > LEAST):
+                    least = np.float32(-2) if matte else LEAST
+                    ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
+                    _add_lobe(kinds[k], r, v[k], ax, ay, az, least, ends[k], picked[k])
+            for j in range(LANES):
+                p2 = r[P, j] * r[P, j]
+                below = fx * r[W, j] + fy * r[W + 1, j] + fz * r[W + 2, j] < 0
+                share = p2 / max(p2 + r[DENSITY, j] * r[DENSITY, j], np.float32(1e-30))
+                share = whole + sign * (share if below else np.float32(0))
+                red += share * r[SUM, j] * r[ENERGY, j]
+                green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
+                blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+        out[i, 0] += red
+        out[i, 1] += green
+        out[i, 2] += blue
+
+
+@_inlined
+def _draw_turned(r, n, facet, axis, least, exponent, drawn, first):
+    """Set rows W, H, CD and BELOW of the lanes r for half vectors that may face away.
+
+    BELOW is 1 where one does not, or where its direction is below the normal or the facet.
+
+    least   sine of the axis' angle to the viewer: of all half vectors only those whose cosine to
+            the axis is less may face away
+    drawn   (3, …) of which `first` and the following are used: log u, and cosine and sine of φ
+    """
+    ax, ay, az = axis[0], axis[1], axis[2]
+    nx, ny, nz = n[0], n[1], n[2]
+    fx, fy, fz = facet[0], facet[1], facet[2]
+    side = max(math.sqrt(ax * ax + ay * ay), np.float32(1e-6))
+    xx, xy = ay / side, -ax / side
+    yx, yy, yz = -az * xy, az * xx, ax * xy - ay * xx
+    inverse = ONE / exponent
+    for m in range(3):
+        for j in range(LANES):
+            r[H + m, j] = drawn[m, first + j]
+    for j in range(LANES):
+        cos = least * _exp(r[H, j] * inverse)  # least · u^(1/exponent)
+        sin = math.sqrt(max(ONE - cos * cos, np.float32(0)))
+        sx, sy = sin * r[H + 1, j], sin * r[H + 2, j]
+        hx = ax * cos + xx * sx + yx * sy
+        hy = ay * cos + xy * sx + yy * sy
+        hz = az * cos + yz * sy
+        cd = max(-hz, np.float32(1e-6))
+        wx, wy = np.float32(2) * cd * hx, np.float32(2) * cd * hy
+        wz = np.float32(2) * cd * hz - ONE
+        found = (hz < 0) & (wx * nx + wy * ny + wz * nz >= 0) & (wx * fx + wy * fy + wz * fz >= 0)
+        r[H, j], r[H + 1, j], r[H + 2, j] = hx, hy, hz
+        r[W, j], r[W + 1, j], r[W + 2, j] = wx, wy, wz
+        r[CD, j] = cd
+        r[BELOW, j] = np.float32(0) if found else ONE
 
 
 @_compiled
@@ -674,72 +926,79 @@ def add_misdirected(
     """
     height, width = light.shape[0], light.shape[1]
     closures = len(kinds)
+    flat, other = light.reshape(height * width, 3), density.reshape(height * width)
+    rotation = _rows(to_light)
+    r = np.empty((ROWS, LANES), np.float32)
+    texels = np.empty(LANES, np.int32)
     v = np.empty((closures, 5), np.float32)
+    axes = np.empty((closures, 3), np.float32)
     picked = np.empty(closures, np.float32)
     counts = np.ones(closures, np.uint8)
+    padded = (count + LANES - 1) // LANES * LANES
+    drawn = np.zeros((3, padded), np.float32)  # log u, and cosine and sine of φ
+    kept = np.ones((7, padded + LANES), np.float32)  # rows W, H and CD of those that count
+    for j in range(count):
+        phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
+        drawn[0, j] = math.log((np.float32(j) + HALF) / np.float32(count))
+        drawn[1, j], drawn[2, j] = math.cos(phi), math.sin(phi)
     for i in range(len(n)):
         co = n[i, 2]
         for k in range(closures):
             _parameters(tables[k], abs(co), v[k])
+            axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
+            if kinds[k] == DIFFUSE:
+                axes[k, 0], axes[k, 1], axes[k, 2] = n[i, 0], n[i, 1], co
         _picked(v, counts, picked)
         for k in range(closures):
-            if kinds[k] != ASHIKHMIN_SHIRLEY or picked[k] <= 0:
-                continue
-            ax, ay, az = _axis(n[i], v[k, 1])
-            if az <= LEAST:
+            if kinds[k] != ASHIKHMIN_SHIRLEY or picked[k] <= 0 or axes[k, 2] <= LEAST:
                 continue
             exponent = np.float32(2) / (v[k, 0] * v[k, 0]) - ONE
+            az = axes[k, 2]
             least = np.float32(math.sqrt(max(ONE - az * az, np.float32(0))))
-            if least**exponent < np.float32(1e-4):
+            chance = np.float32(least**exponent)
+            if chance < np.float32(1e-4):
                 continue  # hardly any half vector faces away
-            side = max(math.sqrt(ax * ax + ay * ay), np.float32(1e-6))
-            xx, xy = ay / side, -ax / side
-            yx, yy, yz = -az * xy, az * xx, ax * xy - ay * xx
-            for j in range(count):
-                u = (np.float32(j) + HALF) / np.float32(count)
-                # of all half vectors only those below `least` may face away
-                cos = np.float32((u * least**exponent) ** (ONE / exponent))
-                sin = np.float32(math.sqrt(max(ONE - cos * cos, np.float32(0))))
-                phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
-                sx, sy = np.float32(sin * math.cos(phi)), np.float32(sin * math.sin(phi))
-                hx = ax * cos + xx * sx + yx * sy
-                hy = ay * cos + xy * sx + yy * sy
-                hz = az * cos + yz * sy
-                if hz >= 0:
-                    continue
-                cd = max(-hz, np.float32(1e-6))
-                wx, wy, wz = (
-                    np.float32(2) * cd * hx,
-                    np.float32(2) * cd * hy,
-                    np.float32(2) * cd * hz - ONE,
-                )
-                if wx * n[i, 0] + wy * n[i, 1] + wz * co < 0:
-                    continue
-                if wx * facets[i, 0] + wy * facets[i, 1] + wz * facets[i, 2] < 0:
-                    continue
-                fr = fg = fb = p = np.float32(0)
+            found = 0
+            for first in range(0, count, LANES):
+                here = min(LANES, count - first)
+                _draw_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, first)
+                for j in range(here):
+                    for m in range(6):  # rows W and H
+                        kept[m, found] = r[m, j]
+                    kept[6, found] = r[CD, j]
+                    found += r[BELOW, j] == 0
+            red = green = blue = np.float32(0)
+            for first in range(0, found, LANES):
+                here = min(LANES, found - first)
+                for m in range(6):
+                    for j in range(LANES):
+                        r[m, j] = kept[m, first + j]
+                for j in range(LANES):
+                    r[CD, j] = kept[6, first + j]
+                    r[BELOW, j] = np.float32(0) if j < here else ONE
+                    r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
                 for m in range(closures):
-                    bx, by, bz = _axis(n[i], v[m, 1])
-                    if kinds[m] == DIFFUSE:
-                        bx, by, bz = n[i, 0], n[i, 1], co
-                    ci = bx * wx + by * wy + bz * wz
-                    ch = bx * hx + by * hy + bz * hz
-                    if ci <= LEAST or bz <= LEAST or ch <= LEAST:
-                        continue
-                    f, q = _lobe(kinds[m], v[m, 0], bz, ci, min(ch, ONE), cd)
-                    fr += f * v[m, 2]
-                    fg += f * v[m, 3]
-                    fb += f * v[m, 4]
-                    p += q * picked[m]
-                if p <= 0:
-                    continue
-                length = np.float32(math.sqrt(wx * wx + wy * wy + wz * wz))
-                wx, wy, wz = wx / length, wy / length, wz / length
-                row, column = _texel(to_light, wx, wy, wz, height, width)
-                other = density[row, column]
-                share = (
-                    picked[k] * least**exponent / np.float32(count) * p / (p * p + other * other)
-                )
-                out[i, 0] += share * fr * light[row, column, 0]
-                out[i, 1] += share * fg * light[row, column, 1]
-                out[i, 2] += share * fb * light[row, column, 2]
+                    bx, by, bz = axes[m, 0], axes[m, 1], axes[m, 2]
+                    if bz > LEAST:
+                        _add_lobe(kinds[m], r, v[m], bx, by, bz, LEAST, np.float32(0), picked[m])
+                for j in range(LANES):
+                    wx, wy, wz = r[W, j], r[W + 1, j], r[W + 2, j]
+                    length = math.sqrt(max(wx * wx + wy * wy + wz * wz, np.float32(1e-24)))
+                    wx, wy, wz = wx / length, wy / length, wz / length
+                    row, column = _texel(rotation, wx, wy, wz, height, width)
+                    texels[j] = row * width + column
+                for j in range(LANES):
+                    r[DENSITY, j] = other[texels[j]]
+                    for c in range(3):
+                        r[ENERGY + c, j] = flat[texels[j], c]
+                for j in range(LANES):
+                    p, q = r[P, j], r[DENSITY, j]
+                    share = p / max(p * p + q * q, np.float32(1e-30))
+                    share = share if r[BELOW, j] == 0 else np.float32(0)
+                    red += share * r[SUM, j] * r[ENERGY, j]
+                    green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
+                    blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+            scale = picked[k] * chance / np.float32(count)
+            out[i, 0] += scale * red
+            out[i, 1] += scale * green
+            out[i, 2] += scale * blue

@@ -318,3 +318,177 @@ def test_neighbours_share_what_facets_take_away(light, monkeypatch):
     assert asked == [6]
     lost = direct.at(n, 12) - each
     assert 0 < np.abs(shared - each).max() < 0.2 * lost.max()
+
+
+def lean_in_numpy(direct, n, facets, away, parts):
+    """What add_leaning adds, in float64 and without its lanes, blocks and polynomials."""
+    mixture = direct.mixture
+    lights, q, *_ = direct.blocks.texels(parts)
+    lights, q = lights.astype(float), q.astype(float)
+    w, h, energy = lights[:3], lights[3:6], lights[6:]
+    out = np.zeros((len(n), 3))
+    for i in range(len(n)):
+        a, o = n[i].astype(float), abs(float(n[i, 2]))
+        parameters = [[np.interp(1 - o, np.linspace(0, 1, len(t)), c) for c in t.T.astype(float)]
+                      for t in direct._tables]  # fmt: skip
+        chances = np.array([np.mean(each[2:]) for each in parameters])
+        chances = np.maximum(chances, 0.125 * chances.sum())
+        chances /= chances.sum()
+        f, p = np.zeros((3, w.shape[1])), np.zeros(w.shape[1])
+        for kind, (log_alpha, _, *weights), chance in zip(
+            mixture.kinds, parameters, chances, strict=True
+        ):
+            value, density = lobe_in_numpy(kind, np.exp(log_alpha), a, w, h)
+            f += value * np.array(weights)[:, None]
+            p += density * chance
+        below = facets[i] @ w < 0
+        share = p**2 / (p**2 + q**2)
+        share = np.where(below, 1 - share, 1) if away else np.where(below, share, 0)
+        out[i] = (f * share * energy * (a @ w > 1e-4)).sum(1)
+    return out
+
+
+def lobe_in_numpy(kind, alpha, n, w, h):
+    """f · cos_i (T,) of an untilted closure, and the density by which Cycles draws it."""
+    ci, o, ch, cd = n @ w, n[2], n @ h, np.maximum(h[2], 1e-6)
+    if kind == "diffuse":
+        return np.maximum(ci, 0) / np.pi, np.maximum(ci, 0) / np.pi
+    lit = (ci > 1e-4) & (ch > 1e-4) & (o > 1e-4)
+    ci, ch, o = np.maximum(ci, 1e-4), np.clip(ch, 1e-4, 1), max(o, 1e-4)
+    s2 = 1 - ch**2
+    if kind == "sheen":
+        s2 = np.maximum(s2, 1e-9)
+        d = np.exp(-(ch**2) / (s2 * alpha**2)) / (np.pi * alpha**2 * s2**2)
+        hidden = np.minimum(2 * ch / cd * np.minimum(ci, o), 1)
+        return np.where(lit, d * hidden / (4 * o), 0), np.where(lit, 0.5 / np.pi, 0)
+    if kind == "ashikhmin_shirley":
+        exponent = 2 / alpha**2 - 2
+        p = (exponent + 1) / (8 * np.pi) * ch**exponent / cd
+        return np.where(lit, p * ci / np.maximum(ci, o), 0), np.where(lit, p, 0)
+    if kind == "ggx":
+        d = alpha**2 / (np.pi * (s2 + alpha**2 * ch**2) ** 2)
+        hidden = [(np.sqrt(1 + alpha**2 * (1 / c**2 - 1)) - 1) / 2 for c in (ci, o)]
+    else:
+        d = np.exp(-s2 / (ch**2 * alpha**2)) / (np.pi * alpha**2 * ch**4)
+        hidden = []
+        for c in (ci, o):
+            x = c / (np.sqrt(np.maximum(1 - c**2, 1e-12)) * alpha)
+            rational = (1 - 1.259 * x + 0.396 * x**2) / (3.535 * x + 2.181 * x**2)
+            hidden.append(np.where(x < 1.6, rational, 0))
+    common = d / (4 * o)
+    both, one = common / (1 + hidden[0] + hidden[1]), common / (1 + hidden[1])
+    return np.where(lit, both, 0), np.where(lit, one, 0)
+
+
+@pytest.mark.parametrize("away", [False, True])
+@pytest.mark.parametrize(
+    "kind, alpha",
+    [
+        ("diffuse", 1.0),
+        ("sheen", 0.6),
+        *(
+            (kind, alpha)
+            for kind in ("ggx", "beckmann", "ashikhmin_shirley")
+            for alpha in (0.5, 0.1)
+        ),
+    ],
+)
+def test_light_at_facets_is_what_numpy_gives(light, kind, alpha, away):
+    """Beside another closure, and for light of which some texels are black."""
+    sparse = np.where(np.random.default_rng(1).random(light.shape[:2]) < 0.3, 1, 0)[..., None]
+    mixture = Mixture(
+        ("diffuse", kind),
+        np.array([0.0]),
+        np.log([[1.0, alpha]]),
+        np.zeros((1, 2)),
+        np.array([[[0.1, 0.2, 0.3], [0.5, 0.4, 0.2]]]),
+    )
+    direct = DirectLight(mixture, light * sparse, ROTATION)
+    n, facets = at_facets(9)
+    if away:
+        n = np.concatenate([n[:, :2], -0.1 * n[:, 2:]], axis=1)
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+    width = alpha if kind in direct_light.LOBES else 1.0
+    parts = 1 if away else next(parts for wide, parts in direct_light.LEANING if width >= wide)
+    expected = lean_in_numpy(direct, n, facets, away, parts)
+    found = direct._leaning(n, facets, away)
+    assert expected.min() > 0
+    np.testing.assert_allclose(found, expected, rtol=2e-3)
+
+
+def sample_in_numpy(kind, alpha, n, facet, extent, light, count):
+    """Means over sample directions of one lobe, drawn at random by its own distribution of h."""
+    rng = np.random.default_rng(7)
+    u, phi = rng.random(count), 2 * np.pi * rng.random(count)
+    end = max(extent / alpha, 3.0) ** 2 if kind == "ggx" else 25.0
+    t = u / (1 - u) if kind == "ggx" else -np.log(1 - u)
+    cos = 1 / np.sqrt(1 + alpha**2 * t)
+    sin = np.sqrt(1 - cos**2)
+    x = np.cross(n, [0.3, 0.8, -0.5])
+    x /= np.linalg.norm(x)
+    y = np.cross(n, x)
+    across = np.cos(phi)[:, None] * x + np.sin(phi)[:, None] * y
+    h = cos[:, None] * n + sin[:, None] * across
+    w = 2 * h[:, 2:] * h - np.array([0, 0, 1.0])
+    d = 1 / (1 + t) ** 2 if kind == "ggx" else np.exp(-t)
+    p = d / (np.pi * alpha**2 * cos**3) / (4 * h[:, 2])
+    f, _ = lobe_in_numpy(kind, alpha, n, w.T, h.T)
+    if kind == "ggx":
+        x = np.clip(2 * np.sqrt(t / end) - 1, 0, 1)
+        f = f * (1 - x * x * (3 - 2 * x))
+    f = np.where((h[:, 2] > 1e-4) & (w @ facet >= 0), f, 0)
+    L = light[envmap.texel(w @ ROTATION, *light.shape[:2])]
+    return (L * (f / p)[:, None]).mean(0)
+
+
+@pytest.mark.parametrize("kind", ["ggx", "beckmann"])
+@pytest.mark.parametrize("degrees", [10, 50, 80])
+def test_samples_of_narrow_lobes_are_what_numpy_gives(light, kind, degrees):
+    """At 70 equal normals, more than are evaluated side by side, with light below their facets."""
+    alpha = 0.02
+    direct = DirectLight(Mixture.constant(kind, alpha, [1.0] * 3), light, ROTATION)
+    normal = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
+    towards = 2 * normal[2] * normal - np.array([0, 0, 1.0])
+    facet = np.cross(towards, [0.0, 1.0, 0.0])  # half of the lobe is below it
+    facet /= np.linalg.norm(facet)
+    n, facets = (np.tile(each, (70, 1)).astype(np.float32) for each in (normal, facet))
+    found = np.zeros_like(n)
+    direct._sample(0, n, facets, 512, found)
+    extent = np.tan(direct_light.EXTENT / 2)
+    expected = sample_in_numpy(kind, alpha, normal, facet, extent, light, 400_000)
+    assert expected.min() > 0
+    np.testing.assert_allclose(found.mean(0), expected, rtol=0.01)
+    np.testing.assert_allclose(found[-1], expected, rtol=0.1)
+
+
+def test_a_map_is_interpolated_by_catmull_rom_splines():
+    """Of more normals than are placed side by side, where all but one of the nodes are known."""
+    size = 64
+    nodes = np.random.default_rng(5).random((size, size, 4)).astype(np.float32)
+    n = normals(200, 70).astype(np.float32)
+    table = np.array([[0, 0, 1, 2, 3], [0, 0, 4, 5, 6]], np.float32)
+    known = np.ones((size, size), np.uint8)
+    n64 = n.astype(float)
+    theta = np.arccos(np.clip(n64[:, 2], -1, 1)) * 2 / np.pi
+    along = theta / np.maximum(np.hypot(n64[:, 0], n64[:, 1]), 1e-12)
+    place = (along[:, None] * n64[:, :2] + 1) / 2 * (size - 3) + 1
+    start = np.floor(place).astype(int)
+    f = place - start
+    spline = [2 * f**2 - f - f**3, 2 - 5 * f**2 + 3 * f**3, f + 4 * f**2 - 3 * f**3, f**3 - f**2]
+    known[start[80, 1] + 2, start[80, 0] - 1] = 0
+    expected, complete = np.zeros((200, 3)), np.ones(200, bool)
+    for a in range(4):
+        for c in range(4):
+            at = start[:, 1] + a - 1, start[:, 0] + c - 1
+            expected += (spline[a][:, 1] * spline[c][:, 0] / 4)[:, None] * nodes[at][:, :3]
+            complete &= known[at] == 1
+    weights = (1 - n64[:, 2:]) * (table[1, 2:] - table[0, 2:]) + table[0, 2:]
+    expected = np.maximum(expected, 0) * weights
+    above = n[:, 2] >= np.float32(0.5)
+    out, lacking = np.zeros((200, 3), np.float32), np.empty(200, np.int32)
+    count = direct_light_kernels.interpolate(n, np.float32(0.5), known, nodes, table, lacking, out)
+    np.testing.assert_array_equal(lacking[:count], np.nonzero(above & ~complete)[0])
+    assert 0 < count < 20 and (known == 2).sum() == 1
+    inside = above & complete
+    np.testing.assert_allclose(out[inside], expected[inside], rtol=1e-3, atol=2e-3)
+    assert not out[~inside].any()
