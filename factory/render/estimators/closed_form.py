@@ -25,7 +25,7 @@ NAME: Estimator = "closed-form"
 TYPICAL, SPREAD = 2.0, 3.0
 # samples of each half that take as long: FIXED for the pixels, MAPS / pixels for the map of
 # normals, and SAMPLED for each direction that is sampled per pixel
-FIXED, MAPS, SAMPLED = 4.0, 80_000.0, 0.015
+FIXED, MAPS, SAMPLED = 2.5, 80_000.0, 0.003
 
 
 def cost(pixels: int, directions: int) -> float:
