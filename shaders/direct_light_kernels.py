@@ -804,7 +804,7 @@ def add_leaning(
             axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
             ends[k] = _end(v[k, 0], extents[k])
         _picked(v, counts, picked)
-        found = 0
+        many = 0
         for b in range(len(sines)):
             cx, cy, cz = centres[b, 0], centres[b, 1], centres[b, 2]
             if nx * cx + ny * cy + co * cz <= -sines[b]:
@@ -826,11 +826,11 @@ def add_leaning(
                 if eights[m] == 0:
                     continue  # most do not count, and those that do are neighbours
                 for j in range(8 * m, 8 * m + 8):
-                    which[found] = firsts[b] + j
-                    found += counted[j]
+                    which[many] = firsts[b] + j
+                    many += counted[j]
         red = green = blue = np.float32(0)
-        for first in range(0, found, LANES):
-            here = min(LANES, found - first)
+        for first in range(0, many, LANES):
+            here = min(LANES, many - first)
             for j in range(here, LANES):
                 which[first + j] = which[first]
             for j in range(LANES):
@@ -893,11 +893,11 @@ def _draw_turned(r, n, facet, axis, least, exponent, drawn, first):
         cd = max(-hz, np.float32(1e-6))
         wx, wy = np.float32(2) * cd * hx, np.float32(2) * cd * hy
         wz = np.float32(2) * cd * hz - ONE
-        found = (hz < 0) & (wx * nx + wy * ny + wz * nz >= 0) & (wx * fx + wy * fy + wz * fz >= 0)
+        counts = (hz < 0) & (wx * nx + wy * ny + wz * nz >= 0) & (wx * fx + wy * fy + wz * fz >= 0)
         r[H, j], r[H + 1, j], r[H + 2, j] = hx, hy, hz
         r[W, j], r[W + 1, j], r[W + 2, j] = wx, wy, wz
         r[CD, j] = cd
-        r[BELOW, j] = np.float32(0) if found else ONE
+        r[BELOW, j] = np.float32(0) if counts else ONE
 
 
 @_compiled
@@ -958,18 +958,18 @@ def add_misdirected(
             chance = np.float32(least**exponent)
             if chance < np.float32(1e-4):
                 continue  # hardly any half vector faces away
-            found = 0
+            many = 0
             for first in range(0, count, LANES):
                 here = min(LANES, count - first)
                 _draw_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, first)
                 for j in range(here):
                     for m in range(6):  # rows W and H
-                        kept[m, found] = r[m, j]
-                    kept[6, found] = r[CD, j]
-                    found += r[BELOW, j] == 0
+                        kept[m, many] = r[m, j]
+                    kept[6, many] = r[CD, j]
+                    many += r[BELOW, j] == 0
             red = green = blue = np.float32(0)
-            for first in range(0, found, LANES):
-                here = min(LANES, found - first)
+            for first in range(0, many, LANES):
+                here = min(LANES, many - first)
                 for m in range(6):
                     for j in range(LANES):
                         r[m, j] = kept[m, first + j]
