@@ -37,9 +37,9 @@ class Blend(NamedTuple):
     bias_alone: float
 
 
-def is_small(bias: float, estimate: Estimate, error: float) -> bool:
-    """Whether the squared bias is at most a third of a limit, of a picture of this estimate."""
-    return bias + DOUBT * estimate.standard_error <= MOST_BIAS * error
+def doubted(bias: float, estimate: Estimate) -> float:
+    """Return the squared bias of a picture that was chosen by its estimate."""
+    return bias + DOUBT * estimate.standard_error
 
 
 def best(
@@ -66,5 +66,5 @@ def best(
         ]
         estimate, bias = halves.error_and_bias(pair, unbiased, slope)
         blends.append(Blend(pair, estimate, bias, blends[0].bias if blends else bias))
-    allowed = [each for each in blends if is_small(each.bias, each.estimate, error)]
+    allowed = [each for each in blends if doubted(each.bias, each.estimate) <= MOST_BIAS * error]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

@@ -182,14 +182,15 @@ class _Attempt:
             blend = blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
             if shares == (0.0,):
                 self.closed_alone = blend.estimate
-                if self.shown.tier == "direct":
-                    known = self._error_in_direct_light(self.halves.pictures)
-                    blend = blend._replace(estimate=known, bias=known.error)
+            bias = blends.doubted(blend.bias, blend.estimate)
+            if shares == (0.0,) and self.shown.tier == "direct":
+                known = self._error_in_direct_light(self.halves.pictures)
+                blend, bias = blend._replace(estimate=known), known.error
             # in the tier `direct` it is the closed form alone whose error further samples show
             if self.shown.tier != "direct" or shares == (0.0,):
-                estimate = _with_bias(blend.estimate, blend.bias)
+                estimate = _with_bias(blend.estimate, bias)
                 self.tried[closed_form.NAME] = (estimate, self.halves.samples)
-            if self._is_kept(blend.estimate, blend.bias):
+            if self._is_kept(blend.estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,
                     alpha=self.direct.alpha,
@@ -210,7 +211,7 @@ class _Attempt:
 
     def _is_kept(self, estimate: Estimate, bias: float) -> bool:
         """Whether a picture has an error and a squared bias that the limit allows."""
-        return estimate.bound <= self.error and blends.is_small(bias, estimate, self.error)
+        return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
 
     def _is_worth_asking(self) -> bool:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
@@ -277,6 +278,8 @@ class _Attempt:
     def _ratio_samples_after(self, tried: Estimate, samples: int) -> int:
         """Return the same number by a try that failed."""
         assert self.closed_direct is not None
+        if tried.bound <= self.error:  # its bias may be too large: a look that is twice as close
+            return 2 * samples
         return ratio.needed_after(tried, self.closed_direct, samples, self.error)
 
     def _ratio_plan(self, count: int) -> _Plan | None:
@@ -345,16 +348,17 @@ class _Attempt:
         What is compared with pictures that contain the closed form cannot show its error: that is
         added, unless the samples as rendered show beyond doubt that it is more.
         """
+        bias = blends.doubted(blend.bias, blend.estimate)
         if name != ratio.NAME:
-            return blend.estimate, blend.bias
+            return blend.estimate, bias
         plain = self.halves.denoised_estimate(blend.pair)
         if closed_form.is_out(plain, self.error):
-            return plain, blend.bias
+            return plain, bias
         known = self.closed_direct
         assert known is not None
         uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
         error = max(blend.estimate.error, 0.0) + known.error
-        return Estimate(error, uncertainty), max(blend.bias, 0.0) + known.error
+        return Estimate(error, uncertainty), max(bias, 0.0) + known.error
 
 
 def _with_bias(estimate: Estimate, bias: float) -> Estimate:

@@ -49,7 +49,7 @@ from manifests.provenance import provenance
 
 SAMPLES = (4, 16, 64, 256)
 RATIO_SAMPLES = (4, 16, 64)
-LIMITS = (60.0, 20.0, 5.0, 2.0, 0.7)
+LIMITS = (60.0, 20.0, 5.0, 2.0)
 LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
