@@ -298,6 +298,22 @@ def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allow
     assert ratio.needed_after(tried, direct, 8, 3.9) > choice.MOST_SAMPLES
 
 
+def test_a_ratio_whose_bias_alone_was_too_large_takes_twice_the_samples():
+    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
+    attempt.closed_direct = Estimate(4.0, 0.5)
+    assert attempt._ratio_samples_after(Estimate(10.0, 1.0), 8) == 16
+    assert attempt._ratio_samples_after(Estimate(60.0, 1.0), 8) > 16
+
+
+def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
+    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
+    attempt.closed_direct, attempt.error = Estimate(2.0, 3.0), 1e6
+    pair = list(attempt.halves.pictures)
+    blend = blends.Blend(pair, Estimate(1.0, 0.4), bias=0.5, bias_alone=0.5)
+    assert attempt._estimate(denoised.NAME, blend)[1] == pytest.approx(0.5 + blends.DOUBT * 0.4)
+    assert attempt._estimate(ratio.NAME, blend)[1] == pytest.approx(2.5 + blends.DOUBT * 0.4)
+
+
 def test_the_closed_form_is_out_only_beyond_doubt():
     assert closed_form.is_out(Estimate(30.0, 5.0), 20.0)
     assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
