@@ -47,7 +47,12 @@ def denoised(
     height, width = alpha.shape
     motion = np.zeros((height, width, len(CHANNELS["Vector"])), np.float32)
     values = np.concatenate([radiance, alpha[..., None], guides, motion], axis=-1, dtype=np.float32)
-    apply(scene, (*DENOISED, Setting("cycles.denoising_quality", effort.quality, "by samples")))
+    prefilter = "FAST" if effort.prefilter else "NONE"
+    own = (
+        Setting("cycles.denoising_quality", effort.quality, "by samples"),
+        Setting("cycles.denoising_prefilter", prefilter, "by the noise of the guides"),
+    )
+    apply(scene, (*DENOISED, *own))
     total = np.zeros((height, width, 3), np.float32)
     for rows, columns in FLIPS[: effort.flips]:
         total += _run(scene, values[::rows, ::columns])[::rows, ::columns]

@@ -135,11 +135,6 @@ PORTION = (
 DENOISED = (
     Setting("cycles.denoiser", "OPENIMAGEDENOISE", "the same on every machine"),
     Setting("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL", "guides keep edges"),
-    Setting(
-        "cycles.denoising_prefilter",
-        "NONE",
-        "guides of a few samples are clean: three quarters of FAST's error",
-    ),
     Setting("cycles.denoising_use_gpu", False, "the same on every machine"),
 )
 

@@ -99,6 +99,25 @@ def test_every_try_denoises_all_samples_so_far():
     assert max(errors) < error(first.pictures[0], known) / 4
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_guides_are_denoised_first_where_they_are_noisy(noise):
+    known, seen = Known(), []
+    portion, denoise = known.portion, known.denoised
+
+    def with_noisy_guides(*requested):
+        rng = np.random.default_rng(requested[2])
+        guides = NO_GUIDES + np.float32(noise) * rng.normal(size=NO_GUIDES.shape)
+        return portion(*requested)._replace(guides=guides)
+
+    known.portion = with_noisy_guides
+    known.denoised = lambda at, effort: seen.append(effort.prefilter) or denoise(at, effort)
+    halves = Halves(shown(known))
+    halves.grow(4)
+    halves.denoised()
+    halves.unblocked_denoised()
+    assert seen == 4 * [noise > 0]
+
+
 def test_more_samples_are_denoised_more_thoroughly():
     costs = [denoised.cost(samples, "full") for samples in (4, 39, 40, 127, 128, 2048)]
     assert costs[0] == costs[1] < costs[2] == costs[3] < costs[4] == costs[5]

@@ -65,6 +65,8 @@ def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
     together = denoiser.denoised(chair._scene, *portion, four)
     np.testing.assert_allclose(together, sum(each) / 4, atol=1e-5)
     assert np.abs(each[0] - each[1]).max() > 1e-3 and len(set(denoiser.FLIPS)) == 4
+    filtered = denoiser.denoised(chair._scene, *portion, once._replace(prefilter=True))
+    assert np.abs(filtered - each[0]).max() > 1e-3
     assert not chair._scene.cycles.use_denoising
 
 

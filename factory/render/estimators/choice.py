@@ -23,6 +23,7 @@ from factory.render.estimators.halves import (
     CONFIDENCE,
     CURVE,
     EFFORTS,
+    NOISY_GUIDES,
     OWN,
     DirectPicture,
     Estimate,
@@ -76,7 +77,7 @@ def identity() -> list[object]:
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.TYPICAL, closed_form.SPREAD],
         sorted(denoised.COST.items()),
-        sorted(EFFORTS.items()),
+        [sorted(EFFORTS.items()), NOISY_GUIDES],
         direct_light.constants(),
         [
             self_shading.TOLERANCE,
