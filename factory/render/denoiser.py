@@ -2,7 +2,7 @@
 
 Cycles denoises what a render has just finished. A picture that grows by portions is denoised as a
 whole by Cycles' operator for rendered animations instead, which reads and writes EXR files; these
-lie in Blender's own temporary folder, which Blender removes at its end. At 256² a call takes .1 to
+lie in Blender's own temporary folder and are removed at once. At 256² a call takes .1 to
 .3 s of one thread, 10 ms of which are the files'.
 
 The denoiser is a network, and what it makes of a flipped picture is not quite the flipped result.
@@ -68,19 +68,23 @@ def _run(scene: Any, values: np.ndarray) -> np.ndarray:
         "compression": OpenEXR.NO_COMPRESSION,
         f"cycles.{LAYER}.samples": "1",  # the values are means
     }
-    noisy, smooth = (str(Path(bpy.app.tempdir) / f"{name}.exr") for name in ("noisy", "smooth"))
-    OpenEXR.File(header, dict(zip(names, planes, strict=True))).write(noisy)
+    noisy, smooth = (Path(bpy.app.tempdir) / f"{name}.exr" for name in ("noisy", "smooth"))
     try:
+        OpenEXR.File(header, dict(zip(names, planes, strict=True))).write(str(noisy))
         assign(scene, "cycles.use_denoising", True)
         layer = scene.view_layers[0]
         with silenced(1, 2), bpy.context.temp_override(scene=scene, view_layer=layer):
-            outcome = bpy.ops.cycles.denoise_animation(input_filepath=noisy, output_filepath=smooth)
+            outcome = bpy.ops.cycles.denoise_animation(
+                input_filepath=str(noisy), output_filepath=str(smooth)
+            )
+        if outcome != {"FINISHED"}:
+            raise RuntimeError(
+                f"Cycles: expected a denoised picture, found {outcome} (render the shot in a new"
+                " process)"
+            )
+        picture = OpenEXR.File(str(smooth)).channels()[f"{LAYER}.Combined"].pixels
     finally:
         assign(scene, "cycles.use_denoising", False)
-    if outcome != {"FINISHED"}:
-        raise RuntimeError(
-            f"Cycles: expected a denoised picture, found {outcome} (render the shot in a new"
-            " process)"
-        )
-    picture = OpenEXR.File(smooth).channels()[f"{LAYER}.Combined"].pixels
+        for file in (noisy, smooth):
+            file.unlink(missing_ok=True)
     return np.maximum(picture[..., :3], np.float32(0))

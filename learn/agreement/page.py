@@ -127,7 +127,7 @@ def whole_rows(whole: Mapping) -> list[tuple[str, str]]:
     ]
 
 
-def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
+def markdown(summary: Mapping, about: Mapping[str, object]) -> str:
     """Return report.md."""
     lines = [
         "# Agreement of Cycles and the layer",
@@ -180,7 +180,7 @@ def markdown(summary: Mapping, about: Mapping[str, str]) -> str:
 
 def web(
     summary: Mapping,
-    about: Mapping[str, str],
+    about: Mapping[str, object],
     plots: Iterable[tuple[bytes, str]],
     panels: Iterable[tuple[str, np.ndarray, np.ndarray]],
 ) -> str:

@@ -4,8 +4,8 @@ Of an object that cannot shade itself direct light is rendered, which costs less
 the same. A pilot of a few samples of each half says how noisy the shot is. Then the estimator
 that needs the fewest further samples by its model is tried, until the error is at most the limit;
 the time of denoisers and closed forms counts as samples. Every try has all samples that were
-rendered so far, so that one that fails costs the time of its denoiser alone. Whatever is tried is
-accepted by its estimated error alone.
+rendered so far, so that nothing that a failed one rendered is lost. Whatever is tried is accepted
+by its estimated error and bias alone.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --blend
 A measurement that was stopped is continued by the same command, scene by scene.
 
 scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that --tier names
+guides     of the denoiser are not filtered in fixed samples: one picture does not show their noise
 error      display L2 over the mask against a reference in two independent halves, whose noise
            cancels in the mean; a negative error is one below the reference's noise
 time       processor seconds per picture in one thread, without loading shape, light and materials.
