@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -54,6 +55,8 @@ def test_the_denoiser_takes_most_noise_away(chair):
 
 
 def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
+    import bpy
+
     portion = chair.portion(0, 4, 3, "shadow")
     once, four = (Effort("BALANCED", flips, 1.0, 1.0) for flips in (1, 4))
     each = [
@@ -68,6 +71,7 @@ def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
     filtered = denoiser.denoised(chair._scene, *portion, once._replace(prefilter=True))
     assert np.abs(filtered - each[0]).max() > 1e-3
     assert not chair._scene.cycles.use_denoising
+    assert not list(Path(bpy.app.tempdir).glob("*.exr"))  # nothing is left behind
 
 
 def test_direct_light_by_the_closed_form_is_what_many_samples_show(chair):
