@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,13 +17,25 @@ from shaders.mixture import Mixture
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
-# normals across a pixel at which direct light is computed, with how many samples of a narrow lobe
-# each; mirror-like materials need more, for in a pixel normals turn by more than their lobes
-SUBPIXELS = {"glossy": (4, 12), "mirror-like": (8, 4)}
+# samples of a narrow lobe per pixel; mirror-like materials need more, for normals turn by more than
+# their lobes in a pixel
+LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
+# points of a picture below which a pixel has more than LEAST of them, some 75 and 150 MB
+MOST_POINTS = {"glossy": 1 << 21, "mirror-like": 1 << 22}
+# points per pixel: so many across in each of so many grids, which are shifted against each other
+GRIDS = {64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (2, 1)}
+LEAST = 16  # points per pixel if only MOST_POINTS of mirror-like materials is kept
+MOST = max(GRIDS)
+# places of so many grids between one's points (rightwards, upwards), in steps of a grid: of no two
+# in a row, column or diagonal, since most edges of objects are upright or level
+SHIFTS = {
+    1: ((0.0, 0.0),),
+    2: ((-0.25, -0.25), (0.25, 0.25)),
+    4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
+}
 # cells across a pixel; in each of them light that wide lobes lose at facets is computed once
 CELLS = 2
 MIRROR_LIKE = 0.03  # α below which a lobe is
-MOST_POINTS = 1 << 22  # of a picture, some 150 MB
 MOST_DIRECT = 64  # maps of direct light in memory
 
 
@@ -55,42 +66,87 @@ class DirectLights:
         return self._known[key]
 
 
-def points_of(direct: Sequence[DirectLight], lens: Camera) -> tuple[int, int] | None:
-    """Return the points across a pixel, and the samples of narrow lobes at each of them.
+class Points(NamedTuple):
+    """Where direct light is computed in each pixel.
 
-    None where fewer than two points across a square pixel fit into MOST_POINTS.
+    across   points of a grid along each side of a pixel
+    shifts   places of the grids (rightwards, upwards), in steps of a grid
+    samples  of narrow lobes at each point
     """
-    mirror_like = min(each.narrowest for each in direct) < MIRROR_LIKE
-    across, samples = SUBPIXELS["mirror-like" if mirror_like else "glossy"]
-    per_pixel = across * across * samples
+
+    across: int
+    shifts: tuple[tuple[float, float], ...]
+    samples: int
+
+    @property
+    def per_pixel(self) -> int:
+        return self.across**2 * len(self.shifts)
+
+
+def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Points | None:
+    """Return the points of pixels, and None where not even four of a square one are few enough.
+
+    wanted  per pixel. Mirror-like materials have MOST nevertheless, since few mean nothing there
+    """
+    kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
     pixels = lens.size[0] * lens.size[1]
-    across = 1 if lens.pixel == "centre" else min(across, math.isqrt(MOST_POINTS // pixels))
-    if pixels > MOST_POINTS or (across < 2 and lens.pixel != "centre"):
-        return None
-    return across, -(-per_pixel // across**2)
+    if lens.pixel == "centre":
+        most = max(MOST_POINTS.values())
+        return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= most else None
+    for count, (across, grids) in GRIDS.items():
+        if kind == "glossy" and count > max(wanted, LEAST):
+            continue
+        most = MOST_POINTS[kind] if count > LEAST else max(MOST_POINTS.values())
+        if count * pixels <= most:
+            return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // count))
+    return None
 
 
 def picture_of(
-    direct: Sequence[DirectLight], fine: Surface, size: tuple[int, int], across: int, samples: int
+    direct: Sequence[DirectLight], grids: Sequence[Surface], lens: Camera, points: Points
 ) -> DirectPicture:
-    """Return the picture (height, width) whose pixels are means over points of a grid.
+    """Return the picture (height, width) whose pixels are means over their points.
 
-    direct   of the segments' materials, in the order of their ids
-    fine     the surface at the points, `across` of them along each side of a pixel
-    samples  of narrow lobes at each point
+    direct  of the segments' materials, in the order of their ids
+    grids   the surface at the points of each grid, `points.across` of them per side of a pixel
     """
-    height, width = size
-    values = np.zeros_like(fine.normals)
-    rows, columns = (place // max(across // CELLS, 1) for place in np.nonzero(fine.mask))
-    cells = rows * fine.mask.shape[1] + columns
-    for number, each in enumerate(direct, 1):
-        here = fine.segments == number
-        of = fine.normals[here], samples, fine.facets[here]
-        values[here] = each.at(*of, cells=cells[here])
-    radiance = np.zeros((*fine.mask.shape, 3), np.float32)
-    radiance[fine.mask] = values
-    blocks = (height, across, width, across)
-    return DirectPicture(
-        radiance.reshape(*blocks, 3).mean((1, 3), dtype=np.float32),
-        fine.mask.reshape(blocks).mean((1, 3), dtype=np.float32),
+    height, width = lens.size
+    places = [np.nonzero(grid.mask) for grid in grids]
+    pixels, cells = (
+        np.concatenate([_places(rows, columns, width, each, points) for rows, columns in places])
+        for each in (1, CELLS)
     )
+    order = np.argsort(cells, kind="stable")  # neighbours are looked up one after the other
+    pixels, cells = pixels[order], cells[order]
+    normals, facets, segments = (
+        np.concatenate([getattr(grid, name) for grid in grids])[order]
+        for name in ("normals", "facets", "segments")
+    )
+    first_of_grid = np.cumsum([0] + [len(rows) for rows, _ in places])
+    grid = np.searchsorted(first_of_grid, order, side="right") - 1
+    radiance = np.zeros((len(grids), height * width, 3))
+    for number, each in enumerate(direct, 1):
+        here = segments == number
+        values = each.at(normals[here], points.samples, facets[here], cells=cells[here])
+        place = grid[here] * (height * width) + pixels[here]
+        for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
+            channel += np.bincount(place, of, channel.size).reshape(channel.shape)
+    radiance /= points.across**2
+    mean = radiance.mean(0)
+    between = ((radiance - mean) ** 2).sum(0) / max(len(grids) * (len(grids) - 1), 1)
+    covered = np.bincount(pixels, minlength=height * width) / points.per_pixel
+    return DirectPicture(
+        mean.astype(np.float32).reshape(height, width, 3),
+        covered.astype(np.float32).reshape(height, width),
+        between.astype(np.float32).reshape(height, width, 3),
+    )
+
+
+def _places(
+    rows: np.ndarray, columns: np.ndarray, width: int, across: int, points: Points
+) -> np.ndarray:
+    """Return the number of the cell (P,) in which each point of a grid lies.
+
+    across  cells along each side of a pixel
+    """
+    return rows * across // points.across * (width * across) + columns * across // points.across

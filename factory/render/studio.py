@@ -32,8 +32,8 @@ from factory.render import (
     self_shading,
     window,
 )
-from factory.render.direct_light import DirectLights, picture_of, points_of
-from factory.render.estimators.halves import DirectPicture, Effort, Portion
+from factory.render.direct_light import MOST, DirectLights, picture_of, points_of
+from factory.render.estimators.halves import DirectPicture, DirectWork, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
@@ -321,8 +321,8 @@ class Studio:
             )
         return self._may_shade_itself[key]
 
-    def direct_light_samples(self) -> int | None:
-        """Return how many directions per pixel `direct_light` evaluates besides its maps.
+    def direct_light_work(self, points: int = MOST) -> DirectWork | None:
+        """Return what `direct_light` of so many points per pixel takes besides its maps.
 
         None where it does not hold: for cameras in perspective, for lights that are not looked up
         texel by texel, and for pictures of which too few points per pixel fit into memory.
@@ -331,32 +331,32 @@ class Studio:
         if lens.fov_deg is not None or not self._nearest or not self._mixtures:
             return None
         direct = self._direct_lights(lens)
-        grid = points_of(direct, lens)
-        if grid is None:
+        at = points_of(direct, lens, points)
+        if at is None:
             return None
-        across, samples = grid
-        return 2 * across**2 * samples * max(each.narrow for each in direct)
+        narrow = max(each.narrow for each in direct)
+        return DirectWork(at.per_pixel, 2 * at.per_pixel * at.samples * narrow)
 
-    def direct_light(self) -> DirectPicture | None:
+    def direct_light(self, points: int = MOST) -> DirectPicture | None:
         """Return the direct light without shadows, by the closed forms of the materials.
 
-        A square pixel is the mean over points of a grid (SUBPIXELS). None where
-        `direct_light_samples` is.
+        A square pixel is the mean over its points (factory.render.direct_light). None where
+        `direct_light_work` is.
         """
-        if self.direct_light_samples() is None:
+        if self.direct_light_work(points) is None:
             return None
         lens = self._require_camera()
         direct = self._direct_lights(lens)
-        grid = points_of(direct, lens)
-        assert grid is not None
-        across, samples = grid
+        at = points_of(direct, lens, points)
+        assert at is not None
         height, width = lens.size
-        self.set_camera(msgspec.structs.replace(lens, size=(height * across, width * across)))
+        fine = msgspec.structs.replace(lens, size=(height * at.across, width * at.across))
+        self.set_camera(fine)
         try:
-            fine = self._surface()
+            grids = [self._surface(*shift) for shift in at.shifts]
         finally:
             self.set_camera(lens)
-        return picture_of(direct, fine, lens.size, across, samples)
+        return picture_of(direct, grids, lens, at)
 
     def _direct_lights(self, lens: Camera) -> list[DirectLight]:
         """Return the direct light of each segment's material under the light that is shown."""

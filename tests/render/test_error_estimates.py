@@ -6,6 +6,7 @@ import pytest
 from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
     EFFORTS,
+    DirectWork,
     Estimate,
     Halves,
     Portion,
@@ -294,20 +295,21 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
 
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
-    closed, now = Estimate(100.0, 10.0), Estimate(300.0, 6.0)
-    few, many = (ratio.needed(closed, now, 4, limit, 4096) for limit in (40.0, 6.0))
+    closed, now, expected = Estimate(100.0, 10.0), Estimate(300.0, 6.0), Estimate(2.0, 3.0)
+    few, many = (ratio.needed(closed, now, 4, limit, 4096, expected) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
 
     def bound(samples):
         mine = ratio.predicted(closed, samples, 4096)
-        direct = closed_form.weighed(Estimate(ratio.HOPED, 2 * 6 * 4 / samples))
+        direct = closed_form.weighed(Estimate(2.0, 2 * 6 * 4 / samples), expected)
         uncertain = np.hypot(ratio.UNCERTAINTY * mine, direct.standard_error)
         return direct.error + mine + 1.645 * uncertain
 
     assert bound(many) <= 6 < bound(many / 1.2)
-    assert ratio.needed(closed, now, 4, 6.0, 65536) < many
+    assert ratio.needed(closed, now, 4, 6.0, 65536, expected) < many
+    assert ratio.needed(closed, now, 4, 6.0, 4096, Estimate(0.3, 0.4)) < many
     # less than the closed form's own error is never reached
-    assert ratio.needed(closed, now, 4, 0.9 * ratio.HOPED, 4096) > choice.MOST_SAMPLES
+    assert ratio.needed(closed, now, 4, 1.8, 4096, expected) > choice.MOST_SAMPLES
 
 
 def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allows_it():
@@ -338,8 +340,15 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
     assert closed_form.needed(Estimate(30.0, 5.0), 4, 20.0) is None
     assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
-    assert closed_form.cost(1000, 0) > closed_form.cost(10_000, 0)
-    assert closed_form.cost(1000, 1000) > closed_form.cost(1000, 0)
+    few = closed_form.cost(10_000, DirectWork(16, 0))
+    assert closed_form.cost(1000, DirectWork(16, 0)) > few
+    assert closed_form.cost(10_000, DirectWork(16, 1000)) > few
+    assert closed_form.cost(10_000, DirectWork(64, 0)) > few
+
+
+def test_small_limits_take_more_points():
+    counts = [closed_form.points(limit) for limit in (100.0, 20.0, 2.0)]
+    assert counts == sorted(set(counts))
 
 
 class Convex(Shaded):
@@ -399,11 +408,28 @@ def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
 
 
 def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
-    vague, sharp = (closed_form.weighed(Estimate(6.0, s)) for s in (100.0, 0.1))
-    assert vague.error == pytest.approx(closed_form.TYPICAL, abs=0.01)
-    assert vague.standard_error == pytest.approx(closed_form.SPREAD, abs=0.01)
+    expected = Estimate(2.0, 3.0)
+    vague, sharp = (closed_form.weighed(Estimate(6.0, s), expected) for s in (100.0, 0.1))
+    assert vague.error == pytest.approx(2, abs=0.01)
+    assert vague.standard_error == pytest.approx(3, abs=0.01)
     assert (sharp.error, sharp.standard_error) == pytest.approx((6.0, 0.1), abs=0.01)
-    assert closed_form.weighed(Estimate(300.0, 100.0)) == Estimate(300.0, 100.0)
+    assert closed_form.weighed(Estimate(300.0, 100.0), expected) == Estimate(300.0, 100.0)
+
+
+def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
+    known = Shaded()
+    same = known.direct_light()
+    least = closed_form.expected(same, MASK)
+    assert (least.error, least.standard_error) == (closed_form.OTHER, closed_form.OTHER_SPREAD)
+    # grids that differ by noise: the variance says by how much their mean is off
+    noise = np.random.default_rng(3).normal(0, 0.02, (4, *same.radiance.shape)).astype(np.float32)
+    variance = np.var(noise, axis=0, ddof=1) / 4
+    expected = closed_form.expected(same._replace(variance=variance), MASK)
+    exposure = tone.auto_exposure(same.radiance, MASK)
+    off = tone.display_l2(same.radiance + noise.mean(0), same.radiance, exposure, MASK)
+    assert (expected.error - closed_form.OTHER) / closed_form.LEFT == pytest.approx(off, rel=0.1)
+    assert expected.standard_error > least.standard_error
+    assert closed_form.expected(None, MASK).error > least.error
 
 
 def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():

@@ -10,7 +10,7 @@ import pytest
 
 from factory.render import denoiser, direct_light
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Effort, Halves, Shown, effort
+from factory.render.estimators.halves import DirectWork, Effort, Halves, Shown, effort
 from factory.render.settings import PORTION
 from factory.render.validation import denoiser_law
 from manifests.schema import Camera
@@ -106,9 +106,10 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
     lens, seen = chair._lens, chair._seen
     try:
         chair.set_camera(Camera(size=(SIZE, SIZE), fov_deg=30))
-        assert chair.direct_light() is None and chair.direct_light_samples() is None
+        assert chair.direct_light() is None and chair.direct_light_work() is None
         chair.set_camera(lens)
-        assert chair.direct_light_samples() == 0
+        assert chair.direct_light_work() == DirectWork(64, 0)
+        assert chair.direct_light_work(16) == DirectWork(16, 0)
         chair.set_light(seen, 0, "full")
         assert chair.direct_light() is None
     finally:
@@ -120,19 +121,30 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
     lens, earlier = chair._lens, chair._mixtures
     shown = []
     surface = chair._surface
-    monkeypatch.setattr(chair, "_surface", lambda: shown.append(chair._lens.size) or surface())
+
+    def counted(*shift):
+        shown.append(chair._lens.size[0] // SIZE)
+        return surface(*shift)
+
+    monkeypatch.setattr(chair, "_surface", counted)
     shiny = Mixture.constant("ggx", 0.02, [0.5] * 3)
     try:
         chair.set_materials([shiny] * len(earlier))
-        for most, across in ((1 << 22, 8), (9 * SIZE**2, 3), (4 * SIZE**2 - 1, None)):
-            monkeypatch.setattr(direct_light, "MOST_POINTS", most)
-            assert (chair.direct_light() is None) == (across is None)
-            if across:
-                assert shown[-1] == (SIZE * across, SIZE * across)
-                # as many directions per pixel, whatever the points
-                assert chair.direct_light_samples() == pytest.approx(2 * 256, abs=2 * across**2)
+        for most, grids in (
+            (64 * SIZE**2, [4, 4, 4, 4]),
+            (32 * SIZE**2, [4, 4]),
+            (31 * SIZE**2, [2, 2, 2, 2]),
+            (15 * SIZE**2, [2]),
+            (4 * SIZE**2 - 1, []),
+        ):
+            shown.clear()
+            monkeypatch.setattr(direct_light, "MOST_POINTS", {"mirror-like": most})
+            assert (chair.direct_light() is None) == (not grids)
+            assert shown == grids
+            if grids:  # as many directions per pixel, whatever the points
+                assert chair.direct_light_work().directions == 2 * 256
         chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
-        assert chair.direct_light_samples() == 2 * 256
+        assert chair.direct_light_work().directions == 2 * 256
     finally:
         chair.set_camera(lens)
         chair.set_materials(earlier)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from factory.render.estimators.halves import DirectPicture, Portion, Shown
+from factory.render.estimators.halves import DirectPicture, DirectWork, Portion, Shown
 from shaders import tone
 
 SIZE = 48
@@ -38,10 +38,10 @@ class Known:
     def may_shade_itself(self):
         return True
 
-    def direct_light_samples(self):
+    def direct_light_work(self, points):
         return None
 
-    def direct_light(self):
+    def direct_light(self, points):
         return None
 
 
@@ -78,12 +78,13 @@ class Shaded(Known):
         ripple = 1 + (0.3 * np.sin(np.arange(SIZE))[None, :, None] if self.blur else 0)
         return np.float32(smooth * ripple)
 
-    def direct_light_samples(self):
-        return 0
+    def direct_light_work(self, points):
+        return DirectWork(points, 0)
 
-    def direct_light(self):
+    def direct_light(self, points=64):
         self.closed_forms += 1
-        return DirectPicture(np.float32(self.unblocked * self.closed), MASK.astype(np.float32))
+        radiance = np.float32(self.unblocked * self.closed)
+        return DirectPicture(radiance, MASK.astype(np.float32), np.zeros_like(radiance))
 
 
 def error(picture, known):

@@ -33,7 +33,7 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 9  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 10  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
@@ -72,10 +72,12 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
-        [ratio.DARK, ratio.LEAST, ratio.HOPED],
+        [ratio.DARK, ratio.LEAST],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
-        [closed_form.TYPICAL, closed_form.SPREAD],
+        [closed_form.EACH_POINT, closed_form.POINTS],
+        [closed_form.LEFT, closed_form.OTHER, closed_form.USUAL],
+        [closed_form.LEFT_SPREAD, closed_form.OTHER_SPREAD],
         sorted(denoised.COST.items()),
         [sorted(EFFORTS.items()), NOISY_GUIDES],
         direct_light.constants(),
@@ -148,6 +150,7 @@ class _Attempt:
     scale   of the denoiser's law
     closed_alone   error of the closed form as the picture, once it is known
     closed_direct  its error in the tier `direct`, by the last samples without shadows
+    expected  the same before samples have measured it
     """
 
     shown: Shown
@@ -164,17 +167,21 @@ class _Attempt:
     closed_alone: Estimate | None = None
     closed_direct: Estimate | None = None
     asked: bool = False
+    expected: Estimate = field(init=False)
 
     def __post_init__(self) -> None:
         self.halves = Halves(self.shown)
         self.halves.grow(PILOT)
         self.pilot = self.now = self.halves.estimate()
         self.scale = denoised.scale(self.shown.mask.size)
+        self.expected = closed_form.expected(None, self.shown.mask)
 
     def closed(self) -> Picture | None:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
         if not self.asked and self._is_worth_asking():
-            self.asked, self.direct = True, self.shown.renderer.direct_light()
+            self.asked = True
+            self.direct = self.shown.renderer.direct_light(closed_form.points(self.error))
+            self.expected = closed_form.expected(self.direct, self.shown.mask)
         if self.direct is None or closed_form.NAME not in self.estimators:
             return None
         # without noise if it may, since a blend is not worth it
@@ -197,7 +204,7 @@ class _Attempt:
                     alpha=self.direct.alpha,
                     estimator=closed_form.NAME,
                     samples=2 * self.halves.samples,
-                    predicted=closed_form.TYPICAL,
+                    predicted=self.expected.error,
                     estimated=blend.estimate,
                     traced=self.shown.tier,
                 )
@@ -206,9 +213,8 @@ class _Attempt:
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""
         assert self.direct is not None
-        return closed_form.weighed(
-            closed_form.measured(self.direct.radiance, unblocked, self.shown.mask)
-        )
+        measured = closed_form.measured(self.direct.radiance, unblocked, self.shown.mask)
+        return closed_form.weighed(measured, self.expected)
 
     def _is_kept(self, estimate: Estimate, bias: float) -> bool:
         """Whether a picture has an error and a squared bias that the limit allows."""
@@ -218,10 +224,10 @@ class _Attempt:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
         if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
             return False
-        directions = self.shown.renderer.direct_light_samples()
-        if directions is None:
+        work = self.shown.renderer.direct_light_work(closed_form.points(self.error))
+        if work is None:
             return False
-        cost = closed_form.cost(int(self.shown.mask.sum()), directions)
+        cost = closed_form.cost(int(self.shown.mask.sum()), work)
         least = min(self.plans()).cost
         if least <= cost:
             return False
@@ -274,7 +280,7 @@ class _Attempt:
     def _ratio_samples(self, closed: Estimate) -> int:
         """Return the samples that a ratio needs, by the error of the closed form as the picture."""
         halves, pixels = self.halves, self.shown.mask.size
-        return ratio.needed(closed, self.now, halves.samples, self.error, pixels)
+        return ratio.needed(closed, self.now, halves.samples, self.error, pixels, self.expected)
 
     def _ratio_samples_after(self, tried: Estimate, samples: int) -> int:
         """Return the same number by a try that failed."""

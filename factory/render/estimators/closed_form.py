@@ -5,9 +5,10 @@ bias      all light that the object blocks or reflects onto itself: none in the 
           in the others none where a shape cannot shade itself, as seen from this side
 checked   against the samples of both halves, in every tier: the estimate contains the bias. Where
           it is above a third of the limit a share of the samples is blended in (`blends`). In the
-          tier `direct` what is typical of other shots counts too (`weighed`)
+          tier `direct` what is expected by the differences of its points counts too (`weighed`)
 cost      none but its own, for the samples of the pilot are there already
-fails     few: wide lobes on coarse facets, and mirror-like materials under small lamps
+fails     few: edges and mirror-like materials that the points miss, and materials whose lobes at
+          grazing angles are not quite Cycles'
 """
 
 import math
@@ -15,22 +16,52 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from factory.render.estimators.halves import CONFIDENCE, Estimate, mean_over
+from factory.render.estimators.halves import (
+    CONFIDENCE,
+    DirectPicture,
+    DirectWork,
+    Estimate,
+    mean_over,
+)
 from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "closed-form"
-# mean error against Cycles in the direct tier, between those of own shapes and of other meshes
-# (docs/rendering.md), and how much it differs between shots
-TYPICAL, SPREAD = 2.0, 3.0
-# samples of each half that take as long: FIXED for the pixels, MAPS / pixels for the map of
-# normals, and SAMPLED for each direction that is sampled per pixel
-FIXED, MAPS, SAMPLED = 2.5, 80_000.0, 0.003
+# points per pixel, by the least limit for which they do
+POINTS = ((30.0, 16), (10.0, 32), (0.0, 64))
+# the error that is expected: LEFT times what its points' differences say, since their grids lie
+# between each other, and OTHER. Measured on own shapes and other meshes (docs/log.md)
+LEFT, OTHER = 0.2, 0.1
+# how much it differs between shots, in the same units
+LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.3
+USUAL = 2.5  # what the points' differences say of many shots, before any is computed
+# samples of each half that take as long: FIXED, for the map of normals MAPS / pixels, which about
+# four views share, for each point of a pixel, and for each direction that is sampled per pixel
+FIXED, MAPS, EACH_POINT, SAMPLED = 3.0, 80_000.0, 0.18, 0.003
 
 
-def cost(pixels: int, directions: int) -> float:
-    """Return the samples of each half that take as long as the closed form of a picture."""
-    return FIXED + MAPS / max(pixels, 1) + SAMPLED * directions
+def points(error: float) -> int:
+    """Return the points per pixel whose own error is small beside a limit."""
+    return next(count for limit, count in POINTS if error >= limit)
+
+
+def cost(pixels: int, work: DirectWork) -> float:
+    """Return the samples of each half that take as long as the closed form of so many pixels."""
+    return FIXED + MAPS / max(pixels, 1) + EACH_POINT * work.points + SAMPLED * work.directions
+
+
+def expected(direct: DirectPicture | None, mask: np.ndarray) -> Estimate:
+    """Return the closed form's error in the tier `direct` before samples measure it.
+
+    direct  None: before it is computed
+    """
+    if direct is None:
+        seen = USUAL
+    else:
+        exposure = tone.auto_exposure(direct.radiance, mask)
+        slope = tone.display_slope(direct.radiance[mask], exposure)
+        seen = float((direct.variance[mask] * slope**2).mean(dtype=np.float64))
+    return Estimate(LEFT * seen + OTHER, LEFT_SPREAD * seen + OTHER_SPREAD)
 
 
 def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:
@@ -48,17 +79,18 @@ def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarr
     return mean_over((one * other).mean(-1))
 
 
-def weighed(measured: Estimate) -> Estimate:
-    """Return the closed form's error in the tier `direct` by a measurement and by what is typical.
+def weighed(measured: Estimate, expected: Estimate) -> Estimate:
+    """Return the closed form's error in the tier `direct` by a measurement and by what is expected.
 
-    Both count as their certainty: few samples say less than what is known of other shots. What is
-    beyond doubt not typical counts as it was measured.
+    Both count as their certainty: few samples say less than the points' differences. What is
+    beyond doubt not as expected counts as it was measured.
     """
     least = measured.error - CONFIDENCE * measured.standard_error
-    if least > TYPICAL + CONFIDENCE * SPREAD:
+    if least > expected.bound:
         return measured
-    weight = SPREAD**2 / (SPREAD**2 + measured.standard_error**2)
-    error = TYPICAL + weight * (measured.error - TYPICAL)
+    spread = expected.standard_error
+    weight = spread**2 / (spread**2 + measured.standard_error**2)
+    error = expected.error + weight * (measured.error - expected.error)
     return Estimate(max(error, 0.0), math.sqrt(weight) * measured.standard_error)
 
 

@@ -70,18 +70,33 @@ def effort(samples: int) -> Effort:
 
 
 class DirectPicture(NamedTuple):
-    """Direct light without shadows, by the closed form: radiance (height, width, 3), and alpha."""
+    """Direct light without shadows, by the closed form at a few points of each pixel.
+
+    radiance  (height, width, 3)
+    alpha     (height, width) the object's coverage
+    variance  (height, width, 3) of the radiance, by the differences of the grids of points, as if
+              they had been placed independently; 0 of a single grid
+    """
 
     radiance: np.ndarray
     alpha: np.ndarray
+    variance: np.ndarray
+
+
+class DirectWork(NamedTuple):
+    """What a DirectPicture takes: points per pixel, and directions that are sampled per pixel."""
+
+    points: int
+    directions: int
 
 
 class Renderer(Protocol):
     """What the estimators call: factory.render.studio.Studio, or a substitute without Blender.
 
     denoised              radiance (height, width, 3) of a portion, or of the mean of several
-    direct_light          None where no closed form holds
-    direct_light_samples  directions per pixel that it evaluates besides its maps; None as above
+    direct_light          by so many points per pixel, or more where few mean nothing, or fewer
+                          where memory does not suffice. None where no closed form holds
+    direct_light_work     what it takes; None as above
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
 
@@ -89,9 +104,9 @@ class Renderer(Protocol):
 
     def denoised(self, portion: Portion, effort: Effort) -> np.ndarray: ...
 
-    def direct_light(self) -> DirectPicture | None: ...
+    def direct_light(self, points: int) -> DirectPicture | None: ...
 
-    def direct_light_samples(self) -> int | None: ...
+    def direct_light_work(self, points: int) -> DirectWork | None: ...
 
     def may_shade_itself(self) -> bool: ...
 

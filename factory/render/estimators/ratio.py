@@ -30,9 +30,6 @@ DARK = 1e-6  # radiance by which nothing is divided
 # of it can be noisy
 SCALE, POWER = 0.25, 0.75
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
-# error of the closed form in direct light that its samples are expected to show: the median of many
-# shots, since what is typical is a mean of few large ones
-HOPED = 0.5
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 2
@@ -66,19 +63,22 @@ def predicted(closed: Estimate, samples: int, pixels: int) -> float:
     return float(SCALE * denoised.left(pixels) * max(closed.error, 0.0) / samples**POWER)
 
 
-def needed(closed: Estimate, now: Estimate, samples: int, error: float, pixels: int) -> int:
+def needed(
+    closed: Estimate, now: Estimate, samples: int, error: float, pixels: int, expected: Estimate
+) -> int:
     """Return the samples of each half whose estimate is at most an error with 95 % confidence.
 
-    closed  error of the closed form as the picture
-    pixels  of the frame
-    now     error of the picture of `samples` of each half: its uncertainty is taken for that of
-            direct light's, of which a half alone has twice as much
+    closed    error of the closed form as the picture
+    now       error of the picture of `samples` of each half: its uncertainty is taken for that of
+              direct light's, of which a half alone has twice as much
+    pixels    of the frame
+    expected  error of the closed form in direct light
     """
     at_one, noise = predicted(closed, 1, pixels), 2 * now.standard_error * samples
 
     def bound(count: int) -> float:
         mine = at_one / count**POWER
-        direct = weighed(Estimate(HOPED, noise / count))
+        direct = weighed(Estimate(expected.error, noise / count), expected)
         uncertain = math.hypot(UNCERTAINTY * mine, direct.standard_error)
         return direct.error + mine + CONFIDENCE * uncertain
 
