@@ -20,12 +20,11 @@ if TYPE_CHECKING:
 # samples of a narrow lobe per pixel; mirror-like materials need more, for normals turn by more than
 # their lobes in a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
-# points of a picture below which a pixel has more than LEAST of them, some 75 and 150 MB
-MOST_POINTS = {"glossy": 1 << 21, "mirror-like": 1 << 22}
 # points per pixel: so many across in each of so many grids, which are shifted against each other
-GRIDS = {64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (2, 1)}
-LEAST = 16  # points per pixel if only MOST_POINTS of mirror-like materials is kept
-MOST = max(GRIDS)
+GRIDS = {256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (2, 1)}
+USUAL = 64  # points per pixel, and the least of mirror-like materials, where few mean nothing
+LEAST = 16  # points per pixel, if as many fit
+MOST_POINTS = 1 << 23  # of a frame, some 300 MB if all of them lie on the object
 # places of so many grids between one's points (rightwards, upwards), in steps of a grid: of no two
 # in a row, column or diagonal, since most edges of objects are upright or level
 SHIFTS = {
@@ -86,18 +85,15 @@ class Points(NamedTuple):
 def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Points | None:
     """Return the points of pixels, and None where not even four of a square one are few enough.
 
-    wanted  per pixel. Mirror-like materials have MOST nevertheless, since few mean nothing there
+    wanted  per pixel
     """
     kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
+    least = USUAL if kind == "mirror-like" else LEAST
     pixels = lens.size[0] * lens.size[1]
     if lens.pixel == "centre":
-        most = max(MOST_POINTS.values())
-        return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= most else None
+        return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= MOST_POINTS else None
     for count, (across, grids) in GRIDS.items():
-        if kind == "glossy" and count > max(wanted, LEAST):
-            continue
-        most = MOST_POINTS[kind] if count > LEAST else max(MOST_POINTS.values())
-        if count * pixels <= most:
+        if count <= max(wanted, least) and count * pixels <= MOST_POINTS:
             return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // count))
     return None
 

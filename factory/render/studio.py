@@ -32,7 +32,7 @@ from factory.render import (
     self_shading,
     window,
 )
-from factory.render.direct_light import MOST, DirectLights, picture_of, points_of
+from factory.render.direct_light import USUAL, DirectLights, picture_of, points_of
 from factory.render.estimators.halves import DirectPicture, DirectWork, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials
@@ -321,7 +321,7 @@ class Studio:
             )
         return self._may_shade_itself[key]
 
-    def direct_light_work(self, points: int = MOST) -> DirectWork | None:
+    def direct_light_work(self, points: int = USUAL) -> DirectWork | None:
         """Return what `direct_light` of so many points per pixel takes besides its maps.
 
         None where it does not hold: for cameras in perspective, for lights that are not looked up
@@ -337,7 +337,7 @@ class Studio:
         narrow = max(each.narrow for each in direct)
         return DirectWork(at.per_pixel, 2 * at.per_pixel * at.samples * narrow)
 
-    def direct_light(self, points: int = MOST) -> DirectPicture | None:
+    def direct_light(self, points: int = USUAL) -> DirectPicture | None:
         """Return the direct light without shadows, by the closed forms of the materials.
 
         A square pixel is the mean over its points (factory.render.direct_light). None where

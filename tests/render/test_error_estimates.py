@@ -6,6 +6,7 @@ import pytest
 from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
     EFFORTS,
+    DirectPicture,
     DirectWork,
     Estimate,
     Halves,
@@ -313,10 +314,16 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
 
 
 def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allows_it():
-    tried, direct = Estimate(30.0, 1.0), Estimate(4.0, 0.5)
-    needed = ratio.needed_after(tried, direct, 8, 10.0)
+    tried, direct, vague = Estimate(30.0, 1.0), Estimate(4.0, 0.5), Estimate(4.0, 1e6)
+    needed = ratio.needed_after(tried, direct, vague, 8, 10.0)
     assert 4 + 26 * (8 / needed) ** ratio.POWER + 1.645 * 8 / needed <= 10
-    assert ratio.needed_after(tried, direct, 8, 3.9) > choice.MOST_SAMPLES
+    assert ratio.needed_after(tried, direct, vague, 8, 3.9) > choice.MOST_SAMPLES
+    assert ratio.needed_after(tried, direct, vague, 8, 29.9, more=3.0) == 24
+    # what was expected of the closed form is no less certain with few samples
+    certain = ratio.needed_after(tried, direct, Estimate(4.0, 0.5), 8, 10.0)
+    assert certain > needed
+    least = 4 + 1.645 * 0.5
+    assert ratio.needed_after(tried, direct, Estimate(4.0, 0.5), 8, 0.99 * least) > 2048
 
 
 def test_a_ratio_whose_bias_alone_was_too_large_takes_twice_the_samples():
@@ -346,9 +353,33 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert closed_form.cost(10_000, DirectWork(64, 0)) > few
 
 
-def test_small_limits_take_more_points():
+def test_small_limits_and_grids_that_differ_take_more_points():
     counts = [closed_form.points(limit) for limit in (100.0, 20.0, 2.0)]
     assert counts == sorted(set(counts))
+    same = Shaded().direct_light()
+    off = same._replace(variance=np.full_like(same.radiance, 5e-5))
+    assert closed_form.differences(off, MASK) > 1
+    assert closed_form.more_points(same, MASK, 16, 2.0) is None
+    assert closed_form.more_points(off, MASK, 16, 60.0) is None
+    more = [closed_form.more_points(off, MASK, 16, limit) for limit in (4.0, 1.0)]
+    assert 16 < more[0] < more[1]
+    wide = np.ones((1024, 1024), bool)
+    large = DirectPicture(*(np.resize(each, (1024, 1024, *each.shape[2:])) for each in off))
+    assert closed_form.more_points(large, wide, 16, 1.0) is None  # as many as memory holds
+
+
+def test_grids_that_differ_are_made_finer():
+    known, asked = Shaded(noise=0.8, deepest=0.95), []
+    direct_light = known.direct_light
+
+    def differing(points):
+        asked.append(points)
+        direct = direct_light(points)
+        return direct._replace(variance=np.full_like(direct.variance, 0.1 / points))
+
+    known.direct_light = differing
+    choice.picture(shown(known), 40.0)
+    assert len(asked) == 2 and asked[1] > asked[0] == closed_form.points(40.0)
 
 
 class Convex(Shaded):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from factory.render import denoiser, direct_light
-from factory.render.estimators import choice
+from factory.render.estimators import choice, closed_form
 from factory.render.estimators.halves import DirectWork, Effort, Halves, Shown, effort
 from factory.render.settings import PORTION
 from factory.render.validation import denoiser_law
@@ -88,6 +88,19 @@ def test_direct_light_by_the_closed_form_is_what_many_samples_show(chair):
     assert abs(exact.alpha.mean() - many.alpha.mean()) < 2e-3
 
 
+def test_more_points_of_direct_light_are_nearer_to_many_samples_as_their_differences_say(chair):
+    mask = chair.geometry().mask
+    finest = chair.direct_light(256)
+    exposure = tone.auto_exposure(finest.radiance, mask)
+    errors, expected = [], []
+    for points in (16, 64):
+        direct = chair.direct_light(points)
+        errors.append(tone.display_l2(direct.radiance, finest.radiance, exposure, mask))
+        expected.append(closed_form.differences(direct, mask))
+    assert errors[1] < errors[0] / 2 and expected[1] < expected[0] / 2
+    assert all(0.02 < e / d < 0.6 for e, d in zip(errors, expected, strict=True))
+
+
 def test_direct_light_follows_the_material_and_the_light(chair):
     first = chair.direct_light().radiance
     earlier, seen = chair._mixtures, chair._seen
@@ -138,11 +151,17 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
             (4 * SIZE**2 - 1, []),
         ):
             shown.clear()
-            monkeypatch.setattr(direct_light, "MOST_POINTS", {"mirror-like": most})
+            monkeypatch.setattr(direct_light, "MOST_POINTS", most)
             assert (chair.direct_light() is None) == (not grids)
             assert shown == grids
             if grids:  # as many directions per pixel, whatever the points
                 assert chair.direct_light_work().directions == 2 * 256
+        monkeypatch.undo()
+        # few points of a mirror-like material mean nothing
+        assert [chair.direct_light_work(wanted).points for wanted in (16, 256)] == [64, 256]
+        chair.set_materials([Mixture.constant("ggx", 0.3, [0.5] * 3)] * len(earlier))
+        assert [chair.direct_light_work(wanted).points for wanted in (16, 256)] == [16, 256]
+        chair.set_materials([shiny] * len(earlier))
         chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
         assert chair.direct_light_work().directions == 2 * 256
     finally:

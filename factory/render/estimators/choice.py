@@ -36,6 +36,7 @@ ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, clos
 VERSION = 10  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
+MORE = 1.2  # times the samples of a try that failed, at least
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
@@ -66,7 +67,7 @@ def identity() -> list[object]:
     from shaders import direct_light  # and numba, which takes half a second
 
     return [
-        ["choice", VERSION, PILOT, MOST_SAMPLES, GROWTH],
+        ["choice", VERSION, PILOT, MOST_SAMPLES, GROWTH, MORE],
         ["halves", OWN, CONFIDENCE, CURVE],
         [path_tracing.NAME, path_tracing.AIM],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
@@ -75,7 +76,7 @@ def identity() -> list[object]:
         [ratio.DARK, ratio.LEAST],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
-        [closed_form.EACH_POINT, closed_form.POINTS],
+        [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
         [closed_form.LEFT, closed_form.OTHER, closed_form.USUAL],
         [closed_form.LEFT_SPREAD, closed_form.OTHER_SPREAD],
         sorted(denoised.COST.items()),
@@ -180,7 +181,7 @@ class _Attempt:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
         if not self.asked and self._is_worth_asking():
             self.asked = True
-            self.direct = self.shown.renderer.direct_light(closed_form.points(self.error))
+            self.direct = self._direct_light()
             self.expected = closed_form.expected(self.direct, self.shown.mask)
         if self.direct is None or closed_form.NAME not in self.estimators:
             return None
@@ -209,6 +210,16 @@ class _Attempt:
                     traced=self.shown.tier,
                 )
         return None
+
+    def _direct_light(self) -> DirectPicture | None:
+        """Return direct light by as many points per pixel as the limit needs."""
+        renderer, mask = self.shown.renderer, self.shown.mask
+        points = closed_form.points(self.error)
+        work, direct = renderer.direct_light_work(points), renderer.direct_light(points)
+        if work is None or direct is None:
+            return None
+        more = closed_form.more_points(direct, mask, work.points, self.error)
+        return direct if more is None else renderer.direct_light(more)
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""
@@ -252,7 +263,7 @@ class _Attempt:
         if self._may(denoised.NAME, denoised.MOST_TRIES):
             count = denoised.needed(self.now.noise_bound, samples, self.scale, error)
             if tried := self.tried.get(denoised.NAME):
-                count = max(math.ceil(denoised.CAUTION * count), tried[1] + 1)
+                count = math.ceil(max(denoised.CAUTION * count, MORE * tried[1]))
             further = max(count - samples, 0)
             if further <= most:
                 cost = denoised.cost(samples + further, tier)
@@ -287,7 +298,9 @@ class _Attempt:
         assert self.closed_direct is not None
         if tried.bound <= self.error:  # its bias may be too large: a look that is twice as close
             return 2 * samples
-        return ratio.needed_after(tried, self.closed_direct, samples, self.error)
+        return ratio.needed_after(
+            tried, self.closed_direct, self.expected, samples, self.error, MORE
+        )
 
     def _ratio_plan(self, count: int) -> _Plan | None:
         """Return the plan of a ratio of `count` samples of each half, if that is not too many."""

@@ -27,22 +27,38 @@ from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "closed-form"
-# points per pixel, by the least limit for which they do
+# points per pixel, by the least limit for which they do on many shots
 POINTS = ((30.0, 16), (10.0, 32), (0.0, 64))
-# the error that is expected: LEFT times what its points' differences say, since their grids lie
-# between each other, and OTHER. Measured on own shapes and other meshes (docs/log.md)
+MOST_POINTS = 1 << 21  # of the object, beyond which a pixel has no more than those
+ENOUGH = 0.2  # of the limit: doubt about the points' own part of the error that needs no more
+# the error that is expected: LEFT times the points' `differences`, since their grids lie between
+# each other, and OTHER. Measured on own shapes and other meshes (docs/log.md)
 LEFT, OTHER = 0.2, 0.1
 # how much it differs between shots, in the same units
-LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.3
-USUAL = 2.5  # what the points' differences say of many shots, before any is computed
+LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.2
+USUAL = 2.5  # differences of many shots, before any is computed
 # samples of each half that take as long: FIXED, for the map of normals MAPS / pixels, which about
 # four views share, for each point of a pixel, and for each direction that is sampled per pixel
 FIXED, MAPS, EACH_POINT, SAMPLED = 3.0, 80_000.0, 0.18, 0.003
 
 
 def points(error: float) -> int:
-    """Return the points per pixel whose own error is small beside a limit."""
+    """Return the points per pixel whose own error is small beside a limit on many shots."""
     return next(count for limit, count in POINTS if error >= limit)
+
+
+def more_points(direct: DirectPicture, mask: np.ndarray, points: int, error: float) -> int | None:
+    """Return the points per pixel whose own error is small beside a limit, or None: `points` are.
+
+    direct  by `points` per pixel. Their part of its error falls in proportion to their number
+    """
+    own = differences(direct, mask)
+    needed = points * (LEFT + CONFIDENCE * LEFT_SPREAD) * own / (ENOUGH * error)
+    most = MOST_POINTS / max(int(mask.sum()), 1)
+    count = points
+    while count < needed and 2 * count <= most:
+        count *= 2
+    return count if count > points else None
 
 
 def cost(pixels: int, work: DirectWork) -> float:
@@ -50,18 +66,20 @@ def cost(pixels: int, work: DirectWork) -> float:
     return FIXED + MAPS / max(pixels, 1) + EACH_POINT * work.points + SAMPLED * work.directions
 
 
+def differences(direct: DirectPicture, mask: np.ndarray) -> float:
+    """Return the display error that a picture would have if its grids were placed at random."""
+    exposure = tone.auto_exposure(direct.radiance, mask)
+    slope = tone.display_slope(direct.radiance[mask], exposure)
+    return float((direct.variance[mask] * slope**2).mean(dtype=np.float64))
+
+
 def expected(direct: DirectPicture | None, mask: np.ndarray) -> Estimate:
     """Return the closed form's error in the tier `direct` before samples measure it.
 
     direct  None: before it is computed
     """
-    if direct is None:
-        seen = USUAL
-    else:
-        exposure = tone.auto_exposure(direct.radiance, mask)
-        slope = tone.display_slope(direct.radiance[mask], exposure)
-        seen = float((direct.variance[mask] * slope**2).mean(dtype=np.float64))
-    return Estimate(LEFT * seen + OTHER, LEFT_SPREAD * seen + OTHER_SPREAD)
+    own = USUAL if direct is None else differences(direct, mask)
+    return Estimate(LEFT * own + OTHER, LEFT_SPREAD * own + OTHER_SPREAD)
 
 
 def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:

@@ -25,7 +25,7 @@ WITH_NOISE = 1.45  # error of denoised halves' mean, over its bias: the rest is 
 CAUTION = 1.4  # times the samples that the law asks for after a try that failed
 MOST_SAMPLES = 1 << 20  # more never help
 LEAST = 4  # samples of each half that are worth denoising
-MOST_TRIES = 3
+MOST_TRIES = 4
 # samples that take as long as denoising one half once, in high quality
 COST = {"direct": 4.5, "shadow": 5.0, "full": 4.0}
 

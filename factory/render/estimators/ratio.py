@@ -32,7 +32,7 @@ SCALE, POWER = 0.25, 0.75
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
-MOST_TRIES = 2
+MOST_TRIES = 4
 
 
 def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
@@ -85,18 +85,30 @@ def needed(
     return _least(LEAST, bound, error)
 
 
-def needed_after(tried: Estimate, direct: Estimate, samples: int, error: float) -> int:
+def needed_after(
+    tried: Estimate,
+    direct: Estimate,
+    expected: Estimate,
+    samples: int,
+    error: float,
+    more: float = 1.0,
+) -> int:
     """Return the same number, by the estimate of `samples` of each half that failed.
 
-    direct  the closed form's error in direct light, which is a part of it
+    direct    the closed form's error in direct light, which is a part of it
+    expected  the same before samples measured it: what they do not say
+    more      times the samples of that try, at least
     """
     at_one = max(tried.error - direct.error, 0.0) * samples**POWER
+    mine = math.sqrt(max(tried.standard_error**2 - direct.standard_error**2, 0.0)) * samples
+    known = 1 / max(expected.standard_error, 1e-9) ** 2  # a precision, as what follows
+    seen = max(1 / max(direct.standard_error, 1e-9) ** 2 - known, 0.0) / samples**2
 
     def bound(count: int) -> float:
-        uncertain = tried.standard_error * samples / count
+        uncertain = math.sqrt((mine / count) ** 2 + 1 / (known + seen * count**2))
         return direct.error + at_one / count**POWER + CONFIDENCE * uncertain
 
-    return _least(samples + 1, bound, error)
+    return _least(max(samples + 1, math.ceil(more * samples)), bound, error)
 
 
 def _least(samples: int, bound: Callable[[int], float], error: float) -> int:
