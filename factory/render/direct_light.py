@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 # their lobes in a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
 # points per pixel: so many across in each of so many grids, which are shifted against each other
-GRIDS = {256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (2, 1)}
+GRIDS = {256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (1, 4)}
 USUAL = 64  # points per pixel, and the least of mirror-like materials, where few mean nothing
 LEAST = 16  # points per pixel, if as many fit
-MOST_POINTS = 1 << 23  # of a frame, some 300 MB if all of them lie on the object
+MOST_POINTS = 1 << 23  # of a frame; those on the object take 100 bytes each
+AT_ONCE = 1 << 19  # points of a frame whose light is computed at once
 # places of so many grids between one's points (rightwards, upwards), in steps of a grid: of no two
 # in a row, column or diagonal, since most edges of objects are upright or level
 SHIFTS = {
@@ -107,35 +108,68 @@ def picture_of(
     grids   the surface at the points of each grid, `points.across` of them per side of a pixel
     """
     height, width = lens.size
+    radiance = np.zeros((len(grids), height, width, 3))
+    covered = np.zeros((height, width))
+    ends = [np.cumsum(grid.mask.sum(1)) for grid in grids]
+    rows = max(1, AT_ONCE // (width * points.per_pixel))
+    for top in range(0, height, rows):
+        band = slice(top * points.across, (top + rows) * points.across)
+        _add_band(
+            direct,
+            [_part(grid, band, end) for grid, end in zip(grids, ends, strict=True)],
+            points,
+            radiance[:, top : top + rows],
+            covered[top : top + rows],
+        )
+    radiance /= points.across**2
+    mean = radiance.mean(0)
+    between = ((radiance - mean) ** 2).sum(0) / max(len(grids) * (len(grids) - 1), 1)
+    return DirectPicture(
+        mean.astype(np.float32),
+        (covered / points.per_pixel).astype(np.float32),
+        between.astype(np.float32),
+    )
+
+
+def _part(grid: Surface, band: slice, ends: np.ndarray) -> Surface:
+    """Return a band of rows of a surface; ends: the points up to the end of each row."""
+    mask = grid.mask[band]
+    first = ends[band.start - 1] if band.start else 0
+    inside = slice(first, first + int(mask.sum()))
+    return Surface(mask, *(values[inside] for values in grid[1:]))
+
+
+def _add_band(
+    direct: Sequence[DirectLight],
+    grids: Sequence[Surface],
+    points: Points,
+    radiance: np.ndarray,
+    covered: np.ndarray,
+) -> None:
+    """Add the sums over each grid's points to radiance (grids, height, width, 3), and their counts.
+
+    covered  (height, width), of all grids
+    """
+    height, width = covered.shape
     places = [np.nonzero(grid.mask) for grid in grids]
     pixels, cells = (
         np.concatenate([_places(rows, columns, width, each, points) for rows, columns in places])
         for each in (1, CELLS)
     )
     order = np.argsort(cells, kind="stable")  # neighbours are looked up one after the other
+    grid = np.repeat(np.arange(len(grids)), [len(rows) for rows, _ in places])[order]
     pixels, cells = pixels[order], cells[order]
     normals, facets, segments = (
-        np.concatenate([getattr(grid, name) for grid in grids])[order]
+        np.concatenate([getattr(each, name) for each in grids])[order]
         for name in ("normals", "facets", "segments")
     )
-    first_of_grid = np.cumsum([0] + [len(rows) for rows, _ in places])
-    grid = np.searchsorted(first_of_grid, order, side="right") - 1
-    radiance = np.zeros((len(grids), height * width, 3))
+    place = grid * (height * width) + pixels
     for number, each in enumerate(direct, 1):
         here = segments == number
         values = each.at(normals[here], points.samples, facets[here], cells=cells[here])
-        place = grid[here] * (height * width) + pixels[here]
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
-            channel += np.bincount(place, of, channel.size).reshape(channel.shape)
-    radiance /= points.across**2
-    mean = radiance.mean(0)
-    between = ((radiance - mean) ** 2).sum(0) / max(len(grids) * (len(grids) - 1), 1)
-    covered = np.bincount(pixels, minlength=height * width) / points.per_pixel
-    return DirectPicture(
-        mean.astype(np.float32).reshape(height, width, 3),
-        covered.astype(np.float32).reshape(height, width),
-        between.astype(np.float32).reshape(height, width, 3),
-    )
+            channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
+    covered += np.bincount(pixels, minlength=covered.size).reshape(covered.shape)
 
 
 def _places(

@@ -380,6 +380,10 @@ def test_grids_that_differ_are_made_finer():
     known.direct_light = differing
     choice.picture(shown(known), 40.0)
     assert len(asked) == 2 and asked[1] > asked[0] == closed_form.points(40.0)
+    asked.clear()
+    known.direct_light_work = lambda points: DirectWork(min(points, 16), 0)
+    choice.picture(shown(known), 40.0)
+    assert len(asked) == 1  # the frame has no more points
 
 
 class Convex(Shaded):

@@ -147,7 +147,7 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
             (64 * SIZE**2, [4, 4, 4, 4]),
             (32 * SIZE**2, [4, 4]),
             (31 * SIZE**2, [2, 2, 2, 2]),
-            (15 * SIZE**2, [2]),
+            (15 * SIZE**2, [1, 1, 1, 1]),
             (4 * SIZE**2 - 1, []),
         ):
             shown.clear()

@@ -219,7 +219,9 @@ class _Attempt:
         if work is None or direct is None:
             return None
         more = closed_form.more_points(direct, mask, work.points, self.error)
-        return direct if more is None else renderer.direct_light(more)
+        if more is None or renderer.direct_light_work(more) == work:
+            return direct
+        return renderer.direct_light(more)
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""
