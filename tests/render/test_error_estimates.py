@@ -326,11 +326,11 @@ def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allow
     assert ratio.needed_after(tried, direct, Estimate(4.0, 0.5), 8, 0.99 * least) > 2048
 
 
-def test_a_ratio_whose_bias_alone_was_too_large_takes_twice_the_samples():
+def test_a_ratio_whose_bias_alone_was_too_large_takes_half_as_many_samples_more():
     attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
     attempt.closed_direct = Estimate(4.0, 0.5)
-    assert attempt._ratio_samples_after(Estimate(10.0, 1.0), 8) == 16
-    assert attempt._ratio_samples_after(Estimate(60.0, 1.0), 8) > 16
+    assert attempt._ratio_samples_after(Estimate(10.0, 1.0), 8) == 12
+    assert attempt._ratio_samples_after(Estimate(60.0, 1.0), 8) > 12
 
 
 def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
@@ -354,18 +354,18 @@ def test_the_closed_form_is_out_only_beyond_doubt():
 
 
 def test_small_limits_and_grids_that_differ_take_more_points():
-    counts = [closed_form.points(limit) for limit in (100.0, 20.0, 2.0)]
+    counts = [closed_form.points(limit) for limit in (20.0, 2.0)]
     assert counts == sorted(set(counts))
     same = Shaded().direct_light()
     off = same._replace(variance=np.full_like(same.radiance, 5e-5))
     assert closed_form.differences(off, MASK) > 1
     assert closed_form.more_points(same, MASK, 16, 2.0) is None
     assert closed_form.more_points(off, MASK, 16, 60.0) is None
-    more = [closed_form.more_points(off, MASK, 16, limit) for limit in (4.0, 1.0)]
+    more = [closed_form.more_points(off, MASK, 16, limit) for limit in (2.0, 0.5)]
     assert 16 < more[0] < more[1]
     wide = np.ones((1024, 1024), bool)
     large = DirectPicture(*(np.resize(each, (1024, 1024, *each.shape[2:])) for each in off))
-    assert closed_form.more_points(large, wide, 16, 1.0) is None  # as many as memory holds
+    assert closed_form.more_points(large, wide, 16, 0.5) is None  # as many as memory holds
 
 
 def test_grids_that_differ_are_made_finer():
@@ -448,7 +448,9 @@ def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
     assert vague.error == pytest.approx(2, abs=0.01)
     assert vague.standard_error == pytest.approx(3, abs=0.01)
     assert (sharp.error, sharp.standard_error) == pytest.approx((6.0, 0.1), abs=0.01)
-    assert closed_form.weighed(Estimate(300.0, 100.0), expected) == Estimate(300.0, 100.0)
+    assert closed_form.weighed(Estimate(400.0, 100.0), expected) == Estimate(400.0, 100.0)
+    # noise of few samples is above by two standard errors now and then
+    assert closed_form.weighed(Estimate(200.0, 100.0), expected).error < 3
 
 
 def test_a_closed_form_whose_points_differ_is_expected_to_be_off():

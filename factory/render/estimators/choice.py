@@ -73,12 +73,12 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
-        [ratio.DARK, ratio.LEAST],
+        [ratio.DARK, ratio.LEAST, ratio.FOR_BIAS],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
         [closed_form.LEFT, closed_form.OTHER, closed_form.USUAL],
-        [closed_form.LEFT_SPREAD, closed_form.OTHER_SPREAD],
+        [closed_form.LEFT_SPREAD, closed_form.OTHER_SPREAD, closed_form.SURPRISING],
         sorted(denoised.COST.items()),
         [sorted(EFFORTS.items()), NOISY_GUIDES],
         direct_light.constants(),
@@ -298,8 +298,8 @@ class _Attempt:
     def _ratio_samples_after(self, tried: Estimate, samples: int) -> int:
         """Return the same number by a try that failed."""
         assert self.closed_direct is not None
-        if tried.bound <= self.error:  # its bias may be too large: a look that is twice as close
-            return 2 * samples
+        if tried.bound <= self.error:  # its bias is too large, or may be
+            return math.ceil(ratio.FOR_BIAS * samples)
         return ratio.needed_after(
             tried, self.closed_direct, self.expected, samples, self.error, MORE
         )

@@ -28,14 +28,17 @@ from shaders import tone
 
 NAME: Estimator = "closed-form"
 # points per pixel, by the least limit for which they do on many shots
-POINTS = ((30.0, 16), (10.0, 32), (0.0, 64))
+POINTS = ((4.0, 16), (0.0, 32))
 MOST_POINTS = 1 << 21  # of the object, beyond which a pixel has no more than those
-ENOUGH = 0.2  # of the limit: doubt about the points' own part of the error that needs no more
+ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
 # the error that is expected: LEFT times the points' `differences`, since their grids lie between
 # each other, and OTHER. Measured on own shapes and other meshes (docs/log.md)
 LEFT, OTHER = 0.2, 0.1
 # how much it differs between shots, in the same units
 LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.2
+# standard errors by which a measurement must be above what is expected to count alone: one of few
+# samples is above it by two now and then
+SURPRISING = 3.0
 USUAL = 2.5  # differences of many shots, before any is computed
 # samples of each half that take as long: FIXED, for the map of normals MAPS / pixels, which about
 # four views share, for each point of a pixel, and for each direction that is sampled per pixel
@@ -103,8 +106,7 @@ def weighed(measured: Estimate, expected: Estimate) -> Estimate:
     Both count as their certainty: few samples say less than the points' differences. What is
     beyond doubt not as expected counts as it was measured.
     """
-    least = measured.error - CONFIDENCE * measured.standard_error
-    if least > expected.bound:
+    if measured.error - SURPRISING * measured.standard_error > expected.bound:
         return measured
     spread = expected.standard_error
     weight = spread**2 / (spread**2 + measured.standard_error**2)

@@ -33,6 +33,7 @@ UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 4
+FOR_BIAS = 1.5  # times the samples of a try whose error was small enough, but not its bias
 
 
 def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
