@@ -106,6 +106,18 @@ class DirectLight:
         """The number of narrow closures."""
         return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
 
+    @property
+    def map_size(self) -> float:
+        """The nodes of the maps that take long, in units of those of a lobe of α = 1.
+
+        Blocks of the light count as one for wider closures, which are quick.
+        """
+        return sum(
+            1 / (self._least[k] if not self._is_narrow(k) else EXTENT / 4) ** 2
+            for k, kind in enumerate(self.mixture.kinds)
+            if kind in LOBES and self._has_map(k) and self._least[k] < WIDE
+        )
+
     def at(
         self,
         n: np.ndarray,

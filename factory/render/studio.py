@@ -322,7 +322,7 @@ class Studio:
         return self._may_shade_itself[key]
 
     def direct_light_work(self, points: int = USUAL) -> DirectWork | None:
-        """Return what `direct_light` of so many points per pixel takes besides its maps.
+        """Return what `direct_light` of so many points per pixel takes.
 
         None where it does not hold: for cameras in perspective, for lights that are not looked up
         texel by texel, and for pictures of which too few points per pixel fit into memory.
@@ -335,7 +335,8 @@ class Studio:
         if at is None:
             return None
         narrow = max(each.narrow for each in direct)
-        return DirectWork(at.per_pixel, 2 * at.per_pixel * at.samples * narrow)
+        maps = sum(each.map_size for each in dict.fromkeys(direct))
+        return DirectWork(at.per_pixel, 2 * at.per_pixel * at.samples * narrow, maps)
 
     def direct_light(self, points: int = USUAL) -> DirectPicture | None:
         """Return the direct light without shadows, by the closed forms of the materials.

@@ -218,6 +218,20 @@ def test_no_closed_form_is_computed_where_light_is_blocked_by_too_much_for_it():
     assert (dark.closed_forms, lit.closed_forms) == (0, 1)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
+    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
+    pair = list(attempt.halves.pictures)
+    lucky = blends.Blend(pair, Estimate(-5.0, 9.0), bias=-7.0, bias_alone=-7.0, share=share)
+    assert attempt._at_least_as_blocked(lucky) is lucky
+    attempt.blocked = Estimate(50.0, 1.0)
+    seen = attempt._at_least_as_blocked(lucky)
+    assert seen.estimate.error == seen.bias == pytest.approx(50 * (1 - share) ** 2)
+    assert seen.estimate.standard_error == 9
+    attempt.blocked = Estimate(0.0, 1.0)
+    assert attempt._at_least_as_blocked(lucky).bias == 0
+
+
 def test_direct_lights_error_as_the_picture_is_estimated_from_few_samples():
     known = Shaded(noise=0.3, deepest=0.5)
     exposure = tone.auto_exposure(known.truth, MASK)
@@ -337,7 +351,7 @@ def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
     attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
     attempt.closed_direct, attempt.error = Estimate(2.0, 3.0), 1e6
     pair = list(attempt.halves.pictures)
-    blend = blends.Blend(pair, Estimate(1.0, 0.4), bias=0.5, bias_alone=0.5)
+    blend = blends.Blend(pair, Estimate(1.0, 0.4), bias=0.5, bias_alone=0.5, share=0.0)
     assert attempt._estimate(denoised.NAME, blend)[1] == pytest.approx(0.5 + blends.DOUBT * 0.4)
     assert attempt._estimate(ratio.NAME, blend)[1] == pytest.approx(2.5 + blends.DOUBT * 0.4)
 
@@ -347,10 +361,11 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
     assert closed_form.needed(Estimate(30.0, 5.0), 4, 20.0) is None
     assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
-    few = closed_form.cost(10_000, DirectWork(16, 0))
-    assert closed_form.cost(1000, DirectWork(16, 0)) > few
-    assert closed_form.cost(10_000, DirectWork(16, 1000)) > few
-    assert closed_form.cost(10_000, DirectWork(64, 0)) > few
+    few = closed_form.cost(10_000, DirectWork(16, 0, 400.0))
+    assert closed_form.cost(1000, DirectWork(16, 0, 400.0)) > few
+    assert closed_form.cost(10_000, DirectWork(16, 0, 800.0)) > few
+    assert closed_form.cost(10_000, DirectWork(16, 1000, 400.0)) > few
+    assert closed_form.cost(10_000, DirectWork(64, 0, 400.0)) > few
 
 
 def test_small_limits_and_grids_that_differ_take_more_points():

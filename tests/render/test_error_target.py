@@ -10,7 +10,7 @@ import pytest
 
 from factory.render import denoiser, direct_light
 from factory.render.estimators import choice, closed_form
-from factory.render.estimators.halves import DirectWork, Effort, Halves, Shown, effort
+from factory.render.estimators.halves import Effort, Halves, Shown, effort
 from factory.render.settings import PORTION
 from factory.render.validation import denoiser_law
 from manifests.schema import Camera
@@ -121,8 +121,8 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
         chair.set_camera(Camera(size=(SIZE, SIZE), fov_deg=30))
         assert chair.direct_light() is None and chair.direct_light_work() is None
         chair.set_camera(lens)
-        assert chair.direct_light_work() == DirectWork(64, 0)
-        assert chair.direct_light_work(16) == DirectWork(16, 0)
+        assert chair.direct_light_work()[:2] == (64, 0)
+        assert chair.direct_light_work(16)[:2] == (16, 0)
         chair.set_light(seen, 0, "full")
         assert chair.direct_light() is None
     finally:
@@ -161,6 +161,9 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
         assert [chair.direct_light_work(wanted).points for wanted in (16, 256)] == [64, 256]
         chair.set_materials([Mixture.constant("ggx", 0.3, [0.5] * 3)] * len(earlier))
         assert [chair.direct_light_work(wanted).points for wanted in (16, 256)] == [16, 256]
+        assert chair.direct_light_work().maps == 0  # of wide lobes they take no time
+        chair.set_materials([Mixture.constant("ggx", 0.05, [0.5] * 3)] * len(earlier))
+        assert chair.direct_light_work().maps == pytest.approx(1 / 0.05**2)
         chair.set_materials([shiny] * len(earlier))
         chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
         assert chair.direct_light_work().directions == 2 * 256
@@ -196,7 +199,10 @@ def test_pictures_keep_their_error_beside_a_reference(chair, tier):
             estimated.append(made.estimated.error)
         kept = sum(error <= requested for error in achieved)
         assert kept >= 5 and np.mean(achieved) <= 0.9 * requested
-        assert np.mean(estimated) == pytest.approx(np.mean(achieved), rel=0.2)
+        if tier == "direct":  # a closed form, which counts with what is expected of it
+            assert np.mean(achieved) < np.mean(estimated) < requested / 4
+        else:
+            assert np.mean(estimated) == pytest.approx(np.mean(achieved), rel=0.2)
 
 
 def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):

@@ -29,12 +29,14 @@ class Blend(NamedTuple):
     """Blends of both halves, the estimated error of their mean, and its squared bias.
 
     bias_alone  that of the smooth pictures without a share of the noisy ones
+    share       of the noisy ones
     """
 
     pair: list[np.ndarray]
     estimate: Estimate
     bias: float
     bias_alone: float
+    share: float
 
 
 def doubted(bias: float, estimate: Estimate) -> float:
@@ -65,6 +67,7 @@ def best(
             for s, u in zip(smooth, unbiased, strict=True)
         ]
         estimate, bias = halves.error_and_bias(pair, unbiased, slope)
-        blends.append(Blend(pair, estimate, bias, blends[0].bias if blends else bias))
+        alone = blends[0].bias if blends else bias
+        blends.append(Blend(pair, estimate, bias, alone, share))
     allowed = [each for each in blends if doubted(each.bias, each.estimate) <= MOST_BIAS * error]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

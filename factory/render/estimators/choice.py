@@ -188,7 +188,9 @@ class _Attempt:
         # without noise if it may, since a blend is not worth it
         for shares in ((0.0,), blends.SHARES):
             smooth = [self.direct.radiance] * 2
-            blend = blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
+            blend = self._at_least_as_blocked(
+                blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
+            )
             if shares == (0.0,):
                 self.closed_alone = blend.estimate
             bias = blends.doubted(blend.bias, blend.estimate)
@@ -210,6 +212,17 @@ class _Attempt:
                     traced=self.shown.tier,
                 )
         return None
+
+    def _at_least_as_blocked(self, blend: blends.Blend) -> blends.Blend:
+        """Return a blend of the closed form whose error is at least what blocked light makes it.
+
+        That is measured by pictures whose noise is common, and so is much more certain.
+        """
+        if self.blocked is None:
+            return blend
+        known = (1 - blend.share) ** 2 * max(self.blocked.error, 0.0)
+        estimate = replace(blend.estimate, error=max(blend.estimate.error, known))
+        return blend._replace(estimate=estimate, bias=max(blend.bias, known))
 
     def _direct_light(self) -> DirectPicture | None:
         """Return direct light by as many points per pixel as the limit needs."""

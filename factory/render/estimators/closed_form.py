@@ -40,9 +40,9 @@ LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.2
 # samples is above it by two now and then
 SURPRISING = 3.0
 USUAL = 2.5  # differences of many shots, before any is computed
-# samples of each half that take as long: FIXED, for the map of normals MAPS / pixels, which about
-# four views share, for each point of a pixel, and for each direction that is sampled per pixel
-FIXED, MAPS, EACH_POINT, SAMPLED = 3.0, 80_000.0, 0.18, 0.003
+# samples of each half that take as long: FIXED, for each point of a pixel, for each direction that
+# is sampled per pixel, and MAPS times the maps' size / pixels, if two views share them
+FIXED, EACH_POINT, SAMPLED, MAPS = 3.0, 0.18, 0.003, 120.0
 
 
 def points(error: float) -> int:
@@ -66,7 +66,8 @@ def more_points(direct: DirectPicture, mask: np.ndarray, points: int, error: flo
 
 def cost(pixels: int, work: DirectWork) -> float:
     """Return the samples of each half that take as long as the closed form of so many pixels."""
-    return FIXED + MAPS / max(pixels, 1) + EACH_POINT * work.points + SAMPLED * work.directions
+    maps = MAPS * work.maps / max(pixels, 1)
+    return FIXED + EACH_POINT * work.points + SAMPLED * work.directions + maps
 
 
 def differences(direct: DirectPicture, mask: np.ndarray) -> float:

@@ -84,10 +84,17 @@ class DirectPicture(NamedTuple):
 
 
 class DirectWork(NamedTuple):
-    """What a DirectPicture takes: points per pixel, and directions that are sampled per pixel."""
+    """What a DirectPicture takes.
+
+    points      per pixel
+    directions  that are sampled per pixel
+    maps        nodes of the materials' maps, in units of those of a lobe of α = 1. Views of one
+                material and light share them
+    """
 
     points: int
     directions: int
+    maps: float = 0.0
 
 
 class Renderer(Protocol):
