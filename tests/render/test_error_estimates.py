@@ -303,10 +303,37 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
     known = Shaded(deepest=1.0)
     halves = Halves(shown(known))
     halves.grow(4)
-    pairs = zip(halves.pictures, halves.unblocked(), strict=True)
-    for pair in pairs:
-        picture = ratio.unbiased(known.unblocked, *pair)
-        np.testing.assert_allclose(picture, known.truth, atol=1e-5)
+    slope = halves.slope_map(halves.pictures)
+    unbiased = ratio.unbiased(known.unblocked, halves.pictures, halves.unblocked(), slope)
+    for picture in unbiased:
+        np.testing.assert_allclose(picture[MASK], known.truth[MASK], atol=1e-5)
+
+
+def test_noise_of_light_that_is_blocked_is_not_brought_in():
+    known, errors = Shaded(), []
+    known.share = (np.arange(MASK.shape[1]) < 20).astype(np.float32)[
+        None, :, None
+    ]  # the rest is dark
+    known.truth = known.unblocked * known.share
+    for seed in range(20):
+        halves = Halves(shown(known, seed))
+        halves.grow(16)
+        slope, unblocked = halves.slope_map(halves.pictures), halves.unblocked()
+        direct = known.unblocked
+        regressed = ratio.unbiased(direct, halves.pictures, unblocked, slope)
+        whole = [s - (u - direct) for s, u in zip(halves.pictures, unblocked, strict=True)]
+        off = [(np.mean(e, 0) - known.truth)[MASK] for e in (regressed, whole, halves.pictures)]
+        errors.append([(each**2).mean() for each in off])
+        assert abs(off[0].mean()) < 0.01
+    regressed, whole, noisy = np.mean(errors, axis=0)
+    assert regressed < 0.5 * min(whole, noisy)
+
+
+def test_the_sum_around_a_pixel_leaves_it_out():
+    values = np.random.default_rng(1).normal(size=(7, 9))
+    sums = ratio._around(values, 2)
+    assert sums[3, 4] == pytest.approx(values[1:6, 2:7].sum() - values[3, 4])
+    assert sums[0, 8] == pytest.approx(values[:3, 6:].sum() - values[0, 8])
 
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():

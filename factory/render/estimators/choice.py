@@ -73,7 +73,7 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
-        [ratio.DARK, ratio.LEAST, ratio.FOR_BIAS],
+        [ratio.DARK, ratio.LEAST, ratio.FOR_BIAS, ratio.AROUND, ratio.SHARES],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
@@ -347,7 +347,6 @@ class _Attempt:
             radiance, unblocked = self.direct.radiance, halves.unblocked()
             self.closed_direct = self._error_in_direct_light(unblocked)
             pairs = zip(smooth, halves.unblocked_denoised(), strict=True)
-            noisy = zip(halves.pictures, unblocked, strict=True)
             pixels = self.shown.mask.size
             tried.insert(
                 0,
@@ -355,11 +354,12 @@ class _Attempt:
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
                     ratio.predicted(self.closed_alone, halves.samples, pixels),
-                    [ratio.unbiased(radiance, *pair) for pair in noisy],
+                    ratio.unbiased(radiance, halves.pictures, unblocked, halves.slope_map(smooth)),
                 ),
             )
         for each in tried:
-            blend = blends.best(halves, each.pair, each.unbiased, self.error)
+            shares = ratio.SHARES if each.estimator == ratio.NAME else blends.SHARES
+            blend = blends.best(halves, each.pair, each.unbiased, self.error, shares)
             estimate, bias = self._estimate(each.estimator, blend)
             self.tried[each.estimator] = _with_bias(estimate, bias), halves.samples
             if each.estimator == denoised.NAME:

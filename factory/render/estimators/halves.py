@@ -314,6 +314,12 @@ class Halves:
         """Return the display curve's slope (P, 3) at the mean of two pictures with little noise."""
         return tone.display_slope(((smooth[0] + smooth[1]) / 2)[self.shown.mask], self.exposure)
 
+    def slope_map(self, smooth: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the same as (height, width, 3), 0 outside the mask."""
+        result = np.zeros_like(smooth[0])
+        result[self.shown.mask] = self.slope(smooth)
+        return result
+
     def error_and_bias(
         self, pair: Sequence[np.ndarray], halves: Sequence[np.ndarray], slope: np.ndarray
     ) -> tuple[Estimate, float]:

@@ -13,7 +13,7 @@ fails     interreflection in strong highlights, which unoccluded light does not 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,6 +33,9 @@ UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 4
+AROUND = 4  # pixels to each side by whose noise β is known
+# of the unbiased pictures: alone they have a third of path tracing's noise on many shots
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
 FOR_BIAS = 1.5  # times the samples of a try whose error was small enough, but not its bias
 
 
@@ -47,13 +50,37 @@ def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np
     return np.where(unblocked > DARK, direct * share, shown).astype(np.float32)
 
 
-def unbiased(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
-    """Return an unbiased picture of less noise: what both have in common is taken out.
+def unbiased(
+    direct: np.ndarray,
+    shown: Sequence[np.ndarray],
+    unblocked: Sequence[np.ndarray],
+    slope: np.ndarray,
+) -> list[np.ndarray]:
+    """Return unbiased pictures of both halves of less noise: shown − β · (unblocked − direct).
 
-    It is with what a picture of the other half is compared; arguments as of `combined`, with their
-    noise.
+    What is subtracted is noise, for direct light has none. β is its regression on the noise that is
+    seen, by the halves' differences in the pixels around each one: near 1 where light arrives and
+    0 where it is blocked. A pixel's own noise is left out, so that the mean stays as it is.
+
+    direct     (height, width, 3) by the closed form
+    shown      both halves by all light paths of the tier
+    unblocked  both halves of direct light without shadows, of the same samples
+    slope      (height, width, 3) of the display curve, 0 outside the mask
     """
-    return direct + (shown - unblocked)
+    seen, taken = (slope * (pair[0] - pair[1]) for pair in (shown, unblocked))
+    common, own = (
+        _around((each * taken).sum(-1, dtype=np.float64), AROUND) for each in (seen, taken)
+    )
+    beta = np.clip(common / np.maximum(own, 1e-12), 0, 1)[..., None].astype(np.float32)
+    return [s - beta * (u - direct) for s, u in zip(shown, unblocked, strict=True)]
+
+
+def _around(values: np.ndarray, reach: int) -> np.ndarray:
+    """Return sums of values (height, width) up to so many pixels away, without each one's own."""
+    from scipy.ndimage import uniform_filter
+
+    side = 2 * reach + 1
+    return uniform_filter(values, side, mode="constant") * side**2 - values
 
 
 def predicted(closed: Estimate, samples: int, pixels: int) -> float:
