@@ -228,8 +228,16 @@ def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
     seen = attempt._at_least_as_blocked(lucky)
     assert seen.estimate.error == seen.bias == pytest.approx(50 * (1 - share) ** 2)
     assert seen.estimate.standard_error == 9
+    attempt.tried[closed_form.NAME] = Estimate(25.0, 9.0), 4
+    assert closed_form.NAME not in {plan.estimator for plan in _plans_with_direct_light(attempt)}
     attempt.blocked = Estimate(0.0, 1.0)
     assert attempt._at_least_as_blocked(lucky).bias == 0
+    assert closed_form.NAME in {plan.estimator for plan in _plans_with_direct_light(attempt)}
+
+
+def _plans_with_direct_light(attempt):
+    attempt.direct = Shaded().direct_light()
+    return attempt.plans()
 
 
 def test_direct_lights_error_as_the_picture_is_estimated_from_few_samples():

@@ -261,13 +261,19 @@ class _Attempt:
             return True
         if self.blocked is None:
             self.blocked = self.halves.error_of_direct_light()
-        # as a blend of the largest share it would have this share of its error
-        least_share = (1 - max(blends.SHARES)) ** 2
-        certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
-        if least_share * certain <= blends.MOST_BIAS * self.error:
+        if not self._is_blocked():
             return True
         by_ratio = self._ratio_plan(self._ratio_samples(self.blocked))
         return by_ratio is not None and by_ratio.cost + cost < least
+
+    def _is_blocked(self) -> bool:
+        """Whether so much light is blocked that no blend of the closed form keeps the limit."""
+        if self.blocked is None:
+            return False
+        # as a blend of the largest share it would have this share of its error
+        least_share = (1 - max(blends.SHARES)) ** 2
+        certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
+        return least_share * certain > blends.MOST_BIAS * self.error
 
     def plans(self) -> list[_Plan]:
         """Return what may be done next; path tracing is always there."""
@@ -297,7 +303,7 @@ class _Attempt:
             )
             if plan := self._ratio_plan(count):
                 plans.append(plan)
-        if closed_form.NAME in self.tried:
+        if closed_form.NAME in self.tried and not self._is_blocked():
             total = closed_form.needed(*self.tried[closed_form.NAME], error)
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(_Plan(total - samples, closed_form.NAME, total - samples))
