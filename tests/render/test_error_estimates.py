@@ -206,7 +206,7 @@ def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
 def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
     known = Shaded(noise=1.5, deepest=0.8)
     attempt = choice._Attempt(shown(known), 20.0, choice.ALL)
-    attempt.direct, attempt.closed_alone = known.direct_light(), Estimate(50.0, 1.0)
+    attempt.direct = known.direct_light()
     attempt.run(choice._Plan(0.0, estimator, 2000))
     assert attempt.halves.samples == choice.GROWTH * choice.PILOT
 
@@ -345,41 +345,78 @@ def test_the_sum_around_a_pixel_leaves_it_out():
 
 
 def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
-    closed, now, expected = Estimate(100.0, 10.0), Estimate(300.0, 6.0), Estimate(2.0, 3.0)
-    few, many = (ratio.needed(closed, now, 4, limit, 4096, expected) for limit in (40.0, 6.0))
+    expected = Estimate(0.5, 0.3)
+
+    def direct(samples):
+        return closed_form.weighed(Estimate(0.5, 24 / samples), expected)
+
+    scale = ratio.scale(4096)
+    few, many = (ratio.needed(200.0, 4, scale, limit, direct) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
 
     def bound(samples):
-        mine = ratio.predicted(closed, samples, 4096)
-        direct = closed_form.weighed(Estimate(2.0, 2 * 6 * 4 / samples), expected)
-        uncertain = np.hypot(ratio.UNCERTAINTY * mine, direct.standard_error)
-        return direct.error + mine + 1.645 * uncertain
+        known = direct(samples)
+        return min(
+            known.error + error + 1.645 * np.hypot(ratio.UNCERTAINTY * error, known.standard_error)
+            for error, bias in ratio._blends(800 / samples, scale)
+            if known.error + bias <= 2.0
+        )
 
-    assert bound(many) <= 6 < bound(many / 1.2)
-    assert ratio.needed(closed, now, 4, 6.0, 65536, expected) < many
-    assert ratio.needed(closed, now, 4, 6.0, 4096, Estimate(0.3, 0.4)) < many
+    assert bound(many) <= 6
+    assert ratio.needed(200.0, 4, ratio.scale(65536), 6.0, direct) < many
+    # the same noise by twice the samples is twice as much for one
+    assert ratio.needed(200.0, 8, scale, 6.0, direct) > 1.8 * many
     # less than the closed form's own error is never reached
-    assert ratio.needed(closed, now, 4, 1.8, 4096, expected) > choice.MOST_SAMPLES
+    assert ratio.needed(200.0, 4, scale, 0.45, direct) > choice.MOST_SAMPLES
+    # without bias the noise decides
+    alone = ratio.needed(200.0, 4, 0.0, 6.0, lambda samples: Estimate(0.0, 0.0))
+    assert alone == ratio.LEAST
 
 
-def test_a_ratio_that_failed_is_tried_with_more_samples_if_its_closed_form_allows_it():
-    tried, direct, vague = Estimate(30.0, 1.0), Estimate(4.0, 0.5), Estimate(4.0, 1e6)
-    needed = ratio.needed_after(tried, direct, vague, 8, 10.0)
-    assert 4 + 26 * (8 / needed) ** ratio.POWER + 1.645 * 8 / needed <= 10
-    assert ratio.needed_after(tried, direct, vague, 8, 3.9) > choice.MOST_SAMPLES
-    assert ratio.needed_after(tried, direct, vague, 8, 29.9, more=3.0) == 24
-    # what was expected of the closed form is no less certain with few samples
-    certain = ratio.needed_after(tried, direct, Estimate(4.0, 0.5), 8, 10.0)
-    assert certain > needed
-    least = 4 + 1.645 * 0.5
-    assert ratio.needed_after(tried, direct, Estimate(4.0, 0.5), 8, 0.99 * least) > 2048
+def test_unbiased_pictures_alone_are_the_last_resort_where_the_denoiser_errs():
+    none = Estimate(0.0, 0.0)
+    needed = ratio.needed(100.0, 4, 1e3, 10.0, lambda samples: none)
+    assert needed == pytest.approx(400 * (1 + 1.645 * ratio.UNCERTAINTY) / 10, rel=0.11)
 
 
-def test_a_ratio_whose_bias_alone_was_too_large_takes_half_as_many_samples_more():
-    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
-    attempt.closed_direct = Estimate(4.0, 0.5)
-    assert attempt._ratio_samples_after(Estimate(10.0, 1.0), 8) == 12
-    assert attempt._ratio_samples_after(Estimate(60.0, 1.0), 8) > 12
+def test_what_was_expected_of_the_closed_form_is_no_less_certain_with_few_samples():
+    expected = Estimate(2.0, 1.0)
+    direct = closed_form.weighed(Estimate(4.0, 0.8), expected)
+    again, more = (ratio.seen_with_more(direct, expected, 8, count) for count in (8, 32))
+    assert again == Estimate(direct.error, pytest.approx(direct.standard_error))
+    assert more.standard_error == pytest.approx(
+        closed_form.weighed(Estimate(4.0, 0.2), expected).standard_error
+    )
+    vague = Estimate(2.0, 1e6)
+    assert ratio.seen_with_more(Estimate(4.0, 0.8), vague, 8, 32).standard_error == pytest.approx(
+        0.2
+    )
+
+
+def test_the_share_of_noise_that_is_left_is_that_of_the_unbiased_pictures():
+    for deepest, least, most in ((1.0, 0.0, 1e-3), (0.5, 0.1, 0.6)):
+        known = Shaded(deepest=deepest)
+        halves = Halves(shown(known))
+        halves.grow(16)
+        slope = halves.slope_map(halves.pictures)
+        left = ratio.left_of_noise(halves.pictures, halves.unblocked(), slope)
+        pair = ratio.unbiased(known.unblocked, halves.pictures, halves.unblocked(), slope)
+        a, b = ((each - known.truth) * slope for each in (pair[0], halves.pictures[0]))
+        assert left == pytest.approx((a**2).sum() / (b**2).sum(), rel=0.2, abs=1e-6)
+        assert least <= left <= most
+
+
+def test_the_ratios_law_goes_by_what_a_try_has_shown():
+    known = Shaded(noise=0.8, deepest=0.8)
+    attempt = choice._Attempt(shown(known), 0.3, choice.ALL)
+    attempt.direct, attempt.blocked = known.direct_light(), Estimate(50.0, 1.0)
+    before = attempt.ratio_scale
+    attempt.halves.unblocked()  # by the same portions, so that the noise is common
+    assert attempt.run(choice._Plan(0.0, ratio.NAME, 8)) is None
+    assert attempt.ratio_scale != before and attempt.left < 1
+    attempt.error, attempt.now = 20.0, attempt.halves.estimate()
+    plan = attempt._ratio_plan()
+    assert plan.samples >= 0.2 * attempt.halves.samples  # no try is repeated
 
 
 def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
@@ -516,7 +553,8 @@ def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
     off = tone.display_l2(same.radiance + noise.mean(0), same.radiance, exposure, MASK)
     assert (expected.error - closed_form.OTHER) / closed_form.LEFT == pytest.approx(off, rel=0.1)
     assert expected.standard_error > least.standard_error
-    assert closed_form.expected(None, MASK).error > least.error
+    small, large = (closed_form.hoped(limit) for limit in (1.0, 100.0))
+    assert least.error < small.error < large.error
 
 
 def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
@@ -526,7 +564,6 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
         attempt = choice._Attempt(shown(known), 60.0, choice.ALL)
         assert attempt.closed() is None or closed
         attempt.direct = known.direct_light()
-        attempt.closed_alone = Estimate(50.0, 1.0)
         made = attempt.run(choice._Plan(0.0, ratio.NAME, 64))
         assert made is not None and made.estimator == ratio.NAME
         estimates.append(made.estimated.error)

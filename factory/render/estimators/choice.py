@@ -73,7 +73,7 @@ def identity() -> list[object]:
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
-        [ratio.DARK, ratio.LEAST, ratio.FOR_BIAS, ratio.AROUND, ratio.SHARES],
+        [ratio.DARK, ratio.LEAST, ratio.WITH_NOISE, ratio.AROUND, ratio.SHARES],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
@@ -147,9 +147,10 @@ class _Attempt:
 
     tried   {estimator: (its last estimate, samples of each half that it was of)}
     blocked  error that direct light without shadows would have, by the pilot; None before asked for
+    left    share of path tracing's noise that the ratio's unbiased pictures have, once it is known
     direct  None before it is asked for, and where no closed form holds
     scale   of the denoiser's law
-    closed_alone   error of the closed form as the picture, once it is known
+    ratio_scale  of the ratio's law
     closed_direct  its error in the tier `direct`, by the last samples without shadows
     expected  the same before samples have measured it
     """
@@ -161,11 +162,12 @@ class _Attempt:
     pilot: Estimate = field(init=False)
     now: Estimate = field(init=False)
     scale: float = field(init=False)
+    ratio_scale: float = field(init=False)
     tries: dict[Estimator, int] = field(default_factory=dict)
     tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
     blocked: Estimate | None = None
     direct: DirectPicture | None = None
-    closed_alone: Estimate | None = None
+    left: float = 1.0
     closed_direct: Estimate | None = None
     asked: bool = False
     expected: Estimate = field(init=False)
@@ -175,14 +177,16 @@ class _Attempt:
         self.halves.grow(PILOT)
         self.pilot = self.now = self.halves.estimate()
         self.scale = denoised.scale(self.shown.mask.size)
-        self.expected = closed_form.expected(None, self.shown.mask)
+        self.ratio_scale = ratio.scale(self.shown.mask.size)
+        self.expected = closed_form.hoped(self.error)
 
     def closed(self) -> Picture | None:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
         if not self.asked and self._is_worth_asking():
             self.asked = True
             self.direct = self._direct_light()
-            self.expected = closed_form.expected(self.direct, self.shown.mask)
+            if self.direct is not None:
+                self.expected = closed_form.expected(self.direct, self.shown.mask)
         if self.direct is None or closed_form.NAME not in self.estimators:
             return None
         # without noise if it may, since a blend is not worth it
@@ -191,8 +195,6 @@ class _Attempt:
             blend = self._at_least_as_blocked(
                 blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
             )
-            if shares == (0.0,):
-                self.closed_alone = blend.estimate
             bias = blends.doubted(blend.bias, blend.estimate)
             if shares == (0.0,) and self.shown.tier == "direct":
                 known = self._error_in_direct_light(self.halves.pictures)
@@ -261,9 +263,10 @@ class _Attempt:
             return True
         if self.blocked is None:
             self.blocked = self.halves.error_of_direct_light()
+            self._measure_noise_left(self.halves.pictures)
         if not self._is_blocked():
             return True
-        by_ratio = self._ratio_plan(self._ratio_samples(self.blocked))
+        by_ratio = self._ratio_plan()
         return by_ratio is not None and by_ratio.cost + cost < least
 
     def _is_blocked(self) -> bool:
@@ -291,47 +294,47 @@ class _Attempt:
                 plans.append(_Plan(further + cost, denoised.NAME, further))
         if self.direct is None:
             return plans
-        if (
-            tier != "direct"
-            and self.closed_alone is not None
-            and self._may(ratio.NAME, ratio.MOST_TRIES)
-        ):
-            count = (
-                self._ratio_samples_after(*self.tried[ratio.NAME])
-                if ratio.NAME in self.tried
-                else self._ratio_samples(self.closed_alone)
-            )
-            if plan := self._ratio_plan(count):
-                plans.append(plan)
+        by_ratio = tier != "direct" and self.blocked is not None
+        if by_ratio and self._may(ratio.NAME, ratio.MOST_TRIES) and (plan := self._ratio_plan()):
+            plans.append(plan)
         if closed_form.NAME in self.tried and not self._is_blocked():
             total = closed_form.needed(*self.tried[closed_form.NAME], error)
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(_Plan(total - samples, closed_form.NAME, total - samples))
         return plans
 
-    def _ratio_samples(self, closed: Estimate) -> int:
-        """Return the samples that a ratio needs, by the error of the closed form as the picture."""
-        halves, pixels = self.halves, self.shown.mask.size
-        return ratio.needed(closed, self.now, halves.samples, self.error, pixels, self.expected)
+    def _measure_noise_left(self, smooth: Sequence[np.ndarray]) -> None:
+        """Measure how much noise the ratio's unbiased pictures have; smooth: for the slope."""
+        slope = self.halves.slope_map(smooth)
+        self.left = ratio.left_of_noise(self.halves.pictures, self.halves.unblocked(), slope)
 
-    def _ratio_samples_after(self, tried: Estimate, samples: int) -> int:
-        """Return the same number by a try that failed."""
-        assert self.closed_direct is not None
-        if tried.bound <= self.error:  # its bias is too large, or may be
-            return math.ceil(ratio.FOR_BIAS * samples)
-        return ratio.needed_after(
-            tried, self.closed_direct, self.expected, samples, self.error, MORE
+    def _ratio_plan(self) -> _Plan | None:
+        """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
+        halves, least = self.halves, ratio.LEAST
+        if ratio.NAME in self.tried:
+            least = math.ceil(MORE * self.tried[ratio.NAME][1])
+        noise = self.left * self.now.noise_bound
+        count = ratio.needed(
+            noise, halves.samples, self.ratio_scale, self.error, self._direct_light_error, least
         )
-
-    def _ratio_plan(self, count: int) -> _Plan | None:
-        """Return the plan of a ratio of `count` samples of each half, if that is not too many."""
         if count > MOST_SAMPLES:
             return None
-        further = max(count - self.halves.samples, 0)
-        total = self.halves.samples + further
-        rendered = further + total - self.halves.unblocked_samples
+        further = max(count - halves.samples, 0)
+        total = halves.samples + further
+        rendered = further + total - halves.unblocked_samples
         cost = rendered + 2 * denoised.cost(total, self.shown.tier)
         return _Plan(cost, ratio.NAME, further)
+
+    def _direct_light_error(self, samples: int) -> Estimate:
+        """Return the closed form's error in direct light as so many samples of a half show it."""
+        halves = self.halves
+        if self.closed_direct is None:
+            # the uncertainty of the picture is taken for that of direct light, of which a half
+            # alone has twice as much
+            uncertain = 2 * self.now.standard_error * halves.samples / samples
+            return closed_form.weighed(Estimate(self.expected.error, uncertain), self.expected)
+        tried = halves.unblocked_samples
+        return ratio.seen_with_more(self.closed_direct, self.expected, tried, samples)
 
     def _may(self, name: Estimator, most: int) -> bool:
         return name in self.estimators and self.tries.get(name, 0) < most
@@ -349,17 +352,17 @@ class _Attempt:
         by_law = denoised.predicted(noise, self.scale, halves.samples, self.error)
         tried = [_Tried(denoised.NAME, smooth, by_law, halves.pictures)]
         if name == ratio.NAME:
-            assert self.direct is not None and self.closed_alone is not None
+            assert self.direct is not None
             radiance, unblocked = self.direct.radiance, halves.unblocked()
             self.closed_direct = self._error_in_direct_light(unblocked)
             pairs = zip(smooth, halves.unblocked_denoised(), strict=True)
-            pixels = self.shown.mask.size
+            self._measure_noise_left(smooth)
             tried.insert(
                 0,
                 _Tried(
                     ratio.NAME,
                     [ratio.combined(radiance, *pair) for pair in pairs],
-                    ratio.predicted(self.closed_alone, halves.samples, pixels),
+                    ratio.predicted(self.left * noise, self.ratio_scale, self.error),
                     ratio.unbiased(radiance, halves.pictures, unblocked, halves.slope_map(smooth)),
                 ),
             )
@@ -368,9 +371,11 @@ class _Attempt:
             blend = blends.best(halves, each.pair, each.unbiased, self.error, shares)
             estimate, bias = self._estimate(each.estimator, blend)
             self.tried[each.estimator] = _with_bias(estimate, bias), halves.samples
+            noise = halves.estimate().noise
             if each.estimator == denoised.NAME:
-                noise = halves.estimate().noise
                 self.scale = denoised.scale_measured(blend, noise, halves.samples)
+            else:
+                self.ratio_scale = ratio.scale_measured(blend, self.left * noise)
             if self._is_kept(estimate, bias):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,

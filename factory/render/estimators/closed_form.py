@@ -77,12 +77,17 @@ def differences(direct: DirectPicture, mask: np.ndarray) -> float:
     return float((direct.variance[mask] * slope**2).mean(dtype=np.float64))
 
 
-def expected(direct: DirectPicture | None, mask: np.ndarray) -> Estimate:
-    """Return the closed form's error in the tier `direct` before samples measure it.
+def expected(direct: DirectPicture, mask: np.ndarray) -> Estimate:
+    """Return the closed form's error in the tier `direct` before samples measure it."""
+    return _expected(differences(direct, mask))
 
-    direct  None: before it is computed
-    """
-    own = USUAL if direct is None else differences(direct, mask)
+
+def hoped(error: float) -> Estimate:
+    """Return the same before direct light is computed by as many points as a limit needs."""
+    return _expected(min(USUAL, ENOUGH * error / (LEFT + CONFIDENCE * LEFT_SPREAD)))
+
+
+def _expected(own: float) -> Estimate:
     return Estimate(LEFT * own + OTHER, LEFT_SPREAD * own + OTHER_SPREAD)
 
 

@@ -17,18 +17,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from factory.render.estimators import denoised
-from factory.render.estimators.closed_form import weighed
+from factory.render.estimators import blends, denoised
+from factory.render.estimators.blends import Blend
 from factory.render.estimators.halves import CONFIDENCE, Estimate
 from manifests.schema import Estimator
 
 NAME: Estimator = "ratio"
 MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
-# error: SCALE · (error of the closed form as the picture) / (samples of each half)^POWER, and what
-# a denoiser leaves by the size of the frame. Where little light is blocked or reflected on, little
-# of it can be noisy
-SCALE, POWER = 0.25, 0.75
+# squared bias: scale · noise^POWER, where noise is the error of `unbiased`. The scale is SCALE by
+# the size of the frame (denoised.left) until the first try has measured it
+SCALE, POWER = 2.2, 0.55
+WITH_NOISE = 1.2  # error of the mean of both halves, over its bias
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
@@ -36,7 +36,6 @@ MOST_TRIES = 4
 AROUND = 4  # pixels to each side by whose noise β is known
 # of the unbiased pictures: alone they have a third of path tracing's noise on many shots
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
-FOR_BIAS = 1.5  # times the samples of a try whose error was small enough, but not its bias
 
 
 def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
@@ -83,64 +82,79 @@ def _around(values: np.ndarray, reach: int) -> np.ndarray:
     return uniform_filter(values, side, mode="constant") * side**2 - values
 
 
-def predicted(closed: Estimate, samples: int, pixels: int) -> float:
-    """Return the error with `samples` of each half, by that of the closed form as the picture.
+def left_of_noise(
+    shown: Sequence[np.ndarray], unblocked: Sequence[np.ndarray], slope: np.ndarray
+) -> float:
+    """Return the share of path tracing's noise that `unbiased` has; arguments as there."""
+    mean = (unblocked[0] + unblocked[1]) / np.float32(2)
+    a, b = unbiased(mean, shown, unblocked, slope)
+    left, whole = (
+        float(((slope * (one - other)) ** 2).sum(dtype=np.float64))
+        for one, other in ((a, b), shown)
+    )
+    return left / max(whole, 1e-12)
 
-    pixels  of the frame
-    """
-    return float(SCALE * denoised.left(pixels) * max(closed.error, 0.0) / samples**POWER)
+
+def scale(pixels: int) -> float:
+    """Return the law's scale for a frame of so many pixels that was not tried yet."""
+    return SCALE * denoised.left(pixels)
+
+
+def scale_measured(blend: Blend, noise: float) -> float:
+    """Return the law's scale by a try; noise: the error of its unbiased pictures' mean."""
+    # a bias that is not seen may be as large as its uncertainty
+    return max(blend.bias_alone, blend.estimate.standard_error) / max(noise, 1e-9) ** POWER
+
+
+def predicted(noise: float, scale: float, limit: float) -> float:
+    """Return the error of the best blend whose bias a limit allows, or of the best of all."""
+    known = _blends(noise, scale)
+    allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
+    return min(allowed or [error for error, _ in known])
 
 
 def needed(
-    closed: Estimate, now: Estimate, samples: int, error: float, pixels: int, expected: Estimate
-) -> int:
-    """Return the samples of each half whose estimate is at most an error with 95 % confidence.
-
-    closed    error of the closed form as the picture
-    now       error of the picture of `samples` of each half: its uncertainty is taken for that of
-              direct light's, of which a half alone has twice as much
-    pixels    of the frame
-    expected  error of the closed form in direct light
-    """
-    at_one, noise = predicted(closed, 1, pixels), 2 * now.standard_error * samples
-
-    def bound(count: int) -> float:
-        mine = at_one / count**POWER
-        direct = weighed(Estimate(expected.error, noise / count), expected)
-        uncertain = math.hypot(UNCERTAINTY * mine, direct.standard_error)
-        return direct.error + mine + CONFIDENCE * uncertain
-
-    return _least(LEAST, bound, error)
-
-
-def needed_after(
-    tried: Estimate,
-    direct: Estimate,
-    expected: Estimate,
+    noise: float,
     samples: int,
-    error: float,
-    more: float = 1.0,
+    scale: float,
+    limit: float,
+    direct: Callable[[int], Estimate],
+    least: int = LEAST,
 ) -> int:
-    """Return the same number, by the estimate of `samples` of each half that failed.
+    """Return the samples of each half whose blend keeps a limit on error and bias, by the law.
 
-    direct    the closed form's error in direct light, which is a part of it
-    expected  the same before samples measured it: what they do not say
-    more      times the samples of that try, at least
+    noise   error of the mean of unbiased pictures of `samples` of each half
+    direct  the closed form's error in direct light as so many samples of each half will show it
+    least   samples that are worth a try
     """
-    at_one = max(tried.error - direct.error, 0.0) * samples**POWER
-    mine = math.sqrt(max(tried.standard_error**2 - direct.standard_error**2, 0.0)) * samples
+    count = least
+    while count <= MOST_SAMPLES:
+        known = direct(count)
+        for error, bias in _blends(noise * samples / count, scale):
+            uncertain = math.hypot(UNCERTAINTY * error, known.standard_error)
+            bound = known.error + error + CONFIDENCE * uncertain
+            if bound <= limit and known.error + bias <= blends.MOST_BIAS * limit:
+                return count
+        count = math.ceil(1.1 * count)
+    return count
+
+
+def seen_with_more(direct: Estimate, expected: Estimate, samples: int, count: int) -> Estimate:
+    """Return the closed form's error in direct light as `count` samples of each half will show it.
+
+    direct    by `samples` and by what was expected
+    expected  before samples measured it: what they do not say
+    """
     known = 1 / max(expected.standard_error, 1e-9) ** 2  # a precision, as what follows
-    seen = max(1 / max(direct.standard_error, 1e-9) ** 2 - known, 0.0) / samples**2
-
-    def bound(count: int) -> float:
-        uncertain = math.sqrt((mine / count) ** 2 + 1 / (known + seen * count**2))
-        return direct.error + at_one / count**POWER + CONFIDENCE * uncertain
-
-    return _least(max(samples + 1, math.ceil(more * samples)), bound, error)
+    seen = max(1 / max(direct.standard_error, 1e-9) ** 2 - known, 0.0)
+    precision = known + seen * (count / samples) ** 2
+    return Estimate(direct.error, 1 / math.sqrt(precision))
 
 
-def _least(samples: int, bound: Callable[[int], float], error: float) -> int:
-    """Return the least samples, from `samples` in steps of a tenth, whose bound is the error."""
-    while samples <= MOST_SAMPLES and bound(samples) > error:
-        samples = math.ceil(1.1 * samples)
-    return samples
+def _blends(noise: float, scale: float) -> list[tuple[float, float]]:
+    """Return error and squared bias of each blend, by the law."""
+    bias = scale * noise**POWER
+    return [
+        ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
+        for share in SHARES
+    ]
