@@ -66,19 +66,19 @@ def unbiased(
     unblocked  both halves of direct light without shadows, of the same samples
     slope      (height, width, 3) of the display curve, 0 outside the mask
     """
-    seen, taken = (slope * (pair[0] - pair[1]) for pair in (shown, unblocked))
+    noise, explained = (slope * (pair[0] - pair[1]) for pair in (shown, unblocked))
     common, own = (
-        _around((each * taken).sum(-1, dtype=np.float64), AROUND) for each in (seen, taken)
+        _around((each * explained).sum(-1, dtype=np.float64), AROUND) for each in (noise, explained)
     )
     beta = np.clip(common / np.maximum(own, 1e-12), 0, 1)[..., None].astype(np.float32)
     return [s - beta * (u - direct) for s, u in zip(shown, unblocked, strict=True)]
 
 
-def _around(values: np.ndarray, reach: int) -> np.ndarray:
+def _around(values: np.ndarray, pixels: int) -> np.ndarray:
     """Return sums of values (height, width) up to so many pixels away, without each one's own."""
     from scipy.ndimage import uniform_filter
 
-    side = 2 * reach + 1
+    side = 2 * pixels + 1
     return uniform_filter(values, side, mode="constant") * side**2 - values
 
 
