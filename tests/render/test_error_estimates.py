@@ -211,8 +211,12 @@ def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
     assert attempt.halves.samples == choice.GROWTH * choice.PILOT
 
 
-def test_no_closed_form_is_computed_where_light_is_blocked_by_too_much_for_it():
+def test_no_closed_form_is_computed_where_light_is_blocked_and_its_noise_explains_nothing():
     dark, lit = (Shaded(noise=0.8, deepest=deepest) for deepest in (0.01, 0.95))
+    portion = dark.portion
+    dark.portion = lambda first, count, seed, tier: portion(
+        first, count, seed + (tier == "direct"), tier
+    )
     for known in (dark, lit):
         choice.picture(shown(known), 40.0)
     assert (dark.closed_forms, lit.closed_forms) == (0, 1)

@@ -36,7 +36,7 @@ ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, clos
 VERSION = 10  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
-MORE = 1.2  # times the samples of a try that failed, at least
+MORE = 1.5  # times the samples of a try that failed, at least
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
@@ -74,6 +74,7 @@ def identity() -> list[object]:
         [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST, ratio.WITH_NOISE, ratio.AROUND, ratio.SHARES],
+        [ratio.MOST_LEFT],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
@@ -310,6 +311,8 @@ class _Attempt:
 
     def _ratio_plan(self) -> _Plan | None:
         """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
+        if self.left > ratio.MOST_LEFT:
+            return None
         halves, least = self.halves, ratio.LEAST
         if ratio.NAME in self.tried:
             least = math.ceil(MORE * self.tried[ratio.NAME][1])

@@ -27,12 +27,13 @@ MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
 # squared bias: scale · noise^POWER, where noise is the error of `unbiased`. The scale is SCALE by
 # the size of the frame (denoised.left) until the first try has measured it
-SCALE, POWER = 2.2, 0.55
+SCALE, POWER = 1.5, 0.55
 WITH_NOISE = 1.2  # error of the mean of both halves, over its bias
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
 LEAST = 2  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 MOST_TRIES = 4
+MOST_LEFT = 0.7  # of the noise: where direct light explains less of it a ratio is not tried
 AROUND = 4  # pixels to each side by whose noise β is known
 # of the unbiased pictures: alone they have a third of path tracing's noise on many shots
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
