@@ -25,7 +25,7 @@ from factory.execution.assignment import Assignment, BadShot, ShapeSource, load_
 from factory.planning.plan import TEXELS, Shot
 from factory.render import checks
 from factory.render.estimators import choice
-from factory.render.estimators.halves import DirectPicture, Effort, Portion, Shown
+from factory.render.estimators.halves import Renderer, Shown
 from manifests.errors import InputError
 from manifests.ids import camera_of
 from manifests.picture_files import (
@@ -35,7 +35,7 @@ from manifests.picture_files import (
     encode_picture,
     read_geometry,
 )
-from manifests.schema import Accuracy, Camera, Record, Statistics, Tier, View
+from manifests.schema import Accuracy, Camera, Record, Statistics, View
 from manifests.store import Store, geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 MOST_GEOMETRIES = 48  # whose masks stay in memory: two shapes' 24 views
 
 
-class Studio(Protocol):
+class Studio(Renderer, Protocol):
     """What the pipeline calls: factory.render.studio.Studio, or a substitute without Blender."""
 
     settings: Any
@@ -61,15 +61,6 @@ class Studio(Protocol):
     def set_materials(self, mixtures: list[Mixture]) -> None: ...
     def geometry(self) -> SeenGeometry: ...
     def picture(self, samples: int, seed: int, tier: str) -> tuple[np.ndarray, np.ndarray]: ...
-    def portion(self, first: int, count: int, seed: int, tier: Tier) -> Portion: ...
-
-    def denoised(self, portion: Portion, effort: Effort) -> np.ndarray: ...
-
-    def direct_light(self) -> DirectPicture | None: ...
-
-    def direct_light_samples(self) -> int | None: ...
-
-    def may_shade_itself(self) -> bool: ...
 
 
 class _StoredGeometry(msgspec.Struct, frozen=True):

@@ -93,8 +93,8 @@ class Studio:
     def may_shade_itself(self):
         return True
 
-    def direct_light_samples(self):
+    def direct_light_work(self, points):
         return None
 
-    def direct_light(self):
+    def direct_light(self, points):
         return None
