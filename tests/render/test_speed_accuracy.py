@@ -87,6 +87,28 @@ def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scen
 
 
 @pytest.mark.parametrize(
+    ("peer", "seconds", "measured"),
+    [
+        (None, 1.0, []),
+        (1.5, 1.0, []),
+        (0.4, 1.0, ["0.5"]),
+        (0.1, 1.0, ["0.5", "0.125"]),
+        (0.1, 100.0, ["0.5"]),
+    ],
+)
+def test_smaller_limits_are_measured_until_one_is_as_good_as_the_other_program(
+    monkeypatch, peer, seconds, measured
+):
+    monkeypatch.setattr(speed_accuracy, "limited", lambda limit: 0.7 * limit)
+    monkeypatch.setattr(speed_accuracy, "timed", lambda error, shown: (error, seconds))
+    pictures = [(LIMIT, "5", 3.0, 1.0), (LIMIT, "2", 1.2, 2.0), ("denoised", "16", 0.01, 2.0)]
+    pictures += [("BlenderProc", "16 samples", 9.0, 1.0)]
+    pictures += [] if peer is None else [("BlenderProc", "defaults", peer, 1.0)]
+    smaller = list(speed_accuracy.smaller_limits(pictures, None, lambda picture: picture))
+    assert [each[:2] for each in smaller] == [(LIMIT, name) for name in measured]
+
+
+@pytest.mark.parametrize(
     ("change", "reason"),
     [
         ({"estimated": 6.0}, "the most samples did not suffice"),

@@ -12,7 +12,8 @@ error      display L2 over the mask against a reference in two independent halve
            cancels in the mean; a negative error is one below the reference's noise
 time       processor seconds per picture in one thread, without loading shape, light and materials.
            Each family renders a picture before, so that all find the scene in memory. Where a
-           setting took more than LONGEST, the more exact ones of its family are left out
+           setting took more than LONGEST, the more exact ones of its family are left out. Limits
+           of SMALLER_LIMITS are measured on scenes where the others stay above BlenderProc's error
 PYTHON     an interpreter with the packages blenderproc and bpy. BlenderProc renders the same
            objects, materials, light, pixel filter and bounces, saved as .blend files, with its own
            defaults for everything else, and with fewer samples in place of its 1,024
@@ -29,7 +30,7 @@ import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,13 @@ from factory.render.estimators.halves import Shown, effort
 from factory.render.studio import Studio
 from factory.render.validation import command_line
 from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
-from factory.render.validation.speed_accuracy_report import chart, report, summary
+from factory.render.validation.speed_accuracy_report import (
+    LIMIT,
+    PEER_NAME,
+    chart,
+    report,
+    summary,
+)
 from manifests.errors import InputError
 from manifests.files import write_json
 from manifests.provenance import provenance
@@ -51,6 +58,7 @@ from manifests.provenance import provenance
 SAMPLES = (4, 16, 64, 256)
 RATIO_SAMPLES = (4, 16, 64)
 LIMITS = (60.0, 20.0, 5.0, 2.0)
+SMALLER_LIMITS = (0.5, 0.125)  # tried until a limit's picture is as good as the other program's
 LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
@@ -64,6 +72,12 @@ PEER_SETTINGS = {
 PEER = Path(__file__).with_name("blenderproc_peer.py")
 
 Method = Callable[[Shown], np.ndarray]
+Rendered = tuple[str, str, np.ndarray, float]  # family, setting, picture, processor seconds
+
+
+def limited(error: float) -> Method:
+    """Return the function that renders a shot to a limit on its error."""
+    return lambda at: choice.picture(at, error).radiance
 
 
 def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Method]:
@@ -98,9 +112,6 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
 
         return render
 
-    def limited(error: float) -> Method:
-        return lambda at: choice.picture(at, error).radiance
-
     return (
         {("path tracing", f"{n} samples"): fixed(n) for n in SAMPLES}
         | {
@@ -109,7 +120,7 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
         }
         | {("denoised", f"{n} samples"): smooth(n) for n in SAMPLES}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
-        | {("limit on the error", f"{e:g}"): limited(e) for e in LIMITS}
+        | {(LIMIT, f"{e:g}"): limited(e) for e in LIMITS}
     )
 
 
@@ -137,16 +148,33 @@ def timed(method: Method, shown: Shown) -> tuple[np.ndarray, float]:
     return picture, time.process_time() - start
 
 
-def rendered(
-    known: dict[tuple[str, str], Method], shown: Shown
-) -> list[tuple[str, str, np.ndarray, float]]:
-    """Return family, setting, picture and processor seconds, without what would take too long."""
-    pictures: list[tuple[str, str, np.ndarray, float]] = []
+def rendered(known: dict[tuple[str, str], Method], shown: Shown) -> list[Rendered]:
+    """Return a picture for each setting, without what would take too long."""
+    pictures: list[Rendered] = []
     for (family, name), method in known.items():
         slow = any(each[0] == family and each[3] > LONGEST for each in pictures)
         if not slow:
             pictures.append((family, name, *timed(method, shown)))
     return pictures
+
+
+def smaller_limits(
+    pictures: list[Rendered], shown: Shown, error: Callable[[np.ndarray], float]
+) -> Iterator[Rendered]:
+    """Yield pictures of ever smaller limits, until one has the error of the other program's best.
+
+    A limit's speed at that error is then measured. It need not be extrapolated.
+    error  of a picture
+    """
+    asked = min((error(each[2]) for each in pictures if each[0] == PEER_NAME), default=np.inf)
+    limits = [each for each in pictures if each[0] == LIMIT]
+    least, longest = min(error(each[2]) for each in limits), max(each[3] for each in limits)
+    for limit in SMALLER_LIMITS:
+        if least <= asked or longest > LONGEST:
+            return
+        picture, seconds = timed(limited(limit), shown)
+        least, longest = min(least, error(picture)), seconds
+        yield LIMIT, f"{limit:g}", picture, seconds
 
 
 def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
@@ -216,15 +244,19 @@ def measured_scene(
     start = time.process_time()
     reference = stage.reference(scene, mask, options.reference)
     spent = time.process_time() - start
+
+    def error(picture: np.ndarray) -> float:
+        return compared(picture, picture, reference).error
+
+    pictures += smaller_limits(pictures, shown, error)
     rows = []
     for family, name, picture, seconds in pictures:
-        achieved = compared(picture, picture, reference)
         rows.append(
             {
                 "family": family,
                 "setting": name,
                 "seconds": seconds,
-                "error": achieved.error,
+                "error": error(picture),
                 "reference_noise": reference.estimate().error,
                 "reference_seconds": spent,
             }
@@ -232,7 +264,7 @@ def measured_scene(
     return rows
 
 
-def rendered_by_peer(blend: Path, python: str) -> list[tuple[str, str, np.ndarray, float]]:
+def rendered_by_peer(blend: Path, python: str) -> list[Rendered]:
     """Return BlenderProc's pictures of a saved scene. Raises InputError if it does not run."""
     order = blend.with_suffix(".json")
     settings = {f"s{k}": value for k, value in enumerate(PEER_SETTINGS.values())}
@@ -242,7 +274,7 @@ def rendered_by_peer(blend: Path, python: str) -> list[tuple[str, str, np.ndarra
     done = run_peer(python, str(order))
     seconds = json.loads(done.stdout.strip().splitlines()[-1])
     return [
-        ("BlenderProc", name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
+        (PEER_NAME, name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
         for k, name in enumerate(PEER_SETTINGS)
     ]
 

@@ -14,11 +14,13 @@ import numpy as np
 from manifests.files import write_bytes
 
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
-OURS = ("path tracing", "denoised", "ratio", "limit on the error")
+LIMIT = "limit on the error"
+PEER_NAME = "BlenderProc"
+OURS = ("path tracing", "denoised", "ratio", LIMIT)
 BIASED = ("denoised", "ratio")
 
 
-def at_error(rows: list[dict[str, Any]], error: float, family: str = "limit on the error") -> float:
+def at_error(rows: list[dict[str, Any]], error: float, family: str = LIMIT) -> float:
     """Return the seconds that a family of settings takes for a scene at an error.
 
     Interpolated between the settings' achieved errors and times. Beyond them noise in proportion to
@@ -99,7 +101,7 @@ def report(result: dict[str, Any]) -> str:
     ]
     for each in figures:
         speed = f"{each['speed_mean']:.1f} | {each['speed_worst']:.1f}"
-        if each["family"] == "limit on the error":
+        if each["family"] == LIMIT:
             speed = "– | –"
         best = "– | –"
         if each["family"] not in OURS:
@@ -171,10 +173,10 @@ def chart(figures: list[dict[str, Any]], path: Path) -> None:
             )
             x = [1 / each["seconds"] for each in of]
             y = [max(each[key], 1e-2) for each in of]
-            mine = family == "limit on the error"
-            joined = "" if family == "BlenderProc" else "-"
+            mine = family == LIMIT
+            joined = "" if family == PEER_NAME else "-"
             axes.plot(x, y, "o" + joined, label=family, lw=2.5 if mine else 1.2, ms=5)
-            if family == "BlenderProc":
+            if family == PEER_NAME:
                 for each, a, b in zip(of, x, y, strict=True):
                     axes.annotate(
                         each["setting"],
