@@ -69,12 +69,33 @@ def test_the_page_and_the_chart_have_every_setting(tmp_path):
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_page_has_the_bias_where_it_was_measured():
+    rows = [
+        dict(each, squared_bias=bias) for each, bias in zip(LIMITS, (1.5, 0.25, -0.1), strict=True)
+    ]
+    rows += [dict(rows[0], scene=1, squared_bias=2.5)]
+    result = {key: 2 for key in ("scenes", "size", "tier", "reference")}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    figures = speed_accuracy_report.summary(rows)
+    page = speed_accuracy_report.report({"figures": figures, "rows": rows, **result})
+    assert f"| {LIMIT} | 5 | 4 | 4 | 2 | 2.5 | 8.000 |" in page
+    assert f"| {LIMIT} | 60, on 1 of them | 64 | 64 | 0 | 0 |" in page
+    header = next(line for line in page.splitlines() if line.startswith("| method"))
+    assert header.count("|") == page.splitlines()[-1].count("|")
+
+
+def test_each_picture_of_a_setting_has_a_seed_of_its_own():
+    shown = Shown(None, 8, "full", np.ones((1, 1), bool))
+    pictures, _ = speed_accuracy.timed(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
+    assert pictures.shape == (2, 1, 1, 3) and pictures[0, 0, 0, 0] != pictures[1, 0, 0, 0]
+
+
 def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scenes(
     tmp_path, monkeypatch
 ):
     longest = speed_accuracy.LONGEST
     known = {("a", "1"): longest - 1, ("a", "2"): longest + 1, ("a", "3"): 1.0, ("b", "1"): 2.0}
-    monkeypatch.setattr(speed_accuracy, "timed", lambda seconds, shown: (None, seconds))
+    monkeypatch.setattr(speed_accuracy, "timed", lambda seconds, shown, count: (None, seconds))
     pictures = speed_accuracy.rendered(known, None)
     assert [each[:2] for each in pictures] == [("a", "1"), ("a", "2"), ("b", "1")]
     rows = [*LIMITS, *(dict(each, scene=1) for each in LIMITS[1:])]
@@ -100,7 +121,7 @@ def test_smaller_limits_are_measured_until_one_is_as_good_as_the_other_program(
     monkeypatch, peer, seconds, measured
 ):
     monkeypatch.setattr(speed_accuracy, "limited", lambda limit: 0.7 * limit)
-    monkeypatch.setattr(speed_accuracy, "timed", lambda error, shown: (error, seconds))
+    monkeypatch.setattr(speed_accuracy, "timed", lambda error, shown, count: (error, seconds))
     pictures = [(LIMIT, "5", 3.0, 1.0), (LIMIT, "2", 1.2, 2.0), ("denoised", "16", 0.01, 2.0)]
     pictures += [("BlenderProc", "16 samples", 9.0, 1.0)]
     pictures += [] if peer is None else [("BlenderProc", "defaults", peer, 1.0)]
@@ -200,7 +221,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     options = Namespace(
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
-    options.no_adaptive = True
+    options.no_adaptive, options.bias = True, False
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
     first = list(seen)

@@ -10,6 +10,8 @@ scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that
 guides     of the denoiser are not filtered in fixed samples: one picture does not show their noise
 error      display L2 over the mask against a reference in two independent halves, whose noise
            cancels in the mean; a negative error is one below the reference's noise
+bias       squared, and part of the error; measured by --bias, which renders everything twice with
+           seeds of its own. The error is then the mean of both pictures'
 time       processor seconds per picture in one thread, without loading shape, light and materials.
            Each family renders a picture before, so that all find the scene in memory. Where a
            setting took more than LONGEST, the more exact ones of its family are left out. Limits
@@ -72,7 +74,8 @@ PEER_SETTINGS = {
 PEER = Path(__file__).with_name("blenderproc_peer.py")
 
 Method = Callable[[Shown], np.ndarray]
-Rendered = tuple[str, str, np.ndarray, float]  # family, setting, picture, processor seconds
+# family, setting, pictures (pictures, height, width, 3), processor seconds of each
+Rendered = tuple[str, str, np.ndarray, float]
 
 
 def limited(error: float) -> Method:
@@ -141,30 +144,31 @@ def warm(shown: Shown, methods: Iterable[Method]) -> None:
         method(replace(shown, seed=shown.seed ^ 2))
 
 
-def timed(method: Method, shown: Shown) -> tuple[np.ndarray, float]:
-    """Return a picture and its processor seconds."""
+def timed(method: Method, shown: Shown, count: int = 1) -> tuple[np.ndarray, float]:
+    """Return pictures of as many seeds, stacked, and the processor seconds of each."""
     start = time.process_time()
-    picture = method(shown)
-    return picture, time.process_time() - start
+    pictures = [method(replace(shown, seed=shown.seed ^ 4 * k)) for k in range(count)]
+    return np.stack(pictures), (time.process_time() - start) / count
 
 
-def rendered(known: dict[tuple[str, str], Method], shown: Shown) -> list[Rendered]:
-    """Return a picture for each setting, without what would take too long."""
+def rendered(known: dict[tuple[str, str], Method], shown: Shown, count: int = 1) -> list[Rendered]:
+    """Return pictures of as many seeds for each setting, without what would take too long."""
     pictures: list[Rendered] = []
     for (family, name), method in known.items():
         slow = any(each[0] == family and each[3] > LONGEST for each in pictures)
         if not slow:
-            pictures.append((family, name, *timed(method, shown)))
+            pictures.append((family, name, *timed(method, shown, count)))
     return pictures
 
 
 def smaller_limits(
-    pictures: list[Rendered], shown: Shown, error: Callable[[np.ndarray], float]
+    pictures: list[Rendered], shown: Shown, error: Callable[[np.ndarray], float], count: int = 1
 ) -> Iterator[Rendered]:
     """Yield pictures of ever smaller limits, until one has the error of the other program's best.
 
     A limit's speed at that error is then measured. It need not be extrapolated.
-    error  of a picture
+    error  of a setting's pictures
+    count  of the pictures of each setting
     """
     asked = min((error(each[2]) for each in pictures if each[0] == PEER_NAME), default=np.inf)
     limits = [each for each in pictures if each[0] == LIMIT]
@@ -172,9 +176,9 @@ def smaller_limits(
     for limit in SMALLER_LIMITS:
         if least <= asked or longest > LONGEST:
             return
-        picture, seconds = timed(limited(limit), shown)
-        least, longest = min(least, error(picture)), seconds
-        yield LIMIT, f"{limit:g}", picture, seconds
+        made, seconds = timed(limited(limit), shown, count)
+        least, longest = min(least, error(made)), seconds
+        yield LIMIT, f"{limit:g}", made, seconds
 
 
 def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
@@ -220,6 +224,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
         **{name: getattr(options, name) for name in ("size", "reference")},
         "peer": bool(options.blenderproc),
         "adaptive": not options.no_adaptive,
+        "bias": options.bias,
         "rules": choice.VERSION,
     }
 
@@ -230,12 +235,16 @@ def measured_scene(
     scene: Scene,
     options: argparse.Namespace,
 ) -> list[dict[str, Any]]:
-    """Return family, setting, seconds, error and the reference's noise for each setting."""
+    """Return family, setting, seconds, error and the reference's noise for each setting.
+
+    With --bias the squared bias, too.
+    """
     mask = stage.show(scene)
     shown = Shown(stage.studio, scene.seed, scene.tier, mask)
     # the largest limit stands for all of them, and the fewest samples
     warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
-    pictures = rendered(known, shown)
+    count = 2 if options.bias else 1
+    pictures = rendered(known, shown, count)
     if options.blenderproc:
         with tempfile.TemporaryDirectory() as folder:
             blend = Path(folder) / "scene.blend"
@@ -245,18 +254,20 @@ def measured_scene(
     reference = stage.reference(scene, mask, options.reference)
     spent = time.process_time() - start
 
-    def error(picture: np.ndarray) -> float:
-        return compared(picture, picture, reference).error
+    def error(of: np.ndarray) -> float:
+        return float(np.mean([compared(each, each, reference).error for each in of]))
 
-    pictures += smaller_limits(pictures, shown, error)
+    pictures += smaller_limits(pictures, shown, error, count)
     rows = []
-    for family, name, picture, seconds in pictures:
+    for family, name, of, seconds in pictures:
+        bias = compared(of[0], of[1], reference).error if options.bias else None
         rows.append(
             {
                 "family": family,
                 "setting": name,
                 "seconds": seconds,
-                "error": error(picture),
+                "error": error(of),
+                **({} if bias is None else {"squared_bias": bias}),
                 "reference_noise": reference.estimate().error,
                 "reference_seconds": spent,
             }
@@ -305,6 +316,9 @@ def main() -> None:
     parser.add_argument("--blenderproc", metavar="PYTHON", help="compare with BlenderProc, too")
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
+    )
+    parser.add_argument(
+        "--bias", action="store_true", help="render each setting twice, and report its bias"
     )
     options = command_line.parse(parser)
     if options.blenderproc:

@@ -1,6 +1,7 @@
 """The figures, the page and the drawing of factory.render.validation.speed_accuracy.
 
-rows  dictionaries of one scene and setting each, with family, setting, seconds and error
+rows  dictionaries of one scene and setting each, with family, setting, seconds and error, and
+      squared_bias where it was measured
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "scenes": len(of),
                 "error_mean": float(errors.mean()),
                 "error_worst": float(errors.max()),
+                **_biases(of),
                 "seconds": float(np.mean([row["seconds"] for row in of])),
                 "speed_mean": float(np.exp(np.log(ratios).mean())),
                 "speed_worst": float(ratios.min()),
@@ -76,10 +78,19 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return result
 
 
+def _biases(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the mean and the largest squared bias of a setting's rows; {} if not measured."""
+    biases = [row["squared_bias"] for row in rows if "squared_bias" in row]
+    if not biases:
+        return {}
+    return {"bias_mean": float(np.mean(biases)), "bias_worst": float(np.max(biases))}
+
+
 def report(result: dict[str, Any]) -> str:
     """Return the page of a measurement."""
     figures = result["figures"]
     noise = max(row["reference_noise"] for row in result["rows"])
+    biased = any("bias_mean" in each for each in figures)
     lines = [
         "# Error against time per picture",
         "",
@@ -95,9 +106,10 @@ def report(result: dict[str, Any]) -> str:
         "",
         "![chart](chart.png)",
         "",
-        "| method | setting | error: mean | worst | seconds | speed of a limit: mean | worst"
-        " | of our best: mean | worst |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| method | setting | error: mean | worst |"
+        + (" squared bias: mean | worst |" if biased else "")
+        + " seconds | speed of a limit: mean | worst | of our best: mean | worst |",
+        "|---|---|---|---|---|---|---|---|---|" + ("---|---|" if biased else ""),
     ]
     for each in figures:
         speed = f"{each['speed_mean']:.1f} | {each['speed_worst']:.1f}"
@@ -109,11 +121,17 @@ def report(result: dict[str, Any]) -> str:
         lines.append(
             f"| {each['family']} | {each['setting']}{_scenes(each, result)}"
             f" | {each['error_mean']:.3g}"
-            f" | {each['error_worst']:.3g} | {each['seconds']:.3f} | {speed} | {best} |"
+            f" | {each['error_worst']:.3g} |{_bias_cells(each) if biased else ''}"
+            f" {each['seconds']:.3f} | {speed} | {best} |"
         )
     if result["tier"] == "direct":
         lines += against_path_tracing(result["rows"])
     return "\n".join(lines) + "\n"
+
+
+def _bias_cells(figures: dict[str, Any]) -> str:
+    """Return two cells of the table; a squared bias below 0 is one below the noise."""
+    return f" {max(figures['bias_mean'], 0):.2g} | {max(figures['bias_worst'], 0):.2g} |"
 
 
 def _scenes(figures: dict[str, Any], result: dict[str, Any]) -> str:
