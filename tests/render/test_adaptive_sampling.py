@@ -46,6 +46,17 @@ def test_the_variance_is_that_of_display_values_to_first_order():
     np.testing.assert_allclose(variance[below_white], expected[below_white], rtol=0.02)
 
 
+def test_squares_of_pixels_save_what_their_means_leave():
+    y, _ = np.nonzero(MASK)
+    variance = np.where(y < measured.TILE, 1.0, 9.0)  # a square's edge lies between the two
+    known = measured.over_tiles(variance, MASK)
+    np.testing.assert_allclose(known, variance)
+    mixed = np.where(y < 4, 50.0, 1.0)  # one row of a square: its mean counts
+    known = measured.over_tiles(mixed, MASK)
+    assert known.mean() == pytest.approx(mixed.mean())
+    assert 1 < measured.best_gain(known) < measured.best_gain(mixed)
+
+
 def test_an_uncertain_variance_is_averaged_over_neighbours_inside_the_mask():
     picture = np.zeros(MASK.shape)
     picture[10, 10], picture[3, 4] = 9.0, 4.0  # inside, and at a corner with four neighbours

@@ -6,6 +6,8 @@ shots    drawn from a seed (validation.scenes), tiers in turn
 noise    the variance of each pixel's display value at one sample, by PORTIONS independent pictures
 best     mean(σ²) / mean(σ)² over the object: by how much the division of samples with the least
          mean error, n ∝ σ, needs fewer of them than the same number for all pixels
+tiles    the same of the best division over squares of TILE pixels, which Cycles could render one
+         by one, with samples of their own
 piloted  the same of a division by the first two of these pictures, whose own samples are not
          counted, at the noise of the others; σ is averaged over 3×3 pixels
 Cycles   its own adaptive sampling, against path tracing with as many samples for all pixels as take
@@ -31,6 +33,7 @@ from manifests.provenance import provenance
 from shaders import tone
 
 PORTIONS, EACH = 16, 8  # pictures that say how noisy pixels are, and their samples
+TILE = 16
 FLOOR = 0.1  # of the mean σ: a pixel that a pilot shows without noise may have some
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST = 256  # samples of a pixel under adaptive sampling
@@ -56,6 +59,14 @@ def display_variance(pictures: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def best_gain(variance: np.ndarray) -> float:
     """Return how many times fewer samples n ∝ σ needs for the same mean error; variance (P,)."""
     return float(variance.mean() / np.sqrt(variance).mean() ** 2)
+
+
+def over_tiles(variance: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return the mean variance in each pixel's square of TILE pixels; both (P,)."""
+    y, x = np.nonzero(mask)
+    tile = y // TILE * mask.shape[1] + x // TILE
+    total, count = np.bincount(tile, variance), np.bincount(tile)
+    return np.asarray(total[tile] / count[tile])
 
 
 def gain_of(share: np.ndarray, variance: np.ndarray) -> float:
@@ -104,9 +115,11 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         )
         rest = display_variance(pictures[2:], mask)
         share = piloted_share(display_variance(pictures[:2], mask), mask)
+        known = display_variance(pictures, mask)
         row: dict[str, Any] = {
             **asdict(scene),
-            "best": best_gain(display_variance(pictures, mask)),
+            "best": best_gain(known),
+            "tiles": best_gain(over_tiles(known, mask)),
             "piloted": gain_of(share, rest),
             "cycles": [],
         }
@@ -143,7 +156,7 @@ def _errors(prefix: str, pair: Sequence[np.ndarray], reference: Any) -> dict[str
 def figures(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return medians, geometric means and extremes over shots."""
     result: dict[str, Any] = {}
-    for name in ("best", "piloted"):
+    for name in ("best", "tiles", "piloted"):
         values = np.array([row[name] for row in rows])
         result[name] = {
             "median": float(np.median(values)),
@@ -196,7 +209,11 @@ def report(result: dict[str, Any]) -> str:
         "| division | median | geometric mean | most | shots above 1.5 |",
         "|---|---|---|---|---|",
     ]
-    names = {"best": "best, by known noise", "piloted": "by the noise of 16 samples, not counted"}
+    names = {
+        "best": "best, by known noise",
+        "tiles": f"best over squares of {TILE} pixels, by known noise",
+        "piloted": "by the noise of 16 samples, not counted",
+    }
     for key, name in names.items():
         g = of[key]
         lines.append(
