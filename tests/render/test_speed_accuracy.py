@@ -221,7 +221,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     options = Namespace(
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
-    options.no_adaptive, options.bias = True, False
+    options.no_adaptive, options.bias, options.rounds = True, False, 1
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
     first = list(seen)
@@ -229,6 +229,20 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     rows = speed_accuracy.measure(options)
     assert len(first) == 2 and len(seen) == 1 and not set(seen) & set(first)
     assert [each["scene"] for each in rows] == [0, 1, 2]
+
+    times = iter([1.5, 3.0])
+
+    def again(stage, known, scene, options, rows):
+        return [(rows[0]["family"], rows[0]["setting"], None, next(times))]
+
+    monkeypatch.setattr(speed_accuracy, "timed_again", again)
+    options.rounds = 2
+    with pytest.raises((StopIteration, RuntimeError)):  # stopped at the third scene
+        speed_accuracy.measure(options)
+    times = iter([1.0])
+    rows = speed_accuracy.measure(options)
+    assert [each["seconds"] for each in rows] == [1.5, 2.0, 1.0]
+    assert [each["error"] for each in rows] == [1.0] * 3
     options.reference = 16
     with pytest.raises(InputError, match=r"scenes/0\.json"):
         speed_accuracy.measure(options)

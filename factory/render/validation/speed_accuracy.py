@@ -3,8 +3,10 @@ limit on the error, and BlenderProc, on the same scenes in the same run.
 
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --blenderproc PYTHON
+python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --rounds 2
 
-A measurement that was stopped is continued by the same command, scene by scene.
+A measurement that was stopped is continued by the same command, scene by scene. --rounds measures
+all times again, once the scenes are there, for machines on which they vary.
 
 scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that --tier names
 guides     of the denoiser are not filtered in fixed samples: one picture does not show their noise
@@ -13,7 +15,8 @@ error      display L2 over the mask against a reference in two independent halve
 bias       squared, and part of the error; measured by --bias, which renders everything twice with
            seeds of its own. The error is then the mean of both pictures'
 time       processor seconds per picture in one thread, without loading shape, light and materials.
-           Each family renders a picture before, so that all find the scene in memory. Where a
+           Each family renders a picture before, so that all find the scene in memory. The least
+           of all rounds counts, which are as far from each other as the scenes take. Where a
            setting took more than LONGEST, the more exact ones of its family are left out. Limits
            of SMALLER_LIMITS are measured on scenes where the others stay above BlenderProc's error
 PYTHON     an interpreter with the packages blenderproc and bpy. BlenderProc renders the same
@@ -194,28 +197,54 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each scene and setting; scenes that DIR has already are not repeated."""
     stage = Stage(options.size, 1)
     known = methods(stage.studio, not options.no_adaptive)
-    rows: list[dict[str, Any]] = []
-    for number, scene in enumerate(scenes(options, stage.materials)):
-        path = options.out / "scenes" / f"{number}.json"
-        key = json.loads(json.dumps({**asdict(scene), **_condition(options)}))
-        if path.exists():
-            earlier = json.loads(path.read_text())
-            if earlier["scene"] != key:
-                raise InputError(
-                    str(path),
-                    "a scene of the same options and rules",
-                    "another",
-                    "name another folder, or the same options as before",
-                )
-            rows += earlier["rows"]
-            continue
-        measured = measured_scene(stage, known, scene, options)
-        of = [{**asdict(scene), "scene": number, **row} for row in measured]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, {"scene": key, "rows": of})
-        rows += of
-        print(f"{number + 1} of {options.scenes}: {scene}", flush=True)
-    return rows
+    rows: dict[int, list[dict[str, Any]]] = {}
+    for turn in range(1, options.rounds + 1):
+        for number, scene in enumerate(scenes(options, stage.materials)):
+            path = options.out / "scenes" / f"{number}.json"
+            key = json.loads(json.dumps({**asdict(scene), **_condition(options)}))
+            rows[number], done = _stored(path, key)
+            if done >= turn:
+                continue
+            if done:
+                again = timed_again(stage, known, scene, options, rows[number])
+                rows[number] = _least(rows[number], again)
+            else:
+                measured = measured_scene(stage, known, scene, options)
+                rows[number] = [{**asdict(scene), "scene": number, **row} for row in measured]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_json(path, {"scene": key, "rounds": turn, "rows": rows[number]})
+            print(f"round {turn}, {number + 1} of {options.scenes}: {scene}", flush=True)
+    return [row for of in rows.values() for row in of]
+
+
+def _stored(path: Path, key: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+    """Return a scene's rows and the rounds that they have, ([], 0) if it was not measured.
+
+    Raises InputError if it was measured under other conditions.
+    """
+    if not path.exists():
+        return [], 0
+    earlier = json.loads(path.read_text())
+    if earlier["scene"] != key:
+        raise InputError(
+            str(path),
+            "a scene of the same options and rules",
+            "another",
+            "name another folder, or the same options as before",
+        )
+    return earlier["rows"], earlier["rounds"]
+
+
+def _least(rows: list[dict[str, Any]], again: list[Rendered]) -> list[dict[str, Any]]:
+    """Return rows with the shorter of two times of each setting."""
+    seconds = {(family, setting): spent for family, setting, _, spent in again}
+    return [
+        {
+            **row,
+            "seconds": min(row["seconds"], seconds.get((row["family"], row["setting"]), np.inf)),
+        }
+        for row in rows
+    ]
 
 
 def _condition(options: argparse.Namespace) -> dict[str, Any]:
@@ -239,17 +268,8 @@ def measured_scene(
 
     With --bias the squared bias, too.
     """
-    mask = stage.show(scene)
-    shown = Shown(stage.studio, scene.seed, scene.tier, mask)
-    # the largest limit stands for all of them, and the fewest samples
-    warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
-    count = 2 if options.bias else 1
-    pictures = rendered(known, shown, count)
-    if options.blenderproc:
-        with tempfile.TemporaryDirectory() as folder:
-            blend = Path(folder) / "scene.blend"
-            save(shown, blend)
-            pictures += rendered_by_peer(blend, options.blenderproc)
+    shown, pictures = _all_rendered(stage, known, scene, options)
+    mask, count = shown.mask, _count(options)
     start = time.process_time()
     reference = stage.reference(scene, mask, options.reference)
     spent = time.process_time() - start
@@ -273,6 +293,44 @@ def measured_scene(
             }
         )
     return rows
+
+
+def timed_again(
+    stage: Stage,
+    known: dict[tuple[str, str], Method],
+    scene: Scene,
+    options: argparse.Namespace,
+    rows: list[dict[str, Any]],
+) -> list[Rendered]:
+    """Render every setting of a scene's rows once more."""
+    names = [(row["family"], row["setting"]) for row in rows]
+    smaller = {(LIMIT, f"{limit:g}"): limited(limit) for limit in SMALLER_LIMITS}
+    again = {key: method for key, method in {**known, **smaller}.items() if key in names}
+    return _all_rendered(stage, again, scene, options)[1]
+
+
+def _all_rendered(
+    stage: Stage,
+    known: dict[tuple[str, str], Method],
+    scene: Scene,
+    options: argparse.Namespace,
+) -> tuple[Shown, list[Rendered]]:
+    """Return what a scene shows, and the pictures of all settings, BlenderProc's included."""
+    shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
+    # the largest limit stands for all of them, and the fewest samples
+    warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
+    pictures = rendered(known, shown, _count(options))
+    if options.blenderproc:
+        with tempfile.TemporaryDirectory() as folder:
+            blend = Path(folder) / "scene.blend"
+            save(shown, blend)
+            pictures += rendered_by_peer(blend, options.blenderproc)
+    return shown, pictures
+
+
+def _count(options: argparse.Namespace) -> int:
+    """Return the pictures of each setting."""
+    return 2 if options.bias else 1
 
 
 def rendered_by_peer(blend: Path, python: str) -> list[Rendered]:
@@ -320,6 +378,9 @@ def main() -> None:
     parser.add_argument(
         "--bias", action="store_true", help="render each setting twice, and report its bias"
     )
+    parser.add_argument(
+        "--rounds", type=int, default=1, help="measure times so often; the least counts"
+    )
     options = command_line.parse(parser)
     if options.blenderproc:
         run_peer(options.blenderproc, "--check")
@@ -328,6 +389,7 @@ def main() -> None:
         **provenance(),
         **{key: getattr(options, key) for key in ("scenes", "size", "reference")},
         "tier": options.tier or "tiers in turn",
+        "rounds": options.rounds,
         "figures": summary(rows),
         "rows": rows,
     }

@@ -78,6 +78,12 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return result
 
 
+def _of_rounds(result: dict[str, Any]) -> str:
+    """Say that times are the least of several, where they are."""
+    rounds = result.get("rounds", 1)
+    return f", the least of {rounds} rounds" if rounds > 1 else ""
+
+
 def _biases(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Return the mean and the largest squared bias of a setting's rows; {} if not measured."""
     biases = [row["squared_bias"] for row in rows if "squared_bias" in row]
@@ -100,9 +106,10 @@ def report(result: dict[str, Any]) -> str:
         f"{result['scenes']} scenes of {result['size']}×{result['size']}, {result['tier']};"
         f" references of {2 * result['reference']} samples, whose own display error is at most"
         f" {noise:.2g}.",
-        "Times are processor seconds in one thread; the speed is the time divided by the one that a"
-        " limit on the error takes at the same error, per scene; and by the one of our family of"
-        " settings that is fastest there, as one chooses who knows the errors.",
+        f"Times are processor seconds in one thread{_of_rounds(result)}; the speed is the time"
+        " divided by the one that a limit on the error takes at the same error, per scene; and by"
+        " the one of our family of settings that is fastest there, as one chooses who knows the"
+        " errors.",
         "",
         "![chart](chart.png)",
         "",
