@@ -197,7 +197,7 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "pictures made to be timed",
     (
-        "factory/render/validation/speed_accuracy.py",
+        "factory/render/validation/speed_accuracy_settings.py",
         "tempfile.TemporaryDirectory",
     ): "scenes that another renderer reads",
     (

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
 from factory.render.estimators.halves import Shown
 from factory.render.validation import error_target_report, speed_accuracy, speed_accuracy_report
+from factory.render.validation import speed_accuracy_settings as settings
 from manifests.errors import InputError
 from manifests.schema import Camera
 from shaders.mixture import Mixture
@@ -86,17 +87,17 @@ def test_the_page_has_the_bias_where_it_was_measured():
 
 def test_each_picture_of_a_setting_has_a_seed_of_its_own():
     shown = Shown(None, 8, "full", np.ones((1, 1), bool))
-    pictures, _ = speed_accuracy.timed(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
+    pictures, _ = settings.timed(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
     assert pictures.shape == (2, 1, 1, 3) and pictures[0, 0, 0, 0] != pictures[1, 0, 0, 0]
 
 
 def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scenes(
     tmp_path, monkeypatch
 ):
-    longest = speed_accuracy.LONGEST
+    longest = settings.LONGEST
     known = {("a", "1"): longest - 1, ("a", "2"): longest + 1, ("a", "3"): 1.0, ("b", "1"): 2.0}
-    monkeypatch.setattr(speed_accuracy, "timed", lambda seconds, shown, count: (None, seconds))
-    pictures = speed_accuracy.rendered(known, None)
+    monkeypatch.setattr(settings, "timed", lambda seconds, shown, count: (None, seconds))
+    pictures = settings.rendered(known, None)
     assert [each[:2] for each in pictures] == [("a", "1"), ("a", "2"), ("b", "1")]
     rows = [*LIMITS, *(dict(each, scene=1) for each in LIMITS[1:])]
     figures = speed_accuracy_report.summary(rows)
@@ -120,12 +121,12 @@ def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scen
 def test_smaller_limits_are_measured_until_one_is_as_good_as_the_other_program(
     monkeypatch, peer, seconds, measured
 ):
-    monkeypatch.setattr(speed_accuracy, "limited", lambda limit: 0.7 * limit)
-    monkeypatch.setattr(speed_accuracy, "timed", lambda error, shown, count: (error, seconds))
+    monkeypatch.setattr(settings, "limited", lambda limit: 0.7 * limit)
+    monkeypatch.setattr(settings, "timed", lambda error, shown, count: (error, seconds))
     pictures = [(LIMIT, "5", 3.0, 1.0), (LIMIT, "2", 1.2, 2.0), ("denoised", "16", 0.01, 2.0)]
     pictures += [("BlenderProc", "16 samples", 9.0, 1.0)]
     pictures += [] if peer is None else [("BlenderProc", "defaults", peer, 1.0)]
-    smaller = list(speed_accuracy.smaller_limits(pictures, None, lambda picture: picture))
+    smaller = list(settings.smaller_limits(pictures, None, lambda picture: picture))
     assert [each[:2] for each in smaller] == [(LIMIT, name) for name in measured]
 
 
@@ -193,7 +194,7 @@ def test_a_saved_scene_is_the_picture_also_after_a_closed_form(studio, tmp_path)
     exact = studio.direct_light().radiance
     mask = studio.geometry().mask
     shown = Shown(studio, 3, "direct", mask)
-    speed_accuracy.save(shown, tmp_path / "scene.blend")
+    settings.save(shown, tmp_path / "scene.blend")
     words = [str(tmp_path / name) for name in ("scene.blend", "picture.npy")]
     subprocess.run([sys.executable, "-c", RENDER, *words], check=True, capture_output=True)
     picture = np.load(words[1])
@@ -221,7 +222,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     options = Namespace(
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
-    options.no_adaptive, options.bias, options.rounds = True, False, 1
+    options.no_adaptive, options.bias, options.rounds, options.meshes = True, False, 1, None
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
     first = list(seen)
@@ -248,6 +249,32 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
         speed_accuracy.measure(options)
 
 
+def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch):
+    class Unset:
+        materials, studio = ["brass"], None
+
+        def __init__(self, size, threads):
+            pass
+
+    shown = []
+
+    def measured(stage, known, scene, options):
+        shown.append(scene.shape)
+        return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
+
+    monkeypatch.setattr(speed_accuracy, "Stage", Unset)
+    monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "spoon.obj").touch()
+    options = Namespace(scenes=1, seed=7, size=16, tier="full", reference=8, blenderproc=None)
+    options.no_adaptive, options.bias, options.rounds = True, False, 1
+    options.out, options.meshes = tmp_path / "out", tmp_path / "meshes"
+    rows = speed_accuracy.measure(options)
+    assert shown == [str(tmp_path / "meshes" / "spoon.obj")]
+    assert [row["shape"] for row in rows] == ["spoon.obj"]
+    assert str(tmp_path) not in (tmp_path / "out" / "scenes" / "0.json").read_text()
+
+
 def test_a_python_without_blenderproc_is_refused_before_anything_is_rendered():
     with pytest.raises(InputError, match=r"--blenderproc: .*package blenderproc is missing"):
-        speed_accuracy.run_peer(sys.executable, "--check")
+        settings.run_peer(sys.executable, "--check")
