@@ -239,13 +239,13 @@ def report(result: dict[str, Any]) -> str:
         "",
         "Shots where the best division saves most:",
         "",
-        "| shot | best | piloted |",
-        "|---|---|---|",
+        "| shot | best | over squares | piloted |",
+        "|---|---|---|---|",
     ]
     for row in sorted(rows, key=lambda row: -row["best"])[:8]:
         lines.append(
             f"| {row['shape']}, {row['material']}, {row['light']}, {row['tier']}"
-            f" | {row['best']:.2f} | {row['piloted']:.2f} |"
+            f" | {row['best']:.2f} | {row['tiles']:.2f} | {row['piloted']:.2f} |"
         )
     return "\n".join(lines) + "\n"
 
