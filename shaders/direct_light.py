@@ -43,6 +43,9 @@ PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
 GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
 SAMPLES = 12  # directions per normal of each of the two distributions
+MOST_TOGETHER = 4096  # directions, of all normals that are the same
+COS_FLAT = float(np.cos(np.radians(0.1)))  # between normals and facets that count as the same
+NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are told from each other
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow
@@ -125,6 +128,7 @@ class DirectLight:
         facets: np.ndarray | None = None,
         misdirected: bool = True,
         cells: np.ndarray | None = None,
+        patches: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return radiance (P, 3) float32 at normals (P, 3), of which some may face away.
 
@@ -133,9 +137,11 @@ class DirectLight:
         facets       (P, 3) normals of the surface itself: of light below it Cycles loses a part
                      (direct_light_kernels.add_leaning). None: the normals
         misdirected  False: without the light that Cycles finds by mistake
-        cells        (P,) integers, equal for normals that are neighbours in a picture: what facets
-                     take away, and what takes a sum of its own near the horizon, is computed once
-                     for each cell. None: for each normal
+        cells        (P,) integers, equal for normals that are neighbours in a picture: what takes a
+                     sum of its own near the horizon is computed once for each cell. None: for each
+                     normal
+        patches      (P,) the same for neighbours on one facet: what facets take away, and what
+                     normals that face away reflect
         """
         given = np.ascontiguousarray(n, np.float32)
         facets = None if facets is None else np.ascontiguousarray(facets, np.float32)
@@ -149,16 +155,23 @@ class DirectLight:
                 self._sample(k, n, facets, samples, radiance)
         if lean:
             (leaning,) = np.nonzero(np.einsum("ij,ij->i", facets, n) < COS_LEANING)
-            first, each = _distinct(leaning, cells)
-            radiance[leaning] -= self._leaning(n[first], facets[first], away=False)[each]
+            first, each = _distinct(leaning, patches)
+            means = _means(n[leaning], each)
+            radiance[leaning] -= self._leaning(means, facets[first], away=False)[each]
             np.maximum(radiance, 0, out=radiance)
         (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
-            radiance[away] = self._leaning(given[away], facets[away], away=True)
-        return radiance + self.mistaken(given, facets, cells) if misdirected else radiance
+            first, each = _distinct(away, patches)
+            means = _means(given[away], each)
+            radiance[away] = self._leaning(means, facets[first], away=True)[each]
+        return radiance + self.mistaken(given, facets, cells, patches) if misdirected else radiance
 
     def mistaken(
-        self, n: np.ndarray, facets: np.ndarray, cells: np.ndarray | None = None
+        self,
+        n: np.ndarray,
+        facets: np.ndarray,
+        cells: np.ndarray | None = None,
+        patches: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the light (P, 3) that Cycles finds by mistake; arguments as `at` takes them."""
         radiance = np.zeros_like(n)
@@ -167,7 +180,8 @@ class DirectLight:
         self._look_up(self._misdirected, self.misdirected, None, _facing(n)[0], radiance, cells)
         (away,) = np.nonzero(n[:, 2] < FACING)
         if len(away):
-            radiance[away] = self.misdirected(n[away], facets[away])
+            first, each = _distinct(away, patches)
+            radiance[away] = self.misdirected(_means(n[away], each), facets[first])[each]
         return radiance
 
     def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
@@ -303,18 +317,30 @@ class DirectLight:
     def _sample(
         self, k: int, n: np.ndarray, facets: np.ndarray, samples: int, out: np.ndarray
     ) -> None:
-        """Add to out (P, 3) what closure k reflects from within its extent."""
-        direct_light_kernels.add_samples(
-            direct_light_kernels.KINDS[self.mixture.kinds[k]],
-            n,
-            facets,
-            self._tables[k],
-            np.float32(np.tan(EXTENT / 2)),
-            self.light,
-            np.ascontiguousarray(self.camera_from_light.T, np.float32),
-            samples,
-            out,
-        )
+        """Add to out (P, 3) what closure k reflects from within its extent.
+
+        Points of a flat facet have one normal, and reflect the same. Their directions are taken
+        together for all of them: as many, but without the noise that each one's few would have.
+        """
+        alone, together = _repeated(n, facets)
+        calls = [(alone, alone, slice(None), samples)]
+        calls += [(points, first, each, samples * times) for points, first, each, times in together]
+        for points, first, each, count in calls:
+            if not len(first):
+                continue
+            radiance = np.zeros((len(first), 3), np.float32)
+            direct_light_kernels.add_samples(
+                direct_light_kernels.KINDS[self.mixture.kinds[k]],
+                n[first],
+                facets[first],
+                self._tables[k],
+                np.float32(np.tan(EXTENT / 2)),
+                self.light,
+                np.ascontiguousarray(self.camera_from_light.T, np.float32),
+                min(count, MOST_TOGETHER),
+                radiance,
+            )
+            out[points] += radiance[each]
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,6 +390,49 @@ def _distinct(
         return indices, slice(None)
     _, first, each = np.unique(cells[indices], return_index=True, return_inverse=True)
     return indices[first], each
+
+
+def _repeated(
+    n: np.ndarray, facets: np.ndarray
+) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]]:
+    """Return which of the normals (P, 3) stand alone, and groups of those that many points have.
+
+    Returns  indices of those that stand alone; and for 2, 4, … points at least that have the same
+             normal: their indices, one index of each such normal, which of these each has, and how
+             many times they are there at least
+    """
+    flat = np.einsum("pi,pi->p", n, facets) > COS_FLAT
+    if not flat.any():
+        return np.arange(len(n)), []
+    (points,) = np.nonzero(flat)
+    steps = np.rint((n[points].astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
+    keys = (steps[:, 0] * (2 * NORMAL_STEPS + 1) + steps[:, 1]) * 2 + (steps[:, 2] > NORMAL_STEPS)
+    _, first, each, counts = np.unique(
+        keys, return_index=True, return_inverse=True, return_counts=True
+    )
+    doublings = np.floor(np.log2(counts)).astype(int)
+    alone = np.union1d(np.nonzero(~flat)[0], points[doublings[each] == 0])
+    groups = []
+    for power in range(1, int(doublings.max()) + 1):
+        (here,) = np.nonzero(doublings == power)
+        if len(here):
+            inside = doublings[each] == power
+            groups.append(
+                (points[inside], points[first[here]], np.searchsorted(here, each[inside]), 1 << power)
+            )
+    return alone, groups
+
+
+def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:
+    """Return the mean (G, 3), of unit length, of normals (P, 3) of each group.
+
+    each  (P,) the number of each normal's group, or a slice: every normal is one
+    """
+    if isinstance(each, slice):
+        return n
+    sums = np.stack([np.bincount(each, values) for values in n.T], axis=1)
+    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
+    return np.ascontiguousarray(sums, np.float32)
 
 
 def _facing(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:

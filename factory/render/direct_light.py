@@ -17,8 +17,8 @@ from shaders.mixture import Mixture
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
-# samples of a narrow lobe per pixel; mirror-like materials need more, for normals turn by more than
-# their lobes in a pixel
+# samples of a narrow lobe per pixel that has up to USUAL points, and as many at each point beyond;
+# mirror-like materials need more, for normals turn by more than their lobes in a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
 # points per pixel: so many across in each of so many grids, which are shifted against each other
 GRIDS = {256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (1, 4)}
@@ -33,8 +33,8 @@ SHIFTS = {
     2: ((-0.25, -0.25), (0.25, 0.25)),
     4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
 }
-# cells across a pixel; in each of them light that wide lobes lose at facets is computed once
-CELLS = 2
+CELLS = 2  # across a pixel; in each of them light near the horizon is summed once
+FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are told from each other
 MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_DIRECT = 64  # maps of direct light in memory
 
@@ -95,17 +95,22 @@ def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Point
         return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= MOST_POINTS else None
     for count, (across, grids) in GRIDS.items():
         if count <= max(wanted, least) and count * pixels <= MOST_POINTS:
-            return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // count))
+            return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // min(count, USUAL)))
     return None
 
 
 def picture_of(
-    direct: Sequence[DirectLight], grids: Sequence[Surface], lens: Camera, points: Points
+    direct: Sequence[DirectLight],
+    grids: Sequence[Surface],
+    lens: Camera,
+    points: Points,
+    where: np.ndarray | None = None,
 ) -> DirectPicture:
     """Return the picture (height, width) whose pixels are means over their points.
 
     direct  of the segments' materials, in the order of their ids
     grids   the surface at the points of each grid, `points.across` of them per side of a pixel
+    where   (height, width) bool, the pixels that are computed; the others are black. None: all
     """
     height, width = lens.size
     radiance = np.zeros((len(grids), height, width, 3))
@@ -118,6 +123,7 @@ def picture_of(
             direct,
             [_part(grid, band, end) for grid, end in zip(grids, ends, strict=True)],
             points,
+            None if where is None else where[top : top + rows],
             radiance[:, top : top + rows],
             covered[top : top + rows],
         )
@@ -128,6 +134,7 @@ def picture_of(
         mean.astype(np.float32),
         (covered / points.per_pixel).astype(np.float32),
         between.astype(np.float32),
+        any(each.narrow for each in direct),
     )
 
 
@@ -139,18 +146,30 @@ def _part(grid: Surface, band: slice, ends: np.ndarray) -> Surface:
     return Surface(mask, *(values[inside] for values in grid[1:]))
 
 
+def _inside(surface: Surface, where: np.ndarray) -> Surface:
+    """Return the part of a surface that lies in `where` (height, width)."""
+    kept = where[surface.mask]
+    return Surface(surface.mask & where, *(values[kept] for values in surface[1:]))
+
+
 def _add_band(
     direct: Sequence[DirectLight],
     grids: Sequence[Surface],
     points: Points,
+    where: np.ndarray | None,
     radiance: np.ndarray,
     covered: np.ndarray,
 ) -> None:
     """Add the sums over each grid's points to radiance (grids, height, width, 3), and their counts.
 
+    where    (height, width) bool, the pixels that are computed; None: all
     covered  (height, width), of all grids
     """
     height, width = covered.shape
+    if where is not None:
+        across = points.across
+        fine = where.repeat(across, 0).repeat(across, 1)
+        grids = [_inside(grid, fine) for grid in grids]
     places = [np.nonzero(grid.mask) for grid in grids]
     pixels, cells = (
         np.concatenate([_places(rows, columns, width, each, points) for rows, columns in places])
@@ -166,7 +185,13 @@ def _add_band(
     place = grid * (height * width) + pixels
     for number, each in enumerate(direct, 1):
         here = segments == number
-        values = each.at(normals[here], points.samples, facets[here], cells=cells[here])
+        values = each.at(
+            normals[here],
+            points.samples,
+            facets[here],
+            cells=cells[here],
+            patches=_patches(pixels[here], facets[here]),
+        )
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
             channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
     covered += np.bincount(pixels, minlength=covered.size).reshape(covered.shape)
@@ -180,3 +205,32 @@ def _places(
     across  cells along each side of a pixel
     """
     return rows * across // points.across * (width * across) + columns * across // points.across
+
+
+def leaning_share(surface: Surface) -> float:
+    """Return the share of a surface's points whose normals lean from their facets."""
+    from shaders.direct_light import COS_LEANING  # and numba, which takes half a second
+
+    cosines = np.einsum("pi,pi->p", surface.normals, surface.facets)
+    return float((cosines < COS_LEANING).mean()) if len(cosines) else 0.0
+
+
+def merged(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> DirectPicture:
+    """Return a picture that is the finer one in `where` (height, width), and else the known one."""
+    inside = where[..., None]
+    return DirectPicture(
+        np.where(inside, finer.radiance, known.radiance),
+        np.where(where, finer.alpha, known.alpha),
+        np.where(inside, finer.variance, known.variance),
+        known.sampled,
+    )
+
+
+def _patches(pixels: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Return integers (P,) that are equal for points of one facet in one pixel.
+
+    pixels (P,) their numbers; facets (P, 3) normals
+    """
+    x, y = np.rint((facets[:, :2].T + 1) * FACET_STEPS).astype(np.int64)
+    steps = 2 * FACET_STEPS + 1
+    return (pixels * steps + x) * steps + y

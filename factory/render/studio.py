@@ -32,7 +32,7 @@ from factory.render import (
     self_shading,
     window,
 )
-from factory.render.direct_light import USUAL, DirectLights, picture_of, points_of
+from factory.render.direct_light import USUAL, DirectLights, leaning_share, merged, picture_of, points_of
 from factory.render.estimators.halves import DirectPicture, DirectWork, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials
@@ -94,6 +94,7 @@ class Studio:
         self._vertices = np.zeros((0, 3), np.float32)
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
+        self._leaning: dict[tuple[float, Camera], float] = {}
         self._materials = SegmentMaterials()
         self.versions = {
             "blender": bpy.app.version_string,
@@ -137,6 +138,7 @@ class Studio:
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
+        self._leaning.clear()
         self._body = body.build(mesh)
         for surface in self._materials.of_new_shape(self._segments):
             self._body.materials.append(surface)
@@ -334,15 +336,29 @@ class Studio:
         at = points_of(direct, lens, points)
         if at is None:
             return None
-        narrow = max(each.narrow for each in direct)
         maps = sum(each.map_size for each in dict.fromkeys(direct))
-        return DirectWork(at.per_pixel, 2 * at.per_pixel * at.samples * narrow, maps)
+        return DirectWork(at.per_pixel, self._leaning_share(lens), maps)
 
-    def direct_light(self, points: int = USUAL) -> DirectPicture | None:
+    def _leaning_share(self, lens: Camera) -> float:
+        """Return the share of visible points whose normals lean from their facets."""
+        key = self._azimuth, lens
+        if key not in self._leaning:
+            self._leaning[key] = leaning_share(self._surface())
+        return self._leaning[key]
+
+    def direct_light(
+        self,
+        points: int = USUAL,
+        known: DirectPicture | None = None,
+        where: np.ndarray | None = None,
+    ) -> DirectPicture | None:
         """Return the direct light without shadows, by the closed forms of the materials.
 
         A square pixel is the mean over its points (factory.render.direct_light). None where
         `direct_light_work` is.
+
+        where  (height, width) bool, the pixels that are computed; the others are as in `known`.
+               None: all
         """
         if self.direct_light_work(points) is None:
             return None
@@ -357,7 +373,8 @@ class Studio:
             grids = [self._surface(*shift) for shift in at.shifts]
         finally:
             self.set_camera(lens)
-        return picture_of(direct, grids, lens, at)
+        picture = picture_of(direct, grids, lens, at, where)
+        return picture if known is None or where is None else merged(known, picture, where)
 
     def _direct_lights(self, lens: Camera) -> list[DirectLight]:
         """Return the direct light of each segment's material under the light that is shown."""

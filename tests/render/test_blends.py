@@ -104,7 +104,7 @@ def _make_vague(known):
     """Let the grids of direct light differ, so that only samples say how far it is off."""
     direct_light = known.direct_light
 
-    def differing(points):
+    def differing(points, known=None, where=None):
         direct = direct_light(points)
         return direct._replace(variance=np.full_like(direct.variance, 2e-3))
 

@@ -437,42 +437,75 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
     assert closed_form.needed(Estimate(30.0, 5.0), 4, 20.0) is None
     assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
-    few = closed_form.cost(10_000, DirectWork(16, 0, 400.0))
-    assert closed_form.cost(1000, DirectWork(16, 0, 400.0)) > few
-    assert closed_form.cost(10_000, DirectWork(16, 0, 800.0)) > few
-    assert closed_form.cost(10_000, DirectWork(16, 1000, 400.0)) > few
-    assert closed_form.cost(10_000, DirectWork(64, 0, 400.0)) > few
+    few = closed_form.cost(10_000, DirectWork(16, 0.0, 400.0))
+    assert closed_form.cost(1000, DirectWork(16, 0.0, 400.0)) > few
+    assert closed_form.cost(10_000, DirectWork(16, 0.0, 800.0)) > few
+    assert closed_form.cost(10_000, DirectWork(16, 0.5, 400.0)) > few
+    assert closed_form.cost(10_000, DirectWork(64, 0.0, 400.0)) > few
+
+
+def _left(direct, points, finer):
+    """The differences that remain by the law, of grids that lie where `finer` says."""
+    counts = np.full(MASK.shape, points)
+    for each in finer:
+        counts[each.where] = each.points
+    fewer = direct.variance * (points / counts)[..., None]
+    return closed_form.differences(direct._replace(variance=fewer), MASK), counts[MASK].mean()
 
 
 def test_small_limits_and_grids_that_differ_take_more_points():
-    counts = [closed_form.points(limit) for limit in (20.0, 2.0)]
-    assert counts == sorted(set(counts))
     same = Shaded().direct_light()
-    off = same._replace(variance=np.full_like(same.radiance, 5e-5))
-    assert closed_form.differences(off, MASK) > 1
-    assert closed_form.more_points(same, MASK, 16, 2.0) is None
-    assert closed_form.more_points(off, MASK, 16, 60.0) is None
-    more = [closed_form.more_points(off, MASK, 16, limit) for limit in (2.0, 0.5)]
-    assert 16 < more[0] < more[1]
-    wide = np.ones((1024, 1024), bool)
-    large = DirectPicture(*(np.resize(each, (1024, 1024, *each.shape[2:])) for each in off))
-    assert closed_form.more_points(large, wide, 16, 0.5) is None  # as many as memory holds
+    off = same._replace(variance=np.full_like(same.radiance, 2e-4))
+    assert closed_form.differences(off, MASK) > 4
+    assert closed_form.finer(same, MASK, 16, 2.0) == []
+    assert closed_form.finer(off, MASK, 16, 60.0) == []
+    left, points = zip(
+        *(_left(off, 16, closed_form.finer(off, MASK, 16, limit)) for limit in (2.0, 0.5)),
+        strict=True,
+    )
+    assert left[1] < left[0] and 16 < points[0] < points[1] <= 256
+    sampled = off._replace(sampled=True)  # whose differences say more
+    assert _left(sampled, 16, closed_form.finer(sampled, MASK, 16, 2.0))[1] > points[0]
+
+
+def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_too():
+    off = Shaded().direct_light()
+    row, column = (side // 2 for side in MASK.shape)
+    off.variance[row, column] = 1.0
+    finer = closed_form.finer(off, MASK, 16, 5.0)
+    counts = np.full(MASK.shape, 16)
+    for each in finer:
+        counts[each.where] = each.points
+    assert counts[row, column] == counts.max() == 256
+    assert (counts[row - 1 : row + 2, column - 1 : column + 2] > 16).all()
+    assert (counts[MASK] == 16).mean() > 0.8
+
+
+def test_no_more_points_are_asked_for_than_memory_holds(monkeypatch):
+    off = Shaded().direct_light()
+    off.variance[:] = 1.0
+    most = 64 * int(MASK.sum()) // 2
+    monkeypatch.setattr(closed_form, "MOST_POINTS", most)
+    finer = closed_form.finer(off, MASK, 16, 0.5)
+    assert finer and sum(each.points * int(each.where.sum()) for each in finer) <= most
+    monkeypatch.setattr(closed_form, "MOST_PER_PIXEL", 16)
+    assert closed_form.finer(off, MASK, 16, 0.5) == []
 
 
 def test_grids_that_differ_are_made_finer():
     known, asked = Shaded(noise=0.8, deepest=0.95), []
     direct_light = known.direct_light
 
-    def differing(points):
+    def differing(points, known=None, where=None):
         asked.append(points)
         direct = direct_light(points)
-        return direct._replace(variance=np.full_like(direct.variance, 0.1 / points))
+        return direct._replace(variance=np.full_like(direct.variance, 0.2 / points))
 
     known.direct_light = differing
     choice.picture(shown(known), 40.0)
-    assert len(asked) == 2 and asked[1] > asked[0] == closed_form.points(40.0)
+    assert len(asked) > 1 and asked == sorted(set(asked)) and asked[0] == closed_form.POINTS
     asked.clear()
-    known.direct_light_work = lambda points: DirectWork(min(points, 16), 0)
+    known.direct_light_work = lambda points: DirectWork(min(points, 16))
     choice.picture(shown(known), 40.0)
     assert len(asked) == 1  # the frame has no more points
 
@@ -555,8 +588,11 @@ def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
     expected = closed_form.expected(same._replace(variance=variance), MASK)
     exposure = tone.auto_exposure(same.radiance, MASK)
     off = tone.display_l2(same.radiance + noise.mean(0), same.radiance, exposure, MASK)
-    assert (expected.error - closed_form.OTHER) / closed_form.LEFT == pytest.approx(off, rel=0.1)
+    left, _ = closed_form.LEFT[False]
+    assert (expected.error - closed_form.OTHER) / left == pytest.approx(off, rel=0.1)
     assert expected.standard_error > least.standard_error
+    sampled = closed_form.expected(same._replace(variance=variance, sampled=True), MASK)
+    assert sampled.bound > expected.bound
     small, large = (closed_form.hoped(limit) for limit in (1.0, 100.0))
     assert least.error < small.error < large.error
 

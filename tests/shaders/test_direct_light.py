@@ -314,7 +314,7 @@ def test_neighbours_share_what_facets_take_away(light, monkeypatch):
         "_leaning",
         lambda self, *a, **k: asked.append(len(a[0])) or original(self, *a, **k),
     )
-    shared = direct.at(n, 12, facets, cells=np.arange(24) // 4)
+    shared = direct.at(n, 12, facets, patches=np.arange(24) // 4)
     assert asked == [6]
     lost = direct.at(n, 12) - each
     assert 0 < np.abs(shared - each).max() < 0.2 * lost.max()

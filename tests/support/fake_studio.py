@@ -96,5 +96,5 @@ class Studio:
     def direct_light_work(self, points):
         return None
 
-    def direct_light(self, points):
+    def direct_light(self, points, known=None, where=None):
         return None

@@ -41,7 +41,7 @@ class Known:
     def direct_light_work(self, points):
         return None
 
-    def direct_light(self, points):
+    def direct_light(self, points, known=None, where=None):
         return None
 
 
@@ -79,9 +79,9 @@ class Shaded(Known):
         return np.float32(smooth * ripple)
 
     def direct_light_work(self, points):
-        return DirectWork(points, 0)
+        return DirectWork(points)
 
-    def direct_light(self, points=64):
+    def direct_light(self, points=64, known=None, where=None):
         self.closed_forms += 1
         radiance = np.float32(self.unblocked * self.closed)
         return DirectPicture(radiance, MASK.astype(np.float32), np.zeros_like(radiance))

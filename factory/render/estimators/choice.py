@@ -33,7 +33,7 @@ from factory.render.estimators.halves import (
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 10  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 11  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 MORE = 1.5  # times the samples of a try that failed, at least
@@ -76,10 +76,11 @@ def identity() -> list[object]:
         [ratio.DARK, ratio.LEAST, ratio.WITH_NOISE, ratio.AROUND, ratio.SHARES],
         [ratio.MOST_LEFT],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
-        [closed_form.NAME, closed_form.FIXED, closed_form.MAPS, closed_form.SAMPLED],
+        [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
-        [closed_form.LEFT, closed_form.OTHER, closed_form.USUAL],
-        [closed_form.LEFT_SPREAD, closed_form.OTHER_SPREAD, closed_form.SURPRISING],
+        [closed_form.MOST_PER_PIXEL, closed_form.GEOMETRY],
+        [sorted(closed_form.LEFT.items()), closed_form.OTHER, closed_form.OTHER_SPREAD],
+        [closed_form.USUAL, closed_form.SURPRISING, closed_form.FINER],
         sorted(denoised.COST.items()),
         [sorted(EFFORTS.items()), NOISY_GUIDES],
         direct_light.constants(),
@@ -230,14 +231,16 @@ class _Attempt:
     def _direct_light(self) -> DirectPicture | None:
         """Return direct light by as many points per pixel as the limit needs."""
         renderer, mask = self.shown.renderer, self.shown.mask
-        points = closed_form.points(self.error)
+        points = closed_form.POINTS
         work, direct = renderer.direct_light_work(points), renderer.direct_light(points)
         if work is None or direct is None:
             return None
-        more = closed_form.more_points(direct, mask, work.points, self.error)
-        if more is None or renderer.direct_light_work(more) == work:
-            return direct
-        return renderer.direct_light(more)
+        for finer in closed_form.finer(direct, mask, work.points, self.error):
+            if renderer.direct_light_work(finer.points) == work:
+                break  # the frame has no more points
+            direct = renderer.direct_light(finer.points, direct, finer.where)
+            assert direct is not None
+        return direct
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""
@@ -253,7 +256,7 @@ class _Attempt:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
         if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
             return False
-        work = self.shown.renderer.direct_light_work(closed_form.points(self.error))
+        work = self.shown.renderer.direct_light_work(closed_form.POINTS)
         if work is None:
             return False
         cost = closed_form.cost(int(self.shown.mask.sum()), work)

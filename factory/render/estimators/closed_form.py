@@ -13,6 +13,7 @@ fails     few: edges and mirror-like materials that the points miss, and materia
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,68 +28,139 @@ from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "closed-form"
-# points per pixel, by the least limit for which they do on many shots
-POINTS = ((4.0, 16), (0.0, 32))
-MOST_POINTS = 1 << 21  # of the object, beyond which a pixel has no more than those
+POINTS = 16  # per pixel, before `finer`
+MOST_POINTS = 1 << 21  # of all pixels that have more than those
+MOST_PER_PIXEL = 256
+FINER = (4, 16)  # times the points of pixels whose points differ
+GEOMETRY = 0.2  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
-# the error that is expected: LEFT times the points' `differences`, since their grids lie between
-# each other, and OTHER. Measured on own shapes and other meshes (docs/log.md)
-LEFT, OTHER = 0.2, 0.1
-# how much it differs between shots, in the same units
-LEFT_SPREAD, OTHER_SPREAD = 0.25, 0.2
+# the error that is expected: LEFT times the points' `differences`, and OTHER. Grids lie between each
+# other, so that it is less than of points at random, but narrow lobes have the noise of their
+# directions. With how much it differs between shots; measured on own shapes and other meshes
+# (docs/log.md)
+LEFT = {False: (0.15, 0.1), True: (0.25, 0.2)}  # by whether lobes are sampled
+OTHER, OTHER_SPREAD = 0.1, 0.2
 # standard errors by which a measurement must be above what is expected to count alone: one of few
 # samples is above it by two now and then
 SURPRISING = 3.0
 USUAL = 2.5  # differences of many shots, before any is computed
-# samples of each half that take as long: FIXED, for each point of a pixel, for each direction that
-# is sampled per pixel, and MAPS times the maps' size / pixels, if two views share them
-FIXED, EACH_POINT, SAMPLED, MAPS = 3.0, 0.18, 0.003, 120.0
+# samples of each half that take as long: for each point of a pixel; LEANING times the share of
+# points that lean from their facets; and if four views share maps, MAPS times their size / pixels,
+# and WIDE_MAPS / pixels for wide lobes. Measured on 48 shots (docs/log.md)
+EACH_POINT, LEANING, MAPS, WIDE_MAPS = 0.225, 9.0, 20.0, 3000.0
 
 
-def points(error: float) -> int:
-    """Return the points per pixel whose own error is small beside a limit on many shots."""
-    return next(count for limit, count in POINTS if error >= limit)
+class Finer(NamedTuple):
+    """Points per pixel, and the pixels (height, width) bool that need so many."""
+
+    points: int
+    where: np.ndarray
 
 
-def more_points(direct: DirectPicture, mask: np.ndarray, points: int, error: float) -> int | None:
-    """Return the points per pixel whose own error is small beside a limit, or None: `points` are.
+def finer(direct: DirectPicture, mask: np.ndarray, points: int, error: float) -> list[Finer]:
+    """Return what makes the points' own error small beside a limit: nothing if it is.
 
-    direct  by `points` per pixel. Their part of its error falls in proportion to their number
+    The error lies at edges and in reflections, so that a few pixels are given many points: in
+    proportion to the root of their part of it, which falls in proportion to their points. Which
+    pixels those are is seen by their neighbours too, for the grids of one may agree by chance.
+
+    direct  by `points` per pixel
     """
-    own = differences(direct, mask)
-    needed = points * (LEFT + CONFIDENCE * LEFT_SPREAD) * own / (ENOUGH * error)
-    most = MOST_POINTS / max(int(mask.sum()), 1)
-    count = points
-    while count < needed and 2 * count <= most:
-        count *= 2
-    return count if count > points else None
+    most = ENOUGH * error / _left(direct).bound
+    if differences(direct, mask) <= most:
+        return []
+    parts = _with_neighbours(_differences(direct, mask), mask)
+    best: tuple[float, float, np.ndarray] | None = None
+    for finest in FINER:
+        counts = np.array([points * times for times in (1, *FINER) if times <= finest])
+        if counts[-1] > MOST_PER_PIXEL:
+            break
+        known = _counts(parts, counts, most)
+        left = float((parts * points / known).mean())
+        used = counts[1:][[bool((known == count).any()) for count in counts[1:]]]
+        work = float(known[known > points].sum() + GEOMETRY * len(parts) * used.sum())
+        plan = (max(left, most), work, known)
+        best = min(best, plan, key=lambda each: each[:2]) if best else plan
+    if best is None:
+        return []
+    result = []
+    for count in np.unique(best[2][best[2] > points]):
+        where = np.zeros_like(mask)
+        where[mask] = best[2] == count
+        result.append(Finer(int(count), where))
+    return result
+
+
+def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return values (P,) of the mask's pixels, or the mean of 3 × 3 pixels where that is more."""
+    from scipy.ndimage import uniform_filter
+
+    frame = np.zeros(mask.shape)
+    frame[mask] = values
+    sums, inside = (uniform_filter(each, 3, mode="constant") for each in (frame, mask.astype(float)))
+    return np.maximum(values, sums[mask] / np.maximum(inside[mask], 1e-9))
+
+
+def _counts(parts: np.ndarray, counts: np.ndarray, most: float) -> np.ndarray:
+    """Return points per pixel (P,) of those in `counts`, by which the mean of the parts is `most`.
+
+    It is more where memory does not suffice.
+
+    parts   (P,) of the error, by counts[0] points
+    counts  rising by one and the same factor
+    """
+    roots = np.sqrt(parts)
+    steps = np.sqrt(counts[1:] * counts[:-1].astype(float)) / counts[0]
+    low, high = 1e-6 * (float(roots.max()) + 1e-12), float(roots.max()) + 1e-12
+    largest = np.full(len(parts), counts[0])
+    for _ in range(30):  # halvings, on a log scale, of the root that more points are worth
+        middle = math.sqrt(low * high)
+        known = counts[np.searchsorted(steps, roots / middle)]
+        enough = float((parts * counts[0] / known).mean()) <= most
+        if int(known[known > counts[0]].sum()) > MOST_POINTS:
+            low = middle
+            continue
+        largest = known
+        low, high = (middle, high) if enough else (low, middle)
+    return largest
+
+
+def _left(direct: DirectPicture) -> Estimate:
+    """Return the error in units of the differences, and how much it differs between shots."""
+    return Estimate(*LEFT[direct.sampled])
 
 
 def cost(pixels: int, work: DirectWork) -> float:
     """Return the samples of each half that take as long as the closed form of so many pixels."""
-    maps = MAPS * work.maps / max(pixels, 1)
-    return FIXED + EACH_POINT * work.points + SAMPLED * work.directions + maps
+    maps = (MAPS * work.maps + WIDE_MAPS) / max(pixels, 1)
+    return EACH_POINT * work.points + LEANING * work.leaning + maps
 
 
 def differences(direct: DirectPicture, mask: np.ndarray) -> float:
     """Return the display error that a picture would have if its grids were placed at random."""
+    return float(_differences(direct, mask).mean())
+
+
+def _differences(direct: DirectPicture, mask: np.ndarray) -> np.ndarray:
+    """Return the same of each pixel of the mask, (P,) float64."""
     exposure = tone.auto_exposure(direct.radiance, mask)
     slope = tone.display_slope(direct.radiance[mask], exposure)
-    return float((direct.variance[mask] * slope**2).mean(dtype=np.float64))
+    return (direct.variance[mask] * slope**2).mean(-1, dtype=np.float64)
 
 
 def expected(direct: DirectPicture, mask: np.ndarray) -> Estimate:
     """Return the closed form's error in the tier `direct` before samples measure it."""
-    return _expected(differences(direct, mask))
+    return _expected(differences(direct, mask), _left(direct))
 
 
 def hoped(error: float) -> Estimate:
     """Return the same before direct light is computed by as many points as a limit needs."""
-    return _expected(min(USUAL, ENOUGH * error / (LEFT + CONFIDENCE * LEFT_SPREAD)))
+    left = Estimate(*LEFT[False])
+    return _expected(min(USUAL, ENOUGH * error / left.bound), left)
 
 
-def _expected(own: float) -> Estimate:
-    return Estimate(LEFT * own + OTHER, LEFT_SPREAD * own + OTHER_SPREAD)
+def _expected(own: float, left: Estimate) -> Estimate:
+    return Estimate(left.error * own + OTHER, left.standard_error * own + OTHER_SPREAD)
 
 
 def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:

@@ -76,24 +76,26 @@ class DirectPicture(NamedTuple):
     alpha     (height, width) the object's coverage
     variance  (height, width, 3) of the radiance, by the differences of the grids of points, as if
               they had been placed independently; 0 of a single grid
+    sampled   whether lobes are so narrow that they are sampled
     """
 
     radiance: np.ndarray
     alpha: np.ndarray
     variance: np.ndarray
+    sampled: bool = False
 
 
 class DirectWork(NamedTuple):
     """What a DirectPicture takes.
 
-    points      per pixel
-    directions  that are sampled per pixel
-    maps        nodes of the materials' maps, in units of those of a lobe of α = 1. Views of one
-                material and light share them
+    points   per pixel
+    leaning  share of the points whose normals lean from their facets: these take sums of their own
+    maps     nodes of the materials' maps, in units of those of a lobe of α = 1. Views of one
+             material and light share them
     """
 
     points: int
-    directions: int
+    leaning: float = 0.0
     maps: float = 0.0
 
 
@@ -102,7 +104,8 @@ class Renderer(Protocol):
 
     denoised              radiance (height, width, 3) of a portion, or of the mean of several
     direct_light          by so many points per pixel, or more where few mean nothing, or fewer
-                          where memory does not suffice. None where no closed form holds
+                          where memory does not suffice. None where no closed form holds. With
+                          `where` (height, width) only these pixels, and the others as in `known`
     direct_light_work     what it takes; None as above
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
@@ -111,7 +114,9 @@ class Renderer(Protocol):
 
     def denoised(self, portion: Portion, effort: Effort) -> np.ndarray: ...
 
-    def direct_light(self, points: int) -> DirectPicture | None: ...
+    def direct_light(
+        self, points: int, known: DirectPicture | None = None, where: np.ndarray | None = None
+    ) -> DirectPicture | None: ...
 
     def direct_light_work(self, points: int) -> DirectWork | None: ...
 
