@@ -320,6 +320,48 @@ def test_neighbours_share_what_facets_take_away(light, monkeypatch):
     assert 0 < np.abs(shared - each).max() < 0.2 * lost.max()
 
 
+def test_a_patch_loses_what_its_mean_normal_does(light):
+    direct = DirectLight(Mixture.constant("beckmann", 0.3, [0.5] * 3), light, ROTATION)
+    n, facets = at_facets(24)
+    patches = np.arange(24) // 8
+    lost = direct.at(n, 12) - direct.at(n, 12, facets, patches=patches)
+    each = direct.at(n, 12) - direct.at(n, 12, facets)
+    for patch in range(3):
+        inside = patches == patch
+        np.testing.assert_allclose(lost[inside].mean(0), each[inside].mean(0), rtol=0.03)
+        first = np.abs(each[inside][0] - each[inside].mean(0)).max()
+        assert np.abs(lost[inside].mean(0) - each[inside].mean(0)).max() < first / 2
+
+
+def test_points_of_a_flat_face_share_their_directions(light):
+    mixture = Mixture.constant("beckmann", 0.02, [0.5] * 3)
+    direct = DirectLight(mixture, light, ROTATION)
+    flat = normals(40, 60)[20].astype(np.float32)
+    n = np.repeat(flat[None], 300, axis=0)
+    n[100:] = normals(200, 60)
+    exact = summed(mixture, light, n[:1].astype(float), 24)
+    beside = n + np.float32([0.01, 0, 0])  # half a degree from the normals: no face is flat
+    beside /= np.linalg.norm(beside, axis=1, keepdims=True)
+    alone = direct.at(n, 4, facets=beside)[:100]
+    together = direct.at(n, 4, facets=n)
+    assert np.ptp(together[:100], axis=0).max() == 0 and np.ptp(alone, axis=0).max() > 0
+    np.testing.assert_allclose(together[:1], exact, rtol=0.03)
+    few, many = (np.abs(each[:100] - exact).mean() for each in (alone, together))
+    assert many < few / 2
+
+
+def test_normals_are_grouped_by_how_many_points_have_them():
+    n = np.repeat(normals(6, 60).astype(np.float32), [1, 2, 3, 4, 9, 1], axis=0)
+    facets = n.copy()
+    facets[-1] = n[0]  # no flat face
+    alone, together = direct_light._repeated(n, facets)
+    assert alone.tolist() == [0, 19]
+    assert [times for *_, times in together] == [2, 4, 8]
+    for points, first, each, times in together:
+        assert (n[first][each] == n[points]).all() and len(points) >= times * len(first)
+    assert sum(len(points) for points, *_ in together) == 18
+
+
 def lean_in_numpy(direct, n, facets, away, parts):
     """What add_leaning adds, in float64 and without its lanes, blocks and polynomials."""
     mixture = direct.mixture

@@ -31,8 +31,8 @@ NAME: Estimator = "closed-form"
 POINTS = 16  # per pixel, before `finer`
 MOST_POINTS = 1 << 21  # of all pixels that have more than those
 MOST_PER_PIXEL = 256
-FINER = (4, 16)  # times the points of pixels whose points differ
-GEOMETRY = 0.2  # of the time that light at a point takes, for what the point sees
+FINER = ((2,), (4,), (4, 16))  # times the points, of pixels whose points differ
+GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
 # the error that is expected: LEFT times the points' `differences`, and OTHER. Grids lie between each
 # other, so that it is less than of points at random, but narrow lobes have the noise of their
@@ -71,10 +71,10 @@ def finer(direct: DirectPicture, mask: np.ndarray, points: int, error: float) ->
         return []
     parts = _with_neighbours(_differences(direct, mask), mask)
     best: tuple[float, float, np.ndarray] | None = None
-    for finest in FINER:
-        counts = np.array([points * times for times in (1, *FINER) if times <= finest])
+    for levels in FINER:
+        counts = np.array([points * times for times in (1, *levels)])
         if counts[-1] > MOST_PER_PIXEL:
-            break
+            continue
         known = _counts(parts, counts, most)
         left = float((parts * points / known).mean())
         used = counts[1:][[bool((known == count).any()) for count in counts[1:]]]
@@ -107,7 +107,7 @@ def _counts(parts: np.ndarray, counts: np.ndarray, most: float) -> np.ndarray:
     It is more where memory does not suffice.
 
     parts   (P,) of the error, by counts[0] points
-    counts  rising by one and the same factor
+    counts  rising
     """
     roots = np.sqrt(parts)
     steps = np.sqrt(counts[1:] * counts[:-1].astype(float)) / counts[0]
