@@ -472,7 +472,7 @@ def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_to
     off = Shaded().direct_light()
     row, column = (side // 2 for side in MASK.shape)
     off.variance[row, column] = 1.0
-    finer = closed_form.finer(off, MASK, 16, 5.0)
+    finer = closed_form.finer(off, MASK, 16, 2.0)
     counts = np.full(MASK.shape, 16)
     for each in finer:
         counts[each.where] = each.points

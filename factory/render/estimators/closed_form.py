@@ -92,13 +92,16 @@ def finer(direct: DirectPicture, mask: np.ndarray, points: int, error: float) ->
 
 
 def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return values (P,) of the mask's pixels, or the mean of 3 × 3 pixels where that is more."""
+    """Return values (P,) of the mask's pixels, in proportion to the most of theirs and the mean of
+    3 × 3 pixels, with the same sum.
+    """
     from scipy.ndimage import uniform_filter
 
     frame = np.zeros(mask.shape)
     frame[mask] = values
     sums, inside = (uniform_filter(each, 3, mode="constant") for each in (frame, mask.astype(float)))
-    return np.maximum(values, sums[mask] / np.maximum(inside[mask], 1e-9))
+    result = np.maximum(values, sums[mask] / np.maximum(inside[mask], 1e-9))
+    return result * (values.sum() / max(result.sum(), 1e-12))
 
 
 def _counts(parts: np.ndarray, counts: np.ndarray, most: float) -> np.ndarray:
