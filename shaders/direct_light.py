@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -322,25 +323,20 @@ class DirectLight:
         Points of a flat facet have one normal, and reflect the same. Their directions are taken
         together for all of them: as many, but without the noise that each one's few would have.
         """
-        alone, together = _repeated(n, facets)
-        calls = [(alone, alone, slice(None), samples)]
-        calls += [(points, first, each, samples * times) for points, first, each, times in together]
-        for points, first, each, count in calls:
-            if not len(first):
-                continue
-            radiance = np.zeros((len(first), 3), np.float32)
+        for group in _by_repetition(n, facets):
+            radiance = np.zeros((len(group.first), 3), np.float32)
             direct_light_kernels.add_samples(
                 direct_light_kernels.KINDS[self.mixture.kinds[k]],
-                n[first],
-                facets[first],
+                n[group.first],
+                facets[group.first],
                 self._tables[k],
                 np.float32(np.tan(EXTENT / 2)),
                 self.light,
                 np.ascontiguousarray(self.camera_from_light.T, np.float32),
-                min(count, MOST_TOGETHER),
+                min(samples * group.times, MOST_TOGETHER),
                 radiance,
             )
-            out[points] += radiance[each]
+            out[group.points] += radiance[group.each]
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,35 +388,48 @@ def _distinct(
     return indices[first], each
 
 
-def _repeated(
-    n: np.ndarray, facets: np.ndarray
-) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]]:
-    """Return which of the normals (P, 3) stand alone, and groups of those that many points have.
+class _Repeated(NamedTuple):
+    """Points whose normals are the same as those of other points.
 
-    Returns  indices of those that stand alone; and for 2, 4, … points at least that have the same
-             normal: their indices, one index of each such normal, which of these each has, and how
-             many times they are there at least
+    points  (G,) their indices; first (U,) one index of each such normal
+    each    (G,) which of the U every point has
+    times   how many points at least have each normal
     """
-    flat = np.einsum("pi,pi->p", n, facets) > COS_FLAT
-    if not flat.any():
-        return np.arange(len(n)), []
-    (points,) = np.nonzero(flat)
-    steps = np.rint((n[points].astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
-    keys = (steps[:, 0] * (2 * NORMAL_STEPS + 1) + steps[:, 1]) * 2 + (steps[:, 2] > NORMAL_STEPS)
+
+    points: np.ndarray
+    first: np.ndarray
+    each: np.ndarray
+    times: int
+
+
+def _by_repetition(n: np.ndarray, facets: np.ndarray) -> list[_Repeated]:
+    """Return normals (P, 3) by how many points of flat faces have them, in powers of two.
+
+    Those that one point has, or that lean from their facets, come first.
+    """
+    (points,) = np.nonzero(np.einsum("pi,pi->p", n, facets) > COS_FLAT)
+    x, y, z = np.rint((n[points].T.astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
+    keys = (x * (2 * NORMAL_STEPS + 1) + y) * 2 + (z > NORMAL_STEPS)
     _, first, each, counts = np.unique(
         keys, return_index=True, return_inverse=True, return_counts=True
     )
-    doublings = np.floor(np.log2(counts)).astype(int)
-    alone = np.union1d(np.nonzero(~flat)[0], points[doublings[each] == 0])
-    groups = []
-    for power in range(1, int(doublings.max()) + 1):
-        (here,) = np.nonzero(doublings == power)
-        if len(here):
-            inside = doublings[each] == power
-            groups.append(
-                (points[inside], points[first[here]], np.searchsorted(here, each[inside]), 1 << power)
+    powers = np.frexp(counts)[1] - 1
+    alone = np.ones(len(n), bool)
+    alone[points] = powers[each] == 0
+    (indices,) = np.nonzero(alone)
+    groups = [_Repeated(indices, indices, np.arange(len(indices)), 1)] if len(indices) else []
+    for power in np.unique(powers[powers > 0]):
+        (normals,) = np.nonzero(powers == power)
+        inside = powers[each] == power
+        groups.append(
+            _Repeated(
+                points[inside],
+                points[first[normals]],
+                np.searchsorted(normals, each[inside]),
+                1 << int(power),
             )
-    return alone, groups
+        )
+    return groups
 
 
 def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:
@@ -431,8 +440,8 @@ def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:
     if isinstance(each, slice):
         return n
     sums = np.stack([np.bincount(each, values) for values in n.T], axis=1)
-    sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
-    return np.ascontiguousarray(sums, np.float32)
+    lengths = np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
+    return np.ascontiguousarray(sums / lengths, np.float32)
 
 
 def _facing(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:

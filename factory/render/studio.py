@@ -32,7 +32,14 @@ from factory.render import (
     self_shading,
     window,
 )
-from factory.render.direct_light import USUAL, DirectLights, leaning_share, merged, picture_of, points_of
+from factory.render.direct_light import (
+    USUAL,
+    DirectLights,
+    leaning_share,
+    merged,
+    picture_of,
+    points_of,
+)
 from factory.render.estimators.halves import DirectPicture, DirectWork, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials

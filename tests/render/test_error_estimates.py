@@ -6,7 +6,6 @@ import pytest
 from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
 from factory.render.estimators.halves import (
     EFFORTS,
-    DirectPicture,
     DirectWork,
     Estimate,
     Halves,

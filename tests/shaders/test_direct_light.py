@@ -354,12 +354,13 @@ def test_normals_are_grouped_by_how_many_points_have_them():
     n = np.repeat(normals(6, 60).astype(np.float32), [1, 2, 3, 4, 9, 1], axis=0)
     facets = n.copy()
     facets[-1] = n[0]  # no flat face
-    alone, together = direct_light._repeated(n, facets)
-    assert alone.tolist() == [0, 19]
-    assert [times for *_, times in together] == [2, 4, 8]
-    for points, first, each, times in together:
-        assert (n[first][each] == n[points]).all() and len(points) >= times * len(first)
-    assert sum(len(points) for points, *_ in together) == 18
+    alone, *together = direct_light._by_repetition(n, facets)
+    assert alone.points.tolist() == [0, 19] and alone.times == 1
+    assert [group.times for group in together] == [2, 4, 8]
+    for group in together:
+        assert (n[group.first][group.each] == n[group.points]).all()
+        assert len(group.points) >= group.times * len(group.first)
+    assert sum(len(group.points) for group in together) == 18
 
 
 def lean_in_numpy(direct, n, facets, away, parts):

@@ -99,7 +99,9 @@ def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
     frame = np.zeros(mask.shape)
     frame[mask] = values
-    sums, inside = (uniform_filter(each, 3, mode="constant") for each in (frame, mask.astype(float)))
+    sums, inside = (
+        uniform_filter(each, 3, mode="constant") for each in (frame, mask.astype(float))
+    )
     result = np.maximum(values, sums[mask] / np.maximum(inside[mask], 1e-9))
     return result * (values.sum() / max(result.sum(), 1e-12))
 
