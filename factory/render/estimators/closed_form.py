@@ -34,8 +34,8 @@ MOST_PER_PIXEL = 256
 FINER = ((2,), (4,), (4, 16))  # times the points, of pixels whose points differ
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
-# the error that is expected: LEFT times the points' `differences`, and OTHER. Grids lie between each
-# other, so that it is less than of points at random, but narrow lobes have the noise of their
+# the error that is expected: LEFT times the points' `differences`, and OTHER. It is less than of
+# points at random, for grids lie between each other, but narrow lobes have the noise of their
 # directions. With how much it differs between shots; measured on own shapes and other meshes
 # (docs/log.md)
 LEFT = {False: (0.15, 0.1), True: (0.25, 0.2)}  # by whether lobes are sampled
