@@ -46,7 +46,7 @@ WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / �
 SAMPLES = 12  # directions per normal of each of the two distributions
 MOST_TOGETHER = 4096  # directions, of all normals that are the same
 COS_FLAT = float(np.cos(np.radians(0.1)))  # between normals and facets that count as the same
-NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are told from each other
+NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are distinguished
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow

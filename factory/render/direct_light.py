@@ -34,7 +34,7 @@ SHIFTS = {
     4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
 }
 CELLS = 2  # across a pixel; in each of them light near the horizon is summed once
-FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are told from each other
+FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
 MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_DIRECT = 64  # maps of direct light in memory
 
