@@ -44,7 +44,10 @@ PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
 GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
 SAMPLES = 12  # directions per normal of each of the two distributions
-MOST_TOGETHER = 4096  # directions, of all normals that are the same
+# directions that points of one normal share, in units of those that they would have alone: their
+# error is common to them, so that the differences of grids of points do not show it
+SHARED = 4
+MOST_TOGETHER = 16384
 COS_FLAT = float(np.cos(np.radians(0.1)))  # between normals and facets that count as the same
 NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are distinguished
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
@@ -320,10 +323,14 @@ class DirectLight:
     ) -> None:
         """Add to out (P, 3) what closure k reflects from within its extent.
 
-        Points of a flat facet have one normal, and reflect the same. Their directions are taken
-        together for all of them: as many, but without the noise that each one's few would have.
+        Points of a flat facet have one normal, and reflect the same. They share their directions,
+        instead of having a few each, whose noise would be large.
         """
-        for group in _by_repetition(n, facets):
+        alone, shared = _by_repetition(n, facets)
+        together = SHARED * samples * len(shared.points) // max(len(shared.first), 1)
+        for group, count in ((alone, samples), (shared, min(together, MOST_TOGETHER))):
+            if not len(group.points):
+                continue
             radiance = np.zeros((len(group.first), 3), np.float32)
             direct_light_kernels.add_samples(
                 direct_light_kernels.KINDS[self.mixture.kinds[k]],
@@ -333,7 +340,7 @@ class DirectLight:
                 np.float32(np.tan(EXTENT / 2)),
                 self.light,
                 np.ascontiguousarray(self.camera_from_light.T, np.float32),
-                min(samples * group.times, MOST_TOGETHER),
+                count,
                 radiance,
             )
             out[group.points] += radiance[group.each]
@@ -388,48 +395,38 @@ def _distinct(
     return indices[first], each
 
 
-class _Repeated(NamedTuple):
-    """Points whose normals are the same as those of other points.
+class _Group(NamedTuple):
+    """Points, some of which have the same normals.
 
-    points  (G,) their indices; first (U,) one index of each such normal
-    each    (G,) which of the U every point has
-    times   how many points at least have each normal
+    points  (G,) their indices; first (U,) one index of each normal
+    each    (G,) which of the U normals every point has
     """
 
     points: np.ndarray
     first: np.ndarray
     each: np.ndarray
-    times: int
 
 
-def _by_repetition(n: np.ndarray, facets: np.ndarray) -> list[_Repeated]:
-    """Return normals (P, 3) by how many points of flat faces have them, in powers of two.
+def _by_repetition(n: np.ndarray, facets: np.ndarray) -> tuple[_Group, _Group]:
+    """Return the normals (P, 3) that one point has, and those that two or more of flat faces have.
 
-    Those that one point has, or that lean from their facets, come first.
+    Normals that lean from their facets count as those of one point.
     """
-    (points,) = np.nonzero(np.einsum("pi,pi->p", n, facets) > COS_FLAT)
-    x, y, z = np.rint((n[points].T.astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
+    (flat,) = np.nonzero(np.einsum("pi,pi->p", n, facets) > COS_FLAT)
+    x, y, z = np.rint((n[flat].T.astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
     keys = (x * (2 * NORMAL_STEPS + 1) + y) * 2 + (z > NORMAL_STEPS)
     _, first, each, counts = np.unique(
         keys, return_index=True, return_inverse=True, return_counts=True
     )
-    powers = np.frexp(counts)[1] - 1
     alone = np.ones(len(n), bool)
-    alone[points] = powers[each] == 0
-    (indices,) = np.nonzero(alone)
-    groups = [_Repeated(indices, indices, np.arange(len(indices)), 1)] if len(indices) else []
-    for power in np.unique(powers[powers > 0]):
-        (normals,) = np.nonzero(powers == power)
-        inside = powers[each] == power
-        groups.append(
-            _Repeated(
-                points[inside],
-                points[first[normals]],
-                np.searchsorted(normals, each[inside]),
-                1 << int(power),
-            )
-        )
-    return groups
+    alone[flat] = counts[each] == 1
+    (points,) = np.nonzero(alone)
+    (normals,) = np.nonzero(counts > 1)
+    inside = counts[each] > 1
+    return (
+        _Group(points, points, np.arange(len(points))),
+        _Group(flat[inside], flat[first[normals]], np.searchsorted(normals, each[inside])),
+    )
 
 
 def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:

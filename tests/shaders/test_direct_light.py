@@ -350,17 +350,14 @@ def test_points_of_a_flat_face_share_their_directions(light):
     assert many < few / 2
 
 
-def test_normals_are_grouped_by_how_many_points_have_them():
+def test_normals_of_several_points_are_those_of_flat_faces():
     n = np.repeat(normals(6, 60).astype(np.float32), [1, 2, 3, 4, 9, 1], axis=0)
     facets = n.copy()
     facets[-1] = n[0]  # no flat face
-    alone, *together = direct_light._by_repetition(n, facets)
-    assert alone.points.tolist() == [0, 19] and alone.times == 1
-    assert [group.times for group in together] == [2, 4, 8]
-    for group in together:
-        assert (n[group.first][group.each] == n[group.points]).all()
-        assert len(group.points) >= group.times * len(group.first)
-    assert sum(len(group.points) for group in together) == 18
+    alone, shared = direct_light._by_repetition(n, facets)
+    assert alone.points.tolist() == [0, 19] == alone.first.tolist()
+    assert shared.points.tolist() == list(range(1, 19)) and len(shared.first) == 4
+    assert (n[shared.first][shared.each] == n[shared.points]).all()
 
 
 def lean_in_numpy(direct, n, facets, away, parts):
