@@ -101,6 +101,32 @@ def test_more_points_of_direct_light_are_nearer_to_many_samples_as_their_differe
     assert all(0.02 < e / d < 0.6 for e, d in zip(errors, expected, strict=True))
 
 
+def test_direct_light_is_made_finer_where_it_is_asked_for(chair):
+    coarse, fine = (chair.direct_light(points) for points in (16, 64))
+    where = np.zeros((SIZE, SIZE), bool)
+    where[:, : SIZE // 2] = chair.geometry().mask[:, : SIZE // 2]
+    mixed = chair.direct_light(64, coarse, where)
+    for name in ("radiance", "alpha", "variance"):
+        before, after, values = (getattr(each, name) for each in (coarse, fine, mixed))
+        np.testing.assert_allclose(values[where], after[where], rtol=1e-4, atol=1e-5)
+        assert (values[~where] == before[~where]).all()
+        assert np.abs(after[where] - before[where]).max() > 1e-3 * np.abs(before).max()
+
+
+def test_the_share_of_leaning_points_is_known_before_direct_light_is_computed(chair):
+    share = chair.direct_light_work(16).leaning
+    surface = chair._surface()
+    cosines = (surface.normals * surface.facets).sum(1)
+    assert share == pytest.approx((cosines < np.cos(np.radians(2))).mean(), abs=0.01)
+    assert 0.02 < share < 1
+    earlier = chair._azimuth
+    try:
+        chair.set_view(earlier + 1.0)
+        assert chair.direct_light_work(16).leaning != share
+    finally:
+        chair.set_view(earlier)
+
+
 def test_direct_light_follows_the_material_and_the_light(chair):
     first = chair.direct_light().radiance
     earlier, seen = chair._mixtures, chair._seen
