@@ -327,8 +327,8 @@ class DirectLight:
         instead of having a few each, whose noise would be large.
         """
         alone, shared = _by_repetition(n, facets)
-        together = SHARED * samples * len(shared.points) // max(len(shared.first), 1)
-        for group, count in ((alone, samples), (shared, min(together, MOST_TOGETHER))):
+        common = SHARED * samples * len(shared.points) // max(len(shared.first), 1)
+        for group, count in ((alone, samples), (shared, min(common, MOST_TOGETHER))):
             if not len(group.points):
                 continue
             radiance = np.zeros((len(group.first), 3), np.float32)
