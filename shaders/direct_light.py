@@ -152,11 +152,12 @@ class DirectLight:
         n, lean = _facing(given, facets)
         facets = n if facets is None else facets
         radiance = np.zeros_like(n)
+        repeated = _by_repetition(n, facets) if self.narrow else None
         for k in range(len(self.mixture.kinds)):
             if self._has_map(k):
                 self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance, cells)
-            if self._is_narrow(k):
-                self._sample(k, n, facets, samples, radiance)
+            if self._is_narrow(k) and repeated:
+                self._sample(k, n, facets, *repeated, samples, radiance)
         if lean:
             (leaning,) = np.nonzero(np.einsum("ij,ij->i", facets, n) < COS_LEANING)
             first, each = _distinct(leaning, patches)
@@ -319,14 +320,22 @@ class DirectLight:
         direct_light_kernels.add_lights(number, n, table, extent, self.blocks.lights(rows), out)
 
     def _sample(
-        self, k: int, n: np.ndarray, facets: np.ndarray, samples: int, out: np.ndarray
+        self,
+        k: int,
+        n: np.ndarray,
+        facets: np.ndarray,
+        alone: _Group,
+        shared: _Group,
+        samples: int,
+        out: np.ndarray,
     ) -> None:
         """Add to out (P, 3) what closure k reflects from within its extent.
 
         Points of a flat facet have one normal, and reflect the same. They share their directions,
         instead of having a few each, whose noise would be large.
+
+        alone, shared  points by whether others have their normals (`_by_repetition`)
         """
-        alone, shared = _by_repetition(n, facets)
         common = SHARED * samples * len(shared.points) // max(len(shared.first), 1)
         for group, count in ((alone, samples), (shared, min(common, MOST_TOGETHER))):
             if not len(group.points):

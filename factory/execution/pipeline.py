@@ -25,7 +25,7 @@ from factory.execution.assignment import Assignment, BadShot, ShapeSource, load_
 from factory.planning.plan import TEXELS, Shot
 from factory.render import checks
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Renderer, Shown
+from factory.render.estimators.renderer import Renderer, Shown
 from manifests.errors import InputError
 from manifests.ids import camera_of
 from manifests.picture_files import (

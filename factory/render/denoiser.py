@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 import OpenEXR
 
-from factory.render.estimators.halves import Effort
+from factory.render.estimators.renderer import Effort
 from factory.render.settings import DENOISED, Setting, apply, assign
 from manifests.quiet import silenced
 

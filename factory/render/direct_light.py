@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from factory.render.estimators.halves import DirectPicture
+from factory.render.estimators.renderer import DirectPicture
 from factory.render.geometry import Surface
 from manifests.schema import Camera
 from shaders import frames

@@ -40,7 +40,7 @@ from factory.render.direct_light import (
     picture_of,
     points_of,
 )
-from factory.render.estimators.halves import DirectPicture, DirectWork, Effort, Portion
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion
 from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
@@ -101,7 +101,7 @@ class Studio:
         self._vertices = np.zeros((0, 3), np.float32)
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
-        self._leaning: dict[tuple[float, Camera], float] = {}
+        self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
         self._materials = SegmentMaterials()
         self.versions = {
             "blender": bpy.app.version_string,
@@ -145,7 +145,7 @@ class Studio:
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
-        self._leaning.clear()
+        self._visible = None
         self._body = body.build(mesh)
         for surface in self._materials.of_new_shape(self._segments):
             self._body.materials.append(surface)
@@ -250,6 +250,12 @@ class Studio:
         mask = window.paste(passes["Combined"][..., 3] > 0.5, (top, bottom, left, right), lens.size)
         return surface_of(passes, mask, (top, bottom, left, right), lens)
 
+    def _visible_surface(self, lens: Camera) -> Surface:
+        """Return what rays through the pixels' centres meet; the last one is kept."""
+        if self._visible is None or self._visible[:2] != (self._azimuth, lens):
+            self._visible = self._azimuth, lens, self._surface()
+        return self._visible[2]
+
     def render(self, samples: int, seed: int, tier: Tier = "direct") -> np.ndarray:
         """Return radiance (height, width, 3); arguments as `picture` takes them."""
         return self.picture(samples, seed, tier)[0]
@@ -319,7 +325,7 @@ class Studio:
             return True
         key = self._azimuth, lens
         if key not in self._may_shade_itself:
-            at = self._surface()
+            at = self._visible_surface(lens)
             known = lens.fov_deg is None or self_shading.are_known(
                 at.facets, camera.view_vectors(lens)[at.mask]
             )
@@ -337,21 +343,12 @@ class Studio:
         texel by texel, and for pictures of which too few points per pixel fit into memory.
         """
         lens = self._require_camera()
-        if lens.fov_deg is not None or not self._nearest or not self._mixtures:
-            return None
         direct = self._direct_lights(lens)
-        at = points_of(direct, lens, points)
+        at = points_of(direct, lens, points) if direct else None
         if at is None:
             return None
         maps = sum(each.map_size for each in dict.fromkeys(direct))
-        return DirectWork(at.per_pixel, self._leaning_share(lens), maps)
-
-    def _leaning_share(self, lens: Camera) -> float:
-        """Return the share of visible points whose normals lean from their facets."""
-        key = self._azimuth, lens
-        if key not in self._leaning:
-            self._leaning[key] = leaning_share(self._surface())
-        return self._leaning[key]
+        return DirectWork(at.per_pixel, leaning_share(self._visible_surface(lens)), maps)
 
     def direct_light(
         self,
@@ -367,12 +364,11 @@ class Studio:
         where  (height, width) bool, the pixels that are computed; the others are as in `known`.
                None: all
         """
-        if self.direct_light_work(points) is None:
-            return None
         lens = self._require_camera()
         direct = self._direct_lights(lens)
-        at = points_of(direct, lens, points)
-        assert at is not None
+        at = points_of(direct, lens, points) if direct else None
+        if at is None:
+            return None
         height, width = lens.size
         fine = msgspec.structs.replace(lens, size=(height * at.across, width * at.across))
         self.set_camera(fine)
@@ -384,8 +380,12 @@ class Studio:
         return picture if known is None or where is None else merged(known, picture, where)
 
     def _direct_lights(self, lens: Camera) -> list[DirectLight]:
-        """Return the direct light of each segment's material under the light that is shown."""
-        assert self._seen is not None
+        """Return the direct light of each segment's material under the light that is shown.
+
+        There is none for cameras in perspective and for lights that are not looked up by texel.
+        """
+        if lens.fov_deg is not None or not self._nearest or self._seen is None:
+            return []
         return [self._direct.of(mixture, self._seen, lens) for mixture in self._mixtures]
 
     def _require_camera(self) -> Camera:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from factory.render.estimators import blends, choice, closed_form
-from factory.render.estimators.halves import Halves, Shown
+from factory.render.estimators.halves import Halves
+from factory.render.estimators.renderer import Shown
 from shaders import tone
 from tests.support.known_pictures import MASK, Known, Shaded, error, shown
 

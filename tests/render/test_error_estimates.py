@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
-from factory.render.estimators.halves import (
-    EFFORTS,
-    DirectWork,
-    Estimate,
-    Halves,
-    Portion,
-    Shown,
-    half_seed,
-    mean_over,
-)
+from factory.render.estimators.halves import Estimate, Halves, half_seed, mean_over
+from factory.render.estimators.renderer import EFFORTS, DirectWork, Portion, Shown
 from shaders import tone
 from tests.support.known_pictures import MASK, NO_GUIDES, Known, Shaded, error, shown
 

@@ -10,7 +10,8 @@ import pytest
 
 from factory.render import denoiser, direct_light
 from factory.render.estimators import choice, closed_form
-from factory.render.estimators.halves import Effort, Halves, Shown, effort
+from factory.render.estimators.halves import Halves
+from factory.render.estimators.renderer import Effort, Shown, effort
 from factory.render.settings import PORTION
 from factory.render.validation import denoiser_law
 from manifests.schema import Camera

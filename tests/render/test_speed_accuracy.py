@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
-from factory.render.estimators.halves import Shown
+from factory.render.estimators.renderer import Shown
 from factory.render.validation import error_target_report, speed_accuracy, speed_accuracy_report
 from factory.render.validation import speed_accuracy_settings as settings
 from manifests.errors import InputError

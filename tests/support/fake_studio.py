@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from factory.render.estimators.halves import Portion
+from factory.render.estimators.renderer import Portion
 from shaders import frames
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from factory.render.estimators.halves import DirectPicture, DirectWork, Portion, Shown
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Portion, Shown
 from shaders import tone
 
 SIZE = 48

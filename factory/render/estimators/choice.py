@@ -19,17 +19,8 @@ import numpy as np
 
 from factory.render import self_shading
 from factory.render.estimators import blends, closed_form, denoised, path_tracing, ratio
-from factory.render.estimators.halves import (
-    CONFIDENCE,
-    CURVE,
-    EFFORTS,
-    NOISY_GUIDES,
-    OWN,
-    DirectPicture,
-    Estimate,
-    Halves,
-    Shown,
-)
+from factory.render.estimators.halves import CONFIDENCE, CURVE, NOISY_GUIDES, OWN, Estimate, Halves
+from factory.render.estimators.renderer import EFFORTS, DirectPicture, Shown
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)

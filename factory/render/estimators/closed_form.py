@@ -17,13 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factory.render.estimators.halves import (
-    CONFIDENCE,
-    DirectPicture,
-    DirectWork,
-    Estimate,
-    mean_over,
-)
+from factory.render.estimators.halves import CONFIDENCE, Estimate, mean_over
+from factory.render.estimators.renderer import DirectPicture, DirectWork
 from manifests.schema import Estimator
 from shaders import tone
 

@@ -15,7 +15,7 @@ import math
 
 from factory.render.estimators import blends
 from factory.render.estimators.blends import Blend
-from factory.render.estimators.halves import effort
+from factory.render.estimators.renderer import effort
 from manifests.schema import Estimator, Tier
 
 NAME: Estimator = "denoised"

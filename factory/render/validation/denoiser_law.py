@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import blends, denoised
-from factory.render.estimators.halves import Halves, Shown, effort
+from factory.render.estimators.halves import Halves
+from factory.render.estimators.renderer import Shown, effort
 from factory.render.validation.scenes import TIERS, Stage, drawn
 from manifests.schema import Camera
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Shown
+from factory.render.estimators.renderer import Shown
 from factory.render.validation import command_line
 from factory.render.validation.denoiser_law import law
 from factory.render.validation.error_target_report import FIXED, group, report

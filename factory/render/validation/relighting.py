@@ -35,7 +35,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import light as worlds
 from factory.render.estimators import ratio
-from factory.render.estimators.halves import Shown
+from factory.render.estimators.renderer import Shown
 from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
 from factory.render.validation.light_bases import Basis, cells, factors, harmonics

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import load as load_light
-from factory.render.estimators.halves import Estimate, Halves, Shown, mean_over
+from factory.render.estimators.halves import Estimate, Halves, mean_over
+from factory.render.estimators.renderer import Shown
 from factory.render.studio import Studio
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError

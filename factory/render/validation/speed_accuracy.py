@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import choice
-from factory.render.estimators.halves import Shown
+from factory.render.estimators.renderer import Shown
 from factory.render.validation import command_line
 from factory.render.validation.scenes import (
     TIERS,

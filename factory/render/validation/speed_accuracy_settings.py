@@ -21,7 +21,7 @@ import numpy as np
 
 from factory.render.estimators import choice, ratio
 from factory.render.estimators.adaptive_sampling import stopping_at
-from factory.render.estimators.halves import Shown, effort
+from factory.render.estimators.renderer import Shown, effort
 from factory.render.studio import Studio
 from factory.render.validation.speed_accuracy_report import LIMIT, PEER_NAME
 from manifests.errors import InputError
