@@ -493,7 +493,7 @@ def test_samples_of_narrow_lobes_are_what_numpy_gives(light, kind, degrees):
     facet /= np.linalg.norm(facet)
     n, facets = (np.tile(each, (70, 1)).astype(np.float32) for each in (normal, facet))
     found = np.zeros_like(n)
-    direct._sample(0, n, facets, 512, found)
+    direct._sample(0, n, facets, *direct_light._by_repetition(n, facets), 512, found)
     extent = np.tan(direct_light.EXTENT / 2)
     expected = sample_in_numpy(kind, alpha, normal, facet, extent, light, 400_000)
     assert expected.min() > 0
