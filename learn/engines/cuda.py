@@ -1,8 +1,10 @@
-"""The exact sum and its derivatives on a CUDA device: the Triton kernels, group by group.
+"""The exact sum and its derivatives on a CUDA device, by the Triton kernels.
 
 Arguments as in learn.engines.cpu, as tensors. Tables are made on the device in float64 and passed
 in float32; sums over lights and materials are returned in fixed parts and are added in float64.
-Memory beyond inputs and outputs: tables and parts of one slab of lights, below 20 MiB.
+For a distant viewer one launch sums many groups, since a training batch has one per picture; with a
+view per pixel each group is summed by itself. Memory beyond inputs and outputs: tables and parts of
+one slab of lights, at most LARGEST_WORK bytes or those of one group, below 40 MiB.
 """
 
 import functools
@@ -19,6 +21,7 @@ from learn.engines import triton_general as general
 from learn.engines.lights import Rotation
 
 TILE = distant.LIGHTS
+LARGEST_WORK = 512 << 20  # bytes of tables and parts for the groups of one launch
 
 
 @dataclass(frozen=True)
@@ -39,18 +42,35 @@ class DeviceSlab:
         """T."""
         return self.distant.shape[1]
 
-    def energy(self, light: torch.Tensor) -> torch.Tensor:
-        """Radiance × solid angle (3, T) float32 of light (height, width, 3); padding is black."""
-        energy = light.new_zeros(3, self.lights)
-        energy[:, : len(self.order)] = (
-            light.reshape(-1, 3)[self.order].double() * self.solid_angle[:, None]
-        ).T.float()
+    def energy(self, light: torch.Tensor, light_of: Sequence[int]) -> torch.Tensor:
+        """Radiance × solid angle (G, 3, T) float32 of light (maps, height, width, 3).
+
+        light_of  the map of each of G groups; padding is black
+        """
+        own = light.reshape(len(light), -1, 3)
+        if tuple(light_of) != tuple(range(len(light))):
+            own = own[_places(light_of, light.device)]
+        energy = light.new_zeros(len(light_of), 3, self.lights)
+        lit = own[:, self.order].double() * self.solid_angle[:, None]
+        energy[:, :, : len(self.order)] = lit.transpose(1, 2).float()
         return energy
 
-    def add_light_gradient(self, by_energy: torch.Tensor, gradient: torch.Tensor) -> None:
-        """Add the derivative by energy (3, T) to the one by light (height, width, 3)."""
-        by_light = by_energy[:, : len(self.order)].T * self.solid_angle[:, None]
-        gradient.view(-1, 3)[self.order] += by_light.float()
+    def add_light_gradient(
+        self, by_energy: torch.Tensor, light_of: Sequence[int], gradient: torch.Tensor
+    ) -> None:
+        """Add the derivative by energy (G, 3, T) to the one by light (maps, height, width, 3)."""
+        lit = by_energy[..., : len(self.order)].double() * self.solid_angle
+        if tuple(light_of) != tuple(range(len(gradient))):
+            # a product adds groups of one map in a fixed order, unlike index_add_
+            share = lit.new_zeros(len(gradient), len(light_of))
+            share[_places(light_of, lit.device), torch.arange(len(light_of))] = 1
+            lit = torch.einsum("ig,gct->ict", share, lit)
+        gradient.view(len(gradient), -1, 3)[:, self.order] += lit.transpose(1, 2).float()
+
+
+def _places(light_of: Sequence[int], device: torch.device) -> torch.Tensor:
+    """Return indices of maps as a tensor on a device."""
+    return torch.as_tensor(list(light_of), dtype=torch.long).to(device, non_blocking=True)
 
 
 @functools.lru_cache(maxsize=8)
@@ -79,25 +99,32 @@ def radiance(
 ) -> torch.Tensor:
     """Radiance (P, 3)."""
     out = torch.zeros_like(n)
-    views: Sequence[torch.Tensor | None] = (
-        [None] * len(counts) if view is None else view.split(counts)
-    )
     for slab in _slabs(*light.shape[1:3], rotation, n.device):
-        for g, (part, into) in enumerate(zip(n.split(counts), out.split(counts), strict=True)):
-            energy, result = slab.energy(light[light_of[g]]), torch.empty_like(part)
-            grid = (triton.cdiv(len(part), distant.PIXELS),)
-            v = views[g]
-            if v is None:
-                lobes = _distant_tables(m[g], slab)[0]
-                sizes = {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
-                distant.forward[grid](
-                    part, slab.distant, energy, lobes, result, len(part), slab.lights, **sizes
-                )
-            else:
-                seen = part, v, _shortfall(v), slab.general, energy, _general_tables(m[g])[0]
-                sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}
-                general.forward[grid](*seen, result, len(part), slab.lights, **sizes)
-            into += result
+        for chunk in _chunks(counts, slab.lights) if view is None else ():
+            groups, pixels, of_chunk = chunk
+            part = n[pixels]
+            energy = slab.energy(light, light_of[groups])
+            lobes, result = _distant_tables(m[groups], slab)[0], torch.empty_like(part)
+            distant.forward[_tiles(of_chunk)](
+                part,
+                _starts(of_chunk, n.device),
+                slab.distant,
+                energy,
+                lobes,
+                result,
+                slab.lights,
+                PIXELS=distant.PIXELS,
+                LIGHTS=TILE,
+            )
+            out[pixels] += result
+        for g, pixels in _pixels_of_groups(counts) if view is not None else ():
+            part, v = n[pixels], view[pixels]
+            energy, result = slab.energy(light, light_of[g : g + 1])[0], torch.empty_like(part)
+            seen = part, v, _shortfall(v), slab.general, energy, _general_tables(m[g])[0]
+            sizes = {"PIXELS": general.PIXELS, "LIGHTS": TILE}
+            grid = (triton.cdiv(len(part), general.PIXELS),)
+            general.forward[grid](*seen, result, len(part), slab.lights, **sizes)
+            out[pixels] += result
     return out
 
 
@@ -117,64 +144,115 @@ def gradients(
     """
     by_n, by_m, by_light = torch.zeros_like(n), torch.zeros_like(m), torch.zeros_like(light)
     by_view = None if view is None else torch.zeros_like(view)
-    ends = np.cumsum((0, *counts)).tolist()
     for slab in _slabs(*light.shape[1:3], rotation, n.device):
-        for group, image in enumerate(light_of):
-            pixels = slice(ends[group], ends[group + 1])
-            energy = slab.energy(light[image])
-            arguments = m[group], slab, energy, g_radiance[pixels]
-            if view is None or by_view is None:
-                group_by_n, group_by_m, by_energy = _distant_backward(n[pixels], *arguments)
-            else:
-                group_by_n, group_by_m, by_energy, group_by_view = _general_backward(
-                    n[pixels], view[pixels], *arguments
-                )
-                by_view[pixels] += group_by_view
-            by_n[pixels] += group_by_n
-            by_m[group] += group_by_m
-            slab.add_light_gradient(by_energy, by_light[image])
+        for groups, pixels, of_chunk in _chunks(counts, slab.lights) if view is None else ():
+            energy = slab.energy(light, light_of[groups])
+            of_n, of_m, by_energy = _distant_backward(
+                n[pixels], of_chunk, m[groups], slab, energy, g_radiance[pixels]
+            )
+            by_n[pixels] += of_n
+            by_m[groups] += of_m
+            slab.add_light_gradient(by_energy, light_of[groups], by_light)
+        for group, pixels in _pixels_of_groups(counts) if by_view is not None else ():
+            one = light_of[group : group + 1]
+            energy = slab.energy(light, one)[0]
+            of_n, of_m, by_energy, of_view = _general_backward(
+                n[pixels], view[pixels], m[group], slab, energy, g_radiance[pixels]
+            )
+            by_view[pixels] += of_view
+            by_n[pixels] += of_n
+            by_m[group] += of_m
+            slab.add_light_gradient(by_energy[None], one, by_light)
     return by_n, by_view, by_m, by_light
 
 
-def _part(pixels):
-    """Pixels of one of the SPLITS parts, whole tiles."""
-    return distant.PIXELS * triton.cdiv(triton.cdiv(pixels, distant.SPLITS), distant.PIXELS)
+def _pixels_of_groups(counts):
+    """(number, slice of its pixels) of each group."""
+    ends = np.cumsum((0, *counts)).tolist()
+    return [(g, slice(ends[g], ends[g + 1])) for g in range(len(counts))]
+
+
+def _chunks(counts, total):
+    """(slice of groups, slice of their pixels, their counts) for each launch over `total` lights.
+
+    A launch has as many groups as LARGEST_WORK allows, at least one.
+    """
+    most = _most(counts, total)
+    ends, result = np.cumsum((0, *counts)).tolist(), []
+    for first in range(0, len(counts), most):
+        last = min(first + most, len(counts))
+        pixels = slice(ends[first], ends[last])
+        if pixels.stop > pixels.start:
+            result.append((slice(first, last), pixels, counts[first:last]))
+    return result
+
+
+def _most(counts, total):
+    """The largest number of groups in a launch over `total` lights."""
+    # float32 and float64 tables, and sums by the kernel and in float64
+    of_one = total * (18 * 12 + 3 * 4 + 21 * (4 * _parts(counts) + 3 * 8))
+    return max(1, LARGEST_WORK // of_one)
+
+
+def _starts(counts, device):
+    """First pixel of each group and the end of the last one, (G + 1,) int32."""
+    return torch.as_tensor(np.cumsum((0, *counts)).astype(np.int32)).to(device, non_blocking=True)
+
+
+def _tiles(counts):
+    """The grid of programs of `distant.forward`: tiles of pixels × groups."""
+    return triton.cdiv(max(counts), distant.PIXELS), len(counts)
+
+
+def _parts(counts):
+    """Number of parts of a group's pixels in the pass over lights."""
+    return min(distant.SPLITS, triton.cdiv(max(counts), distant.PIXELS))
+
+
+def _part(pixels, parts):
+    """Pixels of one of the parts, whole tiles."""
+    return distant.PIXELS * triton.cdiv(triton.cdiv(pixels, parts), distant.PIXELS)
 
 
 def _lobe_first(m):
-    """As learn.engines.lights.lobe_first, for tensors."""
-    return m.transpose(0, 1).flip(2)
+    """As learn.engines.lights.lobe_first, for tensors (…, 3, 3, 2, 6)."""
+    return m.transpose(-4, -3).flip(-2)
 
 
 def _distant_tables(m, slab):
-    """lobes (18, T) float32, and κ (3 lobes, 3 channels, T) float64."""
-    curves = _lobe_first(m.double()).reshape(18, 6) @ slab.basis.T
-    kappa = curves[1::2].reshape(3, 3, -1).clone()
-    curves[1::2] *= lights.LOG2_E
+    """lobes (G, 18, T) float32, and κ (G, 3 lobes, 3 channels, T) float64 of m (G, 3, 3, 2, 6)."""
+    curves = _lobe_first(m.double()).reshape(len(m), 18, 6) @ slab.basis.T
+    kappa = curves[:, 1::2].reshape(len(m), 3, 3, -1).clone()
+    curves[:, 1::2] *= lights.LOG2_E
     return curves.float().contiguous(), kappa
 
 
 def _distant_backward(
-    n: torch.Tensor, m: torch.Tensor, slab: DeviceSlab, energy: torch.Tensor, g: torch.Tensor
+    n: torch.Tensor,
+    counts: tuple[int, ...],
+    m: torch.Tensor,
+    slab: DeviceSlab,
+    energy: torch.Tensor,
+    g: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Derivatives of one group by n (p, 3), m (3, 3, 2, 6), energy (3, T)."""
+    """Derivatives of G groups by n (P, 3), m (G, 3, 3, 2, 6), energy (G, 3, T)."""
     lobes, kappa = _distant_tables(m, slab)
-    by_n, total = torch.empty_like(n), slab.lights
+    by_n, total, starts = torch.empty_like(n), slab.lights, _starts(counts, n.device)
     sizes = {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
-    over_pixels = (triton.cdiv(len(n), distant.PIXELS),)
-    distant.backward_pixels[over_pixels](
-        n, slab.distant, energy, lobes, g, by_n, len(n), total, **sizes
+    distant.backward_pixels[_tiles(counts)](
+        n, starts, slab.distant, energy, lobes, g, by_n, total, **sizes
     )
-    sums = n.new_empty(distant.SPLITS, 3, 7, total)
-    over_lights = (total // TILE, distant.SPLITS, 3)
-    distant.backward_lights[over_lights](
-        n, slab.distant, lobes, g, sums, len(n), total, _part(len(n)), **sizes
+    parts = _parts(counts)
+    sums = n.new_empty(len(m), parts, 3, 7, total)
+    distant.backward_lights[(total // TILE, parts, 3 * len(m))](
+        n, starts, slab.distant, lobes, g, sums, total, _part(max(counts), parts), **sizes
     )
-    sums = sums.double().sum(0)
-    by_lobe = sums[:, 1:].reshape(3, 3, 2, -1).transpose(0, 1) * energy.double()[:, None]
-    by_kappa, by_gamma = by_lobe[:, :, 0], by_lobe[:, :, 1] * kappa * lights.LN2
-    by_m = _lobe_first(torch.stack([by_gamma, by_kappa], 2) @ slab.basis)
-    return by_n, by_m.float(), sums[:, 0]
+    sums = sums.double().sum(1)
+    by_lobe = sums[:, :, 1:].reshape(len(m), 3, 3, 2, -1).transpose(1, 2)
+    by_lobe = by_lobe * energy.double()[:, None, :, None]
+    by_kappa, by_gamma = by_lobe[:, :, :, 0], by_lobe[:, :, :, 1] * kappa * lights.LN2
+    by_m = _lobe_first(torch.stack([by_gamma, by_kappa], 3) @ slab.basis)
+    return by_n, by_m.float(), sums[:, :, 0]
 
 
 def _shortfall(view):
@@ -207,9 +285,8 @@ def _general_backward(
     energy_sums = n.new_empty(general.SPLITS, 3, 3, total)
     m_sums = n.new_empty(total // TILE, general.SPLITS, 3, 3, 2, 8)
     grid = (total // TILE, general.SPLITS, 9)
-    general.backward_lights[grid](
-        *seen, g, energy_sums, m_sums, len(n), total, _part(len(n)), **sizes
-    )
+    part = _part(len(n), general.SPLITS)
+    general.backward_lights[grid](*seen, g, energy_sums, m_sums, len(n), total, part, **sizes)
     by_m = m_sums[..., :6].double().sum((0, 1))
     by_m[:, :, 0] *= lights.LN2**2
     return by_n, _lobe_first(by_m).float(), energy_sums.double().sum((0, 1)), by_view

@@ -2,11 +2,14 @@
 
 The sum is that of learn.engines.distant.
 
-n         (P, 3) unit normals, camera frame
+n         (P, 3) unit normals, camera frame, group after group
+starts    (G + 1,) int32: the pixels of group j are starts[j] … starts[j + 1] − 1
 geometry  (9, T): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
-energy    (3, T): radiance × solid angle
-lobes     (18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
-T lights, a multiple of LIGHTS. float32 throughout; nothing of size pixels × lights is ever stored,
+energy    (G, 3, T): radiance × solid angle
+lobes     (G, 18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
+G groups of pixels, each of one material under one light: a training batch has as many as pictures,
+with few pixels each, so that all of them are summed by one launch. T lights, a multiple of LIGHTS.
+float32 throughout; nothing of size pixels × lights is ever stored,
 values of the forward pass are computed again. Derivatives by pixels and by lights are two passes,
 each the only writer of what it writes: no atomics, the same bits every time.
 
@@ -20,9 +23,19 @@ import triton.language as tl
 from learn.engines.triton_parts import exp2, exp2m1, peak_cosine, rows, vectors
 
 PIXELS, LIGHTS = 32, 32  # of a tile
-# parts of the pixels in the pass over lights; fixed, so that sums do not depend on the device
+# parts of a group's pixels in the pass over lights, at most; a function of the largest group alone,
+# so that sums do not depend on the device
 SPLITS = 16
 LN2 = tl.constexpr(0.6931471805599453)
+
+
+@triton.jit
+def pixels_of(
+    starts: tl.tensor, group: int, PIXELS: tl.constexpr
+) -> tuple[tl.tensor, tl.tensor]:
+    """This program's pixels of a group, and which of them the group has."""
+    p = tl.load(starts + group) + tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
+    return p, p < tl.load(starts + group + 1)
 
 
 @triton.jit
@@ -60,18 +73,20 @@ def channel(
 @triton.jit
 def forward(
     n: tl.tensor,
+    starts: tl.tensor,
     geometry: tl.tensor,
     energy: tl.tensor,
     lobes: tl.tensor,
     radiance: tl.tensor,
-    pixels: int,
     lights: int,
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
 ) -> None:
-    """Radiance (P, 3); one program a tile of pixels."""
-    p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
-    inside = p < pixels
+    """Radiance (P, 3); one program a tile of pixels of one group."""
+    group = tl.program_id(1)
+    p, inside = pixels_of(starts, group, PIXELS)
+    energy += group * 3 * lights
+    lobes += group * 18 * lights
     nx, ny, nz = vectors(n, p, inside)
     i0 = tl.zeros((PIXELS,), tl.float32)
     i1 = tl.zeros((PIXELS,), tl.float32)
@@ -95,19 +110,21 @@ def forward(
 @triton.jit
 def backward_pixels(
     n: tl.tensor,
+    starts: tl.tensor,
     geometry: tl.tensor,
     energy: tl.tensor,
     lobes: tl.tensor,
     g: tl.tensor,
     by_n: tl.tensor,
-    pixels: int,
     lights: int,
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
 ) -> None:
-    """Derivative by n (P, 3), tangential up to a radial part; one program a tile of pixels."""
-    p = tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
-    inside = p < pixels
+    """Derivative by n (P, 3), tangential up to a radial part; programs as of `forward`."""
+    group = tl.program_id(1)
+    p, inside = pixels_of(starts, group, PIXELS)
+    energy += group * 3 * lights
+    lobes += group * 18 * lights
     nx, ny, nz = vectors(n, p, inside)
     g0, g1, g2 = vectors(g, p, inside)
     bx = tl.zeros((PIXELS,), tl.float32)
@@ -157,24 +174,27 @@ def lobe_sums(
 @triton.jit
 def backward_lights(
     n: tl.tensor,
+    starts: tl.tensor,
     geometry: tl.tensor,
     lobes: tl.tensor,
     g: tl.tensor,
     sums: tl.tensor,
-    pixels: int,
     lights: int,
     split: int,
     PIXELS: tl.constexpr,
     LIGHTS: tl.constexpr,
 ) -> None:
-    """Sums over one part of the pixels: one program a tile of lights, a part and a channel.
+    """Sums over a part of a group's pixels: one program a tile of lights, a part and a channel.
+
+    The third place of the grid is 3 times the group plus the channel.
 
     split  pixels of a part, a multiple of PIXELS
-    sums   (SPLITS, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x
+    sums   (G, parts, 3 channels, 7, T) out: Σ g F max(0, n·w), then of each lobe Σ g max(0, n·w) x
            c^γ and the same times log2 c
     """
     t = tl.program_id(0) * LIGHTS + tl.arange(0, LIGHTS)
-    k = tl.program_id(2)
+    group, k = tl.program_id(2) // 3, tl.program_id(2) % 3
+    lobes += group * 18 * lights
     wx, wy, wz = rows(geometry, 0, t, lights)
     energy = tl.zeros((LIGHTS,), tl.float32)
     a0 = tl.zeros((LIGHTS,), tl.float32)
@@ -183,10 +203,11 @@ def backward_lights(
     b0 = tl.zeros((LIGHTS,), tl.float32)
     b1 = tl.zeros((LIGHTS,), tl.float32)
     b2 = tl.zeros((LIGHTS,), tl.float32)
-    first = tl.program_id(1) * split
-    for start in range(first, tl.minimum(first + split, pixels), PIXELS):
+    end = tl.load(starts + group + 1)
+    first = tl.load(starts + group) + tl.program_id(1) * split
+    for start in range(first, tl.minimum(first + split, end), PIXELS):
         p = start + tl.arange(0, PIXELS)
-        inside = p < pixels
+        inside = p < end
         nx, ny, nz = vectors(n, p, inside)
         n_w = tl.maximum(nx * wx + ny * wy + nz * wz, 0.0)
         if tl.max(n_w) > 0.0:
@@ -197,7 +218,8 @@ def backward_lights(
             f1, a1, b1 = lobe_sums(lobes, 2 * k + 6, t, lights, log_c, weight, a1, b1)
             f2, a2, b2 = lobe_sums(lobes, 2 * k + 12, t, lights, log_c, weight, a2, b2)
             energy += tl.sum((f0 + f1 + f2) * weight, 0)
-    out = sums + (tl.program_id(1) * 3 + k) * 7 * lights + t
+    part = group * tl.num_programs(1) + tl.program_id(1)
+    out = sums + (part * 3 + k) * 7 * lights + t
     tl.store(out, energy)
     tl.store(out + lights, a0)
     tl.store(out + 2 * lights, b0)

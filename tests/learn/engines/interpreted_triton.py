@@ -89,3 +89,27 @@ def test_groups_with_lights_of_their_own(rng, perspective):
     result = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
     for by, expected in zip(result[2:], right[2:], strict=True):
         assert relative(by.numpy(), expected) <= TOLERANCE
+
+
+@pytest.mark.parametrize("groups_per_launch", [1, 2, 5])
+def test_groups_of_few_pixels_share_a_launch(rng, groups_per_launch, monkeypatch):
+    """Five groups, one of them without pixels and two under one light, in launches of that many."""
+    counts = (3, 0, 40, 33, 7)
+    scene = make_scene(rng, random_material(rng), pixels=sum(counts), size=(4, 8))
+    monkeypatch.setattr(cuda, "_most", lambda *_: groups_per_launch)
+    m = np.stack([random_material(rng) for _ in counts])
+    light = rng.random((4, 4, 8, 3)).astype(np.float32)
+    constants = tuple(ROTATION.flatten().tolist()), counts, (2, 0, 1, 3, 1)
+    arrays = scene.n, None, m, light
+    tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
+    assert (
+        relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1))
+        <= TOLERANCE
+    )
+    right = cpu.gradients(scene.g, *arrays, *constants, 1)
+    result = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
+    for by, expected in zip(result[2:], right[2:], strict=True):
+        assert relative(by.numpy(), expected) <= TOLERANCE
+    normals = scene.n.astype(np.float64)
+    pair = [tangential(a.astype(np.float64), unit(normals)) for a in (result[0].numpy(), right[0])]
+    assert relative(*pair) <= TOLERANCE
