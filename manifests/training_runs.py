@@ -137,6 +137,8 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
     seconds        processor time of the network's process after which the run ends, if it has not
                    made its steps by then; the learning rate follows it. Such a run does not repeat
                    bitwise; it serves comparisons at equal cost
+    clock_seconds  the same for time by the clock, for a machine that is rented: what a run that was
+                   stopped and continued spent stopped does not count
     """
 
     steps: Count = 1000
@@ -149,6 +151,7 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
     clip: Annotated[float, Meta(gt=0, le=1e12)] = 1.0
     ema_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.999
     seconds: Annotated[float, Meta(gt=0, le=1e9)] | None = None
+    clock_seconds: Annotated[float, Meta(gt=0, le=1e9)] | None = None
 
 
 class Stage(Struct, frozen=True, forbid_unknown_fields=True):
@@ -185,6 +188,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         "compact-pretrained",
         "two-encoders",
         "joint-encoders",
+        "joint-wide",
         "paper",
         "separate",
         "encoder-decoder",

@@ -52,6 +52,8 @@ class Compact(Coded):
     """Normals, material and light of masked pictures; see Prediction.
 
     ranges  of the training materials' labels; they are stored with the weights
+    widths  channels of the encoder at H/2, H/4, H/8, H/16; blocks: residual blocks at each of them
+    refined  whether a residual block follows each convolution of the decoder
     hidden  units of the hidden layers of the heads of material and light; unit: their activation
     deep    channels of the deepest features, which the heads read
     wraps   whether the light head continues its maps around the circle and across the poles. With
@@ -59,6 +61,9 @@ class Compact(Coded):
     """
 
     name = "compact"
+    widths: tuple[int, ...] = WIDTHS
+    blocks: tuple[int, ...] = (1, 1, 1, 1)
+    refined = False
     hidden = 256
     unit: type[nn.Module] = nn.ReLU
     deep = WIDTHS[-1]
@@ -68,11 +73,17 @@ class Compact(Coded):
         super().__init__(ranges)
         self.down = nn.ModuleList(
             convolution(a, b, 1 if i == 0 else 2)
-            for i, (a, b) in enumerate(zip((16, *WIDTHS), WIDTHS, strict=False))
+            for i, (a, b) in enumerate(zip((16, *self.widths), self.widths, strict=False))
         )
-        self.deepen = nn.ModuleList(Residual(width) for width in WIDTHS)
-        self.up = nn.ModuleList(convolution(a + b, a) for a, b in pairwise(WIDTHS))
-        self.normals = nn.Conv2d(WIDTHS[0], 12, 3, 1, 1)
+        self.deepen = nn.ModuleList(
+            Residual(width) if count == 1 else nn.Sequential(*(Residual(width) for _ in range(count)))
+            for width, count in zip(self.widths, self.blocks, strict=True)
+        )
+        self.up = nn.ModuleList(
+            nn.Sequential(convolution(a + b, a), Residual(a)) if self.refined else convolution(a + b, a)
+            for a, b in pairwise(self.widths)
+        )
+        self.normals = nn.Conv2d(self.widths[0], 12, 3, 1, 1)
         self.reflectance = nn.Sequential(
             convolution(4, 32),
             convolution(32, 64, 2),

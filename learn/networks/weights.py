@@ -23,7 +23,7 @@ from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact, CompactWrapped
 from learn.networks.encoder_decoder import EncoderDecoder
-from learn.networks.joint_encoders import JointEncoders
+from learn.networks.joint_encoders import JointEncoders, JointWide
 from learn.networks.paper import Paper
 from learn.networks.prediction import Coded, ThreeNetworks
 from learn.networks.pretrained import CompactPretrained
@@ -42,6 +42,7 @@ NETWORKS: dict[str, type[Coded]] = {
         CompactPretrained,
         TwoEncoders,
         JointEncoders,
+        JointWide,
         Paper,
         Separate,
         EncoderDecoder,
@@ -69,6 +70,7 @@ class About(msgspec.Struct, frozen=True):
         "compact-pretrained",
         "two-encoders",
         "joint-encoders",
+        "joint-wide",
         "paper",
         "separate",
         "encoder-decoder",
@@ -87,7 +89,7 @@ class RunInWeights(msgspec.Struct, frozen=True):
 class Progress(msgspec.Struct, frozen=True):
     """Metadata of a checkpoint, learn.data.seen's aside.
 
-    used    processor time in s
+    used    processor time in s; passed: time by the clock in s
     digest  `digest_of` its tensors
     """
 
@@ -95,6 +97,7 @@ class Progress(msgspec.Struct, frozen=True):
     skipped: Natural
     run: str
     used: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    passed: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     digest: str | None = None
 
 

@@ -2,15 +2,14 @@
 
 Everything random in step k depends on (seed, k) alone. A run that was killed continues from its
 last checkpoint to bitwise the same weights, unless its schedule ends by the clock
-(`schedule.seconds`).
+(`schedule.seconds`, `schedule.clock_seconds`).
 """
 
-import functools
 import json
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +78,7 @@ class Training:
         self.workers = workers
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.device = torch.device(device)
+        torch.backends.cudnn.benchmark = True  # all batches have one size
         self.out.mkdir(parents=True, exist_ok=True)
         for name in WRITTEN:  # before hours of training, not after them
             require_place_for_file(self.out / name)
@@ -87,7 +87,7 @@ class Training:
         self.network = self._new_network(Ranges.of(labels))
         self.average = _copies(self.network)
         self.optimiser = schedule.optimiser(self.network, run.schedule)
-        self.step, self.skipped, self.used = 0, 0, 0.0
+        self.step, self.skipped, self.used, self.passed = 0, 0, 0.0, 0.0
         self.features = self._features()
         self.seen = drawn_from(
             [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
@@ -96,7 +96,8 @@ class Training:
             progress, before = checkpoints.restore(
                 self.out / "checkpoint.safetensors", run, self.network, self.average, self.optimiser
             )
-            self.step, self.skipped, self.used = progress.step, progress.skipped, progress.used
+            self.step, self.skipped = progress.step, progress.skipped
+            self.used, self.passed = progress.used, progress.passed
             self.seen = self.seen.joined(before)
         else:
             self.seen = begin(self.network, run, self.seen)
@@ -114,7 +115,7 @@ class Training:
 
     def train(self) -> dict[str, float]:
         """Make all steps that are left; return the last validation's figures."""
-        run, last = self.run, time.monotonic()
+        run, last, before = self.run, time.monotonic(), time.monotonic()
         figures: dict[str, float] = {}
         if self.rank == 0:
             write_bytes(
@@ -126,8 +127,10 @@ class Training:
         )
         for batch in self._batches() if not self._is_done() else ():
             begun = time.process_time()
-            record = self._one_step(batch.to(self.device, non_blocking=True))
+            record = self._one_step(batch)
             self.used += time.process_time() - begun
+            now = time.monotonic()
+            self.passed, before = self.passed + now - before, now
             self.step += 1
             bar.update()
             bar.set_postfix_str(
@@ -206,9 +209,14 @@ class Training:
         return None
 
     def _is_done(self) -> bool:
-        seconds = self.run.schedule.seconds
-        return self.step >= schedule.steps(self.run) or (
-            seconds is not None and self.used >= seconds
+        return self.step >= schedule.steps(self.run) or self._share_of_time() >= 1
+
+    def _share_of_time(self) -> float:
+        """Return how much of the time that the run may take is over; 0 where only steps count."""
+        limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
+        return max(
+            0.0 if limit is None else spent / limit
+            for spent, limit in zip((self.used, self.passed), limits, strict=True)
         )
 
     def _source_of_examples(self) -> str:
@@ -226,13 +234,16 @@ class Training:
         )
 
     def _batches(self) -> Iterator[ExampleBatch]:
+        """Yield the batch of each step that is left, on the run's device."""
         order = range(self.step, schedule.steps(self.run))
-        made = functools.partial(
-            processes.batches,
-            self._source(),
-            workers=self.workers,
-            pin_memory=self.device.type == "cuda",
-        )
+        source = self._source()
+
+        def made(numbers: Sequence[int]) -> Iterator[ExampleBatch]:
+            on_cuda = self.device.type == "cuda"
+            for batch in processes.batches(source, numbers, self.workers, pin_memory=on_cuda):
+                yield batch.to(self.device, non_blocking=True)
+
+        # mirrored on the device: there it takes no time, and only half of the batches are copied
         return mirroring.batches(order, made) if self.run.data.mirrored else made(order)
 
     def _one_step(self, batch: ExampleBatch) -> dict[str, Any]:
@@ -289,9 +300,7 @@ class Training:
         )
 
     def _set_learning_rate(self, phase: schedule.Phase) -> None:
-        done = (self.step - phase.first) / phase.steps
-        if self.run.schedule.seconds is not None:
-            done = max(done, self.used / self.run.schedule.seconds)
+        done = max((self.step - phase.first) / phase.steps, self._share_of_time())
         learning_rate, beta = schedule.learning_rate(self.run, phase, self.step, done)
         schedule.set_learning_rate(self.optimiser, learning_rate, beta)
 
@@ -381,7 +390,12 @@ class Training:
         )
 
     def _save(self) -> None:
-        progress = {"step": self.step, "skipped": self.skipped, "used": self.used}
+        progress = {
+            "step": self.step,
+            "skipped": self.skipped,
+            "used": self.used,
+            "passed": self.passed,
+        }
         path = self.out / "checkpoint.safetensors"
         checkpoints.write(
             path, self.run, self.network, self.average, self.optimiser, progress, self.seen

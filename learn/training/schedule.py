@@ -97,9 +97,13 @@ def update_average(
     It moves faster in the first steps, so that the initial weights soon no longer count.
     """
     share = 1 - min(ema_decay, (1 + step) / (10 + step))
+    moved, towards = [], []
     with torch.no_grad():
         for name, tensor in network.state_dict().items():
             if tensor.is_floating_point():
-                average[name].lerp_(tensor, share)
+                moved.append(average[name])
+                towards.append(tensor)
             else:
                 average[name].copy_(tensor)
+        # as Tensor.lerp_ of each, but a GPU gets a few launches instead of hundreds
+        torch._foreach_lerp_(moved, towards, share)
