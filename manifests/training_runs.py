@@ -59,7 +59,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     deformations       share of relit training pictures whose geometry is deformed: bent, stretched
                        and embossed at random, with normals that follow (learn.data.deformations)
     mirrored           whether each batch is shown a second time, mirrored left to right, so that a
-                       run relights half as much (learn.training.mirroring)
+                       run relights half as much (learn.training.repetition)
+    recolored          how many further times each batch is shown, each time with its three colour
+                       channels exchanged cyclically: relighting then falls behind a GPU less
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -84,6 +86,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     patterns: Share = 0.0
     deformations: Share = 0.0
     mirrored: bool = False
+    recolored: Annotated[int, Meta(ge=0, le=2)] = 0
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

@@ -216,11 +216,8 @@ def reflectance_map(image: torch.Tensor, mask: torch.Tensor, n: torch.Tensor) ->
     with torch.autocast(image.device.type, enabled=False):
         B = len(image)
         p = n[:, :2].float() * torch.rsqrt(1.0 + n[:, 2:].float().clamp(min=0))
-        cell = (
-            ((p * p.new_tensor([1.0, -1.0])[:, None, None] + 1) * (CELLS / 2))
-            .long()
-            .clamp(0, CELLS - 1)
-        )
+        disk = torch.stack([p[:, 0], -p[:, 1]], 1)
+        cell = ((disk + 1) * (CELLS / 2)).long().clamp(0, CELLS - 1)
         index = (cell[:, 1] * CELLS + cell[:, 0]).reshape(B, 1, -1)
         values = torch.cat([(compressed(image.float()) - 0.5) * mask, mask.float()], 1).reshape(
             B, 4, -1

@@ -87,10 +87,13 @@ def restore(
             tensor.copy_(tensors[prefix + name])
     for i, parameter in enumerate(network.parameters()):
         if i in of_optimiser:
-            # "step" stays on the CPU: torch counts it there
-            of_one = {name: tensors[f"optimiser.{i}.{name}"] for name in of_optimiser[i]}
-            moments = {name: of_one[name].to(parameter.device) for name in MOMENTS}
-            optimiser.state[parameter] = of_one | moments
+            # torch counts "step" on the CPU, but where one launch updates all weights
+            fused = optimiser.param_groups[0].get("fused")
+            optimiser.state[parameter] = {
+                name: tensor.to(parameter.device) if fused or name in MOMENTS else tensor
+                for name in of_optimiser[i]
+                for tensor in [tensors[f"optimiser.{i}.{name}"]]
+            }
     return progress, seen
 
 

@@ -29,9 +29,9 @@ from learn.networks.prediction import Coded, Prediction
 from learn.training import (
     checkpoints,
     losses,
-    mirroring,
     montage,
     processes,
+    repetition,
     revival,
     schedule,
     validation,
@@ -105,6 +105,7 @@ class Training:
                 self._revive()
             self.average = _copies(self.network)
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
+        self._stored_buffers: list[torch.Tensor] = []
         self.model: torch.nn.Module = self.network
         if self.world > 1:
             torch.distributed.init_process_group(devices.process_group_backend(self.device))
@@ -243,8 +244,8 @@ class Training:
             for batch in processes.batches(source, numbers, self.workers, pin_memory=on_cuda):
                 yield batch.to(self.device, non_blocking=True)
 
-        # mirrored on the device: there it takes no time, and only half of the batches are copied
-        return mirroring.batches(order, made) if self.run.data.mirrored else made(order)
+        # the versions are made on the device, to which each batch is copied once
+        return repetition.batches(order, repetition.versions(self.run.data), made)
 
     def _one_step(self, batch: ExampleBatch) -> dict[str, Any]:
         """Make one step; return its figures."""
@@ -256,7 +257,7 @@ class Training:
         rng = torch.Generator().manual_seed(seed)  # sampled pixels
         self.model.train()
         # running statistics, which the forward pass changes
-        buffers = [buffer.clone() for buffer in self.network.buffers()]
+        self._copy_buffers(back=False)
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
@@ -281,8 +282,7 @@ class Training:
                 self.average, self.network, self.step, self.run.schedule.ema_decay
             )
         else:
-            for buffer, before in zip(self.network.buffers(), buffers, strict=True):
-                buffer.copy_(before)
+            self._copy_buffers(back=True)
             self._skip(batch, record)
         times = {
             "network": after_network - start,
@@ -291,6 +291,18 @@ class Training:
         }
         milliseconds = {f"{name}_ms": round(1e3 * seconds, 1) for name, seconds in times.items()}
         return record | _saturation(prediction) | milliseconds
+
+    def _copy_buffers(self, back: bool) -> None:
+        """Store the network's buffers, or give it back those that were stored."""
+        own = list(self.network.buffers())
+        stored = self._stored_buffers or [buffer.clone() for buffer in own]
+        self._stored_buffers = stored
+        for kind in {buffer.dtype for buffer in own}:  # one launch for all of a type
+            pairs = [(a, b) for a, b in zip(own, stored, strict=True) if a.dtype == kind]
+            source, target = zip(*pairs, strict=True)
+            if back:
+                source, target = target, source
+            torch._foreach_copy_(list(target), list(source))
 
     def _terms(
         self, prediction: Any, batch: ExampleBatch, loss_weights: Losses, rng: torch.Generator

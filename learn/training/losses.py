@@ -270,14 +270,20 @@ def whole(
 
 
 def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[torch.Tensor, int]:
-    """Return flat indices (B, P) of pixels drawn from each object, and their number.
+    """Return flat indices (B, P) of different pixels of each object, and their number.
 
-    An index is −1 where an object has fewer pixels.
+    They lie at equal distances in the order of rows, after a random first one, so that each pixel is
+    equally likely. An index is −1 where an object has fewer pixels.
     """
     inside = ((batch.segments > 0) & (batch.mask[:, 0] > 0)).flatten(1)
-    draw = torch.rand(inside.shape, generator=rng).to(inside.device).masked_fill(~inside, -1.0)
-    value, index = draw.topk(min(pixels, inside.shape[1]), dim=1)
-    return index.masked_fill(value < 0, -1), int((value >= 0).sum())
+    count = inside.sum(1, keepdim=True)
+    part = torch.arange(min(pixels, inside.shape[1]), device=inside.device)
+    first = torch.rand(len(inside), 1, generator=rng, dtype=torch.float64).to(inside.device)
+    place = ((part + first) * (count / len(part)).clamp(min=1)).long()
+    place = torch.where(count <= len(part), part, place)
+    seen = part < count
+    index = torch.searchsorted(inside.cumsum(1), place.clamp(max=inside.shape[1] - 1) + 1)
+    return index.masked_fill(~seen, -1), int(seen.sum())
 
 
 def at_pixels(

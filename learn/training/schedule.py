@@ -57,11 +57,19 @@ def learning_rate(run: Run, phase: Phase, step: int, done: float) -> tuple[float
 
 
 def optimiser(network: torch.nn.Module, schedule: Schedule) -> torch.optim.Optimizer:
-    """Return Adam or AdamW, whose learning rates `set_learning_rate` sets before each step."""
+    """Return Adam or AdamW, whose learning rates `set_learning_rate` sets before each step.
+
+    On a GPU one launch updates many weights.
+    """
+    fused = next(network.parameters()).is_cuda or None
     if schedule.style == "paper":
-        return torch.optim.Adam(_groups(network, schedule), schedule.learning_rate)
+        groups = _groups(network, schedule)
+        return torch.optim.Adam(groups, schedule.learning_rate, fused=fused)
     return torch.optim.AdamW(
-        _groups(network, schedule), schedule.learning_rate, weight_decay=schedule.weight_decay
+        _groups(network, schedule),
+        schedule.learning_rate,
+        weight_decay=schedule.weight_decay,
+        fused=fused,
     )
 
 

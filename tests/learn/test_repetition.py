@@ -1,4 +1,4 @@
-"""Batches that are shown a second time, mirrored: which ones, when, and that they are true."""
+"""Batches that are shown several times, mirrored and recoloured: when, and that they are true."""
 
 import msgspec
 import numpy as np
@@ -10,7 +10,7 @@ from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.layer import render
-from learn.training import mirroring
+from learn.training import repetition
 from learn.training.loop import Training
 from manifests.materials import load_catalogue
 from tests.support import synthetic
@@ -48,7 +48,7 @@ def run(steps):
 
 def test_the_mirrored_truth_renders_the_mirrored_picture(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    seen = mirroring.mirrored(batch)
+    seen = repetition.mirrored(batch)
     picture = render(
         seen.n.movedim(1, -1).contiguous(),
         seen.label.exp()[:, 0],
@@ -65,38 +65,66 @@ def test_the_mirrored_truth_renders_the_mirrored_picture(data_splits):
 
 def test_a_mirror_image_of_a_mirror_image_is_the_batch(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    again = mirroring.mirrored(mirroring.mirrored(batch))
+    again = repetition.mirrored(repetition.mirrored(batch))
     for name in ("image", "mask", "n", "segments", "label", "light", "target_label"):
         assert torch.equal(getattr(again, name), getattr(batch, name)), name
 
 
-def test_each_batch_is_shown_once_as_it_is_and_once_mirrored_later():
-    steps = range(400)
-    shown = [mirroring.shown_at(step) for step in steps]
-    plain = {number: step for step, (number, is_mirrored) in enumerate(shown) if not is_mirrored}
-    others = [(number, step) for step, (number, is_mirrored) in enumerate(shown) if is_mirrored]
-    assert sorted(plain) == list(range(200))
-    later = [number for number, step in others if step >= 2 * mirroring.DELAY]
-    assert later == list(range(200 - mirroring.DELAY))  # none twice, none left out
-    assert all(plain[number] < step for number, step in others)
-    assert mirroring.numbers(steps) == list(range(200))
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
+def test_each_batch_is_shown_once_in_each_version_the_later_ones_later(count):
+    steps, delay = range(200 * count), repetition.DELAY
+    shown = [repetition.shown_at(step, count) for step in steps]
+    first = {number: step for step, (number, version) in enumerate(shown) if version == 0}
+    assert sorted(first) == list(range(200))
+    for version in range(1, count):
+        of_version = [(step, number) for step, (number, v) in enumerate(shown) if v == version]
+        later = [number for step, number in of_version if step >= count * delay * version]
+        assert later == list(range(200 - delay * version))  # none twice, none left out
+        assert all(first[number] < step for step, number in of_version)
+    assert repetition.numbers(steps, count) == list(range(200))
 
 
+@pytest.mark.parametrize("data", [Data(), DATA, Data(recolored=2), Data(mirrored=True, recolored=1)])
 @pytest.mark.parametrize("first", [0, 1, 33, 64, 65, 130])
-def test_a_run_that_continues_is_shown_the_same_batches(first):
+def test_a_run_that_continues_is_shown_the_same_batches(first, data):
+    class Named:
+        def __init__(self, version):
+            self.version = version
+
+        def of(self, number):
+            return number, self.version
+
+    made_so_far = []
+
     def made(numbers):
-        yield from numbers
+        for number in numbers:
+            made_so_far.append(number)
+            yield number
 
-    def shown(steps):
-        return [
-            (number, "mirrored") if is_mirrored else number
-            for number, is_mirrored in map(mirroring.shown_at, steps)
-        ]
+    count = len(repetition.versions(data))
+    assert count == (1 + data.mirrored) * (1 + data.recolored)
+    steps = range(first, 240)
+    seen = list(repetition.batches(steps, [Named(v) for v in range(count)], made))
+    assert seen == [repetition.shown_at(step, count) for step in steps]
+    assert len(made_so_far) == len(set(made_so_far))
 
-    steps = range(first, 140)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mirroring, "mirrored", lambda number: (number, "mirrored"))
-        assert list(mirroring.batches(steps, made)) == shown(steps)
+
+def test_recoloured_pictures_are_those_of_the_recoloured_scene(data_splits):
+    batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
+    seen = repetition.recolored(batch, 1)
+    picture = render(
+        seen.n.movedim(1, -1).contiguous(),
+        seen.label.exp()[:, 0],
+        seen.light.movedim(1, -1).contiguous(),
+        method="exact",
+        elevation=seen.elevation,
+    ).movedim(-1, 1)
+    error = (picture - seen.image * seen.mask).abs().mean() / picture.mean()
+    assert error < DATA.tolerance
+    assert torch.equal(seen.image[:, 1], batch.image[:, 0])
+    again = repetition.recolored(repetition.recolored(seen, 1), 1)
+    for name in ("image", "light", "label", "target_label", "n"):
+        assert torch.equal(getattr(again, name), getattr(batch, name)), name
 
 
 def test_a_mirrored_run_that_was_stopped_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
