@@ -117,7 +117,9 @@ def radiance(
                 LIGHTS=TILE,
             )
             out[pixels] += result
-        for g, pixels in _pixels_of_groups(counts) if view is not None else ():
+        if view is None:
+            continue
+        for g, pixels in _pixels_of_groups(counts):
             part, v = n[pixels], view[pixels]
             energy, result = slab.energy(light, light_of[g : g + 1])[0], torch.empty_like(part)
             seen = part, v, _shortfall(v), slab.general, energy, _general_tables(m[g])[0]
@@ -153,7 +155,9 @@ def gradients(
             by_n[pixels] += of_n
             by_m[groups] += of_m
             slab.add_light_gradient(by_energy, light_of[groups], by_light)
-        for group, pixels in _pixels_of_groups(counts) if by_view is not None else ():
+        if view is None or by_view is None:
+            continue
+        for group, pixels in _pixels_of_groups(counts):
             one = light_of[group : group + 1]
             energy = slab.energy(light, one)[0]
             of_n, of_m, by_energy, of_view = _general_backward(

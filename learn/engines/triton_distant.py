@@ -30,9 +30,7 @@ LN2 = tl.constexpr(0.6931471805599453)
 
 
 @triton.jit
-def pixels_of(
-    starts: tl.tensor, group: int, PIXELS: tl.constexpr
-) -> tuple[tl.tensor, tl.tensor]:
+def pixels_of(starts: tl.tensor, group: int, PIXELS: tl.constexpr) -> tuple[tl.tensor, tl.tensor]:
     """This program's pixels of a group, and which of them the group has."""
     p = tl.load(starts + group) + tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
     return p, p < tl.load(starts + group + 1)

@@ -76,11 +76,15 @@ class Compact(Coded):
             for i, (a, b) in enumerate(zip((16, *self.widths), self.widths, strict=False))
         )
         self.deepen = nn.ModuleList(
-            Residual(width) if count == 1 else nn.Sequential(*(Residual(width) for _ in range(count)))
+            Residual(width)
+            if count == 1
+            else nn.Sequential(*(Residual(width) for _ in range(count)))
             for width, count in zip(self.widths, self.blocks, strict=True)
         )
         self.up = nn.ModuleList(
-            nn.Sequential(convolution(a + b, a), Residual(a)) if self.refined else convolution(a + b, a)
+            nn.Sequential(convolution(a + b, a), Residual(a))
+            if self.refined
+            else convolution(a + b, a)
             for a, b in pairwise(self.widths)
         )
         self.normals = nn.Conv2d(self.widths[0], 12, 3, 1, 1)

@@ -25,7 +25,13 @@ class JointEncoders(CompactWrapped):
     unit = nn.SiLU
     deep = 2 * WIDTHS[-1]  # of both encoders
     # what it does not take over when a run begins with weights of `two-encoders`
-    begins_new: tuple[str, ...] = ("narrow", "material", "illumination", "label_centre", "label_half")
+    begins_new: tuple[str, ...] = (
+        "narrow",
+        "material",
+        "illumination",
+        "label_centre",
+        "label_half",
+    )
 
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)

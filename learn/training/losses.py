@@ -272,8 +272,8 @@ def whole(
 def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[torch.Tensor, int]:
     """Return flat indices (B, P) of different pixels of each object, and their number.
 
-    They lie at equal distances in the order of rows, after a random first one, so that each pixel is
-    equally likely. An index is −1 where an object has fewer pixels.
+    They lie at equal distances in the order of rows, after a random first one, so that each pixel
+    is equally likely. An index is −1 where an object has fewer pixels.
     """
     inside = ((batch.segments > 0) & (batch.mask[:, 0] > 0)).flatten(1)
     count = inside.sum(1, keepdim=True)

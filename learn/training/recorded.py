@@ -4,7 +4,8 @@ A step of a small network is hundreds of short kernels, and launching them one b
 than they compute. A graph is recorded once, for one size of batch, and repeated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import cast
 
 import torch
 from torch import nn
@@ -46,7 +47,8 @@ class RecordedNetwork:
             prediction = network(*example, None, tuple(parts), None, 1)
         self.given = [part is not None for part in prediction]
         self.shape, self.parts = batch.image.shape, tuple(parts)
-        self.graphs = torch.cuda.make_graphed_callables(plain, example, allow_unused_input=True)
+        graphs = torch.cuda.make_graphed_callables(plain, example, allow_unused_input=True)
+        self._graphs = cast(Callable[..., Iterable[torch.Tensor]], graphs)
         for buffer, old in zip(network.buffers(), before, strict=True):
             buffer.copy_(old)
 
@@ -56,5 +58,5 @@ class RecordedNetwork:
 
     def predict(self, batch: ExampleBatch) -> Prediction:
         """Return a Prediction of a batch that `serves` accepts."""
-        results = iter(self.graphs(batch.image, batch.mask))
+        results: Iterator[torch.Tensor] = iter(self._graphs(batch.image, batch.mask))
         return Prediction(*(next(results) if given else None for given in self.given))

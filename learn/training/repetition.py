@@ -1,10 +1,10 @@
 """Show each batch several times, each time as another scene: less relighting per step.
 
-Relighting a batch costs about as much processor time as a step of the network. A batch can be shown
-again mirrored left to right, and with its colour channels exchanged cyclically: such scenes are as
-likely as the scene itself, and their pictures are the changed picture exactly. With V versions, step
-k shows batch k // V − v · DELAY in version v = k % V, so that versions of one picture are not in
-consecutive steps.
+Relighting a batch costs about as much processor time as a step of the network. A batch can be
+shown again mirrored left to right, and with its colour channels exchanged cyclically: such scenes
+are as likely as the scene itself, and their pictures are the changed picture exactly. With V
+versions, step k shows batch k // V − v · DELAY in version v = k % V, so that versions of one
+picture are not in consecutive steps.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -84,7 +84,9 @@ def test_each_batch_is_shown_once_in_each_version_the_later_ones_later(count):
     assert repetition.numbers(steps, count) == list(range(200))
 
 
-@pytest.mark.parametrize("data", [Data(), DATA, Data(recolored=2), Data(mirrored=True, recolored=1)])
+@pytest.mark.parametrize(
+    "data", [Data(), DATA, Data(recolored=2), Data(mirrored=True, recolored=1)]
+)
 @pytest.mark.parametrize("first", [0, 1, 33, 64, 65, 130])
 def test_a_run_that_continues_is_shown_the_same_batches(first, data):
     class Named:
