@@ -55,14 +55,9 @@ def array(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy()
 
 
-def mixed_precision(
-    device: torch.device, enabled: bool, cached: bool | None = None
-) -> torch.autocast:
-    """Return a context in which networks on this device compute in bfloat16, if enabled.
-
-    cached  whether weights that are used several times are converted once; None: torch's default
-    """
-    return torch.autocast(device.type, torch.bfloat16, enabled=enabled, cache_enabled=cached)
+def mixed_precision(device: torch.device, enabled: bool) -> torch.autocast:
+    """Return a context in which networks on this device compute in bfloat16, if enabled."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
 
 
 def process_group_backend(device: torch.device) -> str:

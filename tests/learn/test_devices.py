@@ -120,7 +120,7 @@ def test_mixed_precision_names_the_kind_of_its_device(monkeypatch):
     asked = []
     monkeypatch.setattr(torch, "autocast", lambda *given, **options: asked.append((given, options)))
     devices.mixed_precision(torch.device("cuda", 1), True)
-    assert asked == [(("cuda", torch.bfloat16), {"enabled": True, "cache_enabled": None})]
+    assert asked == [(("cuda", torch.bfloat16), {"enabled": True})]
 
 
 def test_the_simulated_device_refuses_numpy_and_mixed_devices_and_learns(device):

@@ -7,7 +7,7 @@ from learn.data.settings import Run, require_trainable
 from learn.networks import pretrained, tensor_file, weights
 from learn.networks.coding import Ranges, picture_code
 from learn.networks.compact import CompactWrapped
-from learn.networks.joint_encoders import JointEncoders
+from learn.networks.joint_encoders import JointEncoders, JointWide
 from learn.networks.pretrained import CompactPretrained
 from learn.networks.two_encoders import TwoEncoders
 from manifests.errors import InputError
@@ -102,8 +102,31 @@ def test_normals_material_and_light_depend_on_both_encoders():
             assert not torch.equal(getattr(before, part), getattr(after, part)), part
 
 
-def test_every_parameter_learns():
-    network = JointEncoders(RANGES).train()
+def test_the_wide_one_takes_the_pretrained_part_and_learns_its_own_encoder_anew(separate_weights):
+    network = JointWide(RANGES)
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    with tensor_file.opened(separate_weights) as stored:
+        weights.fill_joint(network, stored)
+    kept = {
+        name.split(".")[0]
+        for name, tensor in network.state_dict().items()
+        if torch.equal(tensor, before[name]) and tensor.ndim > 1
+    }
+    assert kept == {"narrow", "material", "illumination", "down", "deepen", "up", "normals"}
+    theirs = weights.load_network(separate_weights)[0].of_normals.state_dict()
+    ours = network.of_normals.state_dict()
+    assert all(torch.equal(ours[name], tensor) for name, tensor in theirs.items())
+
+
+def test_the_wide_ones_weights_take_less_than_32_mebibytes(tmp_path):
+    network, path = JointWide(RANGES), tmp_path / "wide.safetensors"
+    weights.save_weights(path, network, network.state_dict(), "{}", SIZE)
+    assert 30 << 20 < path.stat().st_size < 31 << 20  # what it saw comes beside it
+
+
+@pytest.mark.parametrize("kind", [JointEncoders, JointWide])
+def test_every_parameter_learns(kind):
+    network = kind(RANGES).train()
     image, mask = picture()
     result = network(image, mask)
     sum(part.float().sum() for part in result if part is not None).backward()

@@ -2,9 +2,12 @@
 nothing.
 """
 
+import itertools
 import json
 import math
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -22,7 +25,7 @@ from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, CompactWrapped, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
-from learn.training import losses, validation
+from learn.training import loop, losses, validation
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
@@ -309,6 +312,29 @@ def test_training_lowers_its_loss(data_splits, tmp_path):
     assert np.mean([r["normals"] for r in lines[-5:]]) < 0.5 * np.mean(
         [r["normals"] for r in lines[:3]]
     )
+
+
+def test_a_run_ends_by_the_clock_with_its_learning_rate_at_its_end(
+    data_splits, tmp_path, monkeypatch
+):
+    """By a clock that is one second later whenever it is read. Time between two parts of a run does
+    not count.
+    """
+    ticks = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: float(next(ticks)), process_time=time.process_time)
+    monkeypatch.setattr(loop, "time", clock)
+    schedule = Schedule(steps=1000, batch=4, warm_up=1, clock_seconds=20.0)
+    own = run(schedule=schedule, parts=("normals",))
+    first = Training(own, data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0)
+    first._is_done = lambda: first.step >= 3
+    first.train()
+    assert first.step == 3 and 3 <= first.passed < 15
+    second = Training(own, data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0)
+    assert second.passed == first.passed
+    second.train()
+    assert 20 <= second.passed < 25 and 3 < second.step <= 20
+    last = second.optimiser.param_groups[0]["lr"]
+    assert last < 0.3 * own.schedule.learning_rate
 
 
 def test_a_step_that_is_not_finite_changes_nothing_and_too_many_end_the_run(
