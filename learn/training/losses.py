@@ -280,7 +280,6 @@ def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[tor
     part = torch.arange(min(pixels, inside.shape[1]), device=inside.device)
     first = torch.rand(len(inside), 1, generator=rng, dtype=torch.float64).to(inside.device)
     place = ((part + first) * (count / len(part)).clamp(min=1)).long()
-    place = torch.where(count <= len(part), part, place)
     seen = part < count
     index = torch.searchsorted(inside.cumsum(1), place.clamp(max=inside.shape[1] - 1) + 1)
     return index.masked_fill(~seen, -1), int(seen.sum())
