@@ -107,7 +107,7 @@ def radiance(
             lobes, result = _distant_tables(m[groups], slab)[0], torch.empty_like(part)
             distant.forward[_tiles(of_chunk)](
                 part,
-                _starts(of_chunk, n.device),
+                _offsets(of_chunk, n.device),
                 slab.distant,
                 energy,
                 lobes,
@@ -198,7 +198,7 @@ def _most(counts, total):
     return max(1, LARGEST_WORK // of_one)
 
 
-def _starts(counts, device):
+def _offsets(counts, device):
     """First pixel of each group and the end of the last one, (G + 1,) int32."""
     return torch.as_tensor(np.cumsum((0, *counts)).astype(np.int32)).to(device, non_blocking=True)
 
@@ -241,15 +241,15 @@ def _distant_backward(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Derivatives of G groups by n (P, 3), m (G, 3, 3, 2, 6), energy (G, 3, T)."""
     lobes, kappa = _distant_tables(m, slab)
-    by_n, total, starts = torch.empty_like(n), slab.lights, _starts(counts, n.device)
+    by_n, total, offsets = torch.empty_like(n), slab.lights, _offsets(counts, n.device)
     sizes = {"PIXELS": distant.PIXELS, "LIGHTS": TILE}
     distant.backward_pixels[_tiles(counts)](
-        n, starts, slab.distant, energy, lobes, g, by_n, total, **sizes
+        n, offsets, slab.distant, energy, lobes, g, by_n, total, **sizes
     )
     parts = _parts(counts)
     sums = n.new_empty(len(m), parts, 3, 7, total)
     distant.backward_lights[(total // TILE, parts, 3 * len(m))](
-        n, starts, slab.distant, lobes, g, sums, total, _part(max(counts), parts), **sizes
+        n, offsets, slab.distant, lobes, g, sums, total, _part(max(counts), parts), **sizes
     )
     sums = sums.double().sum(1)
     by_lobe = sums[:, :, 1:].reshape(len(m), 3, 3, 2, -1).transpose(1, 2)

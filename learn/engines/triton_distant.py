@@ -3,7 +3,7 @@
 The sum is that of learn.engines.distant.
 
 n         (P, 3) unit normals, camera frame, group after group
-starts    (G + 1,) int32: the pixels of group j are starts[j] … starts[j + 1] − 1
+offsets    (G + 1,) int32: the pixels of group j are offsets[j] … offsets[j + 1] − 1
 geometry  (9, T): w (3 rows), h (3 rows), and what rounding took off h (3 rows)
 energy    (G, 3, T): radiance × solid angle
 lobes     (G, 18, T): rows 6 s + 2 k (γ) and 6 s + 2 k + 1 (κ log2 e) of lobe s, channel k
@@ -30,10 +30,10 @@ LN2 = tl.constexpr(0.6931471805599453)
 
 
 @triton.jit
-def pixels_of(starts: tl.tensor, group: int, PIXELS: tl.constexpr) -> tuple[tl.tensor, tl.tensor]:
+def pixels_of(offsets: tl.tensor, group: int, PIXELS: tl.constexpr) -> tuple[tl.tensor, tl.tensor]:
     """This program's pixels of a group, and which of them the group has."""
-    p = tl.load(starts + group) + tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
-    return p, p < tl.load(starts + group + 1)
+    p = tl.load(offsets + group) + tl.program_id(0) * PIXELS + tl.arange(0, PIXELS)
+    return p, p < tl.load(offsets + group + 1)
 
 
 @triton.jit
@@ -71,7 +71,7 @@ def channel(
 @triton.jit
 def forward(
     n: tl.tensor,
-    starts: tl.tensor,
+    offsets: tl.tensor,
     geometry: tl.tensor,
     energy: tl.tensor,
     lobes: tl.tensor,
@@ -82,7 +82,7 @@ def forward(
 ) -> None:
     """Radiance (P, 3); one program a tile of pixels of one group."""
     group = tl.program_id(1)
-    p, inside = pixels_of(starts, group, PIXELS)
+    p, inside = pixels_of(offsets, group, PIXELS)
     energy += group * 3 * lights
     lobes += group * 18 * lights
     nx, ny, nz = vectors(n, p, inside)
@@ -108,7 +108,7 @@ def forward(
 @triton.jit
 def backward_pixels(
     n: tl.tensor,
-    starts: tl.tensor,
+    offsets: tl.tensor,
     geometry: tl.tensor,
     energy: tl.tensor,
     lobes: tl.tensor,
@@ -120,7 +120,7 @@ def backward_pixels(
 ) -> None:
     """Derivative by n (P, 3), tangential up to a radial part; programs as of `forward`."""
     group = tl.program_id(1)
-    p, inside = pixels_of(starts, group, PIXELS)
+    p, inside = pixels_of(offsets, group, PIXELS)
     energy += group * 3 * lights
     lobes += group * 18 * lights
     nx, ny, nz = vectors(n, p, inside)
@@ -172,7 +172,7 @@ def lobe_sums(
 @triton.jit
 def backward_lights(
     n: tl.tensor,
-    starts: tl.tensor,
+    offsets: tl.tensor,
     geometry: tl.tensor,
     lobes: tl.tensor,
     g: tl.tensor,
@@ -201,8 +201,8 @@ def backward_lights(
     b0 = tl.zeros((LIGHTS,), tl.float32)
     b1 = tl.zeros((LIGHTS,), tl.float32)
     b2 = tl.zeros((LIGHTS,), tl.float32)
-    end = tl.load(starts + group + 1)
-    first = tl.load(starts + group) + tl.program_id(1) * split
+    end = tl.load(offsets + group + 1)
+    first = tl.load(offsets + group) + tl.program_id(1) * split
     for start in range(first, tl.minimum(first + split, end), PIXELS):
         p = start + tl.arange(0, PIXELS)
         inside = p < end

@@ -51,7 +51,7 @@ def test_kernels_compile_for_compute_capability_9(camera, kernel, tmp_path, monk
     function = getattr(module, kernel)
     tile = {"PIXELS": module.PIXELS, "LIGHTS": module.LIGHTS}
     kinds = dict.fromkeys(tile, "constexpr") | dict.fromkeys(("pixels", "lights", "split"), "i32")
-    kinds |= {"starts": "*i32"}
+    kinds |= {"offsets": "*i32"}
     signature = {name: kinds.get(name, "*fp32") for name in function.arg_names}
     constants = {(i,): tile[name] for i, name in enumerate(function.arg_names) if name in tile}
     compiled = triton.compile(
