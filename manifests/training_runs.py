@@ -61,7 +61,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     mirrored           whether each batch is shown a second time, mirrored left to right, so that a
                        run relights half as much (learn.training.repetition)
     recolored          how many further times each batch is shown, each time with its three colour
-                       channels exchanged cyclically: relighting then falls behind a GPU less
+                       channels exchanged cyclically, so that relighting keeps up with a GPU
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -140,8 +140,8 @@ class Schedule(Struct, frozen=True, forbid_unknown_fields=True):
     seconds        processor time of the network's process after which the run ends, if it has not
                    made its steps by then; the learning rate follows it. Such a run does not repeat
                    bitwise; it serves comparisons at equal cost
-    clock_seconds  the same for time by the clock, for a machine that is rented: what a run that was
-                   stopped and continued spent stopped does not count
+    clock_seconds  the same for time by the clock, for a machine that is rented. The time between
+                   the parts of a run that was stopped and continued does not count
     """
 
     steps: Count = 1000

@@ -37,6 +37,7 @@ TRAINED_PARTS = {
     "image_features": ("normals", "material", "light"),
     "target_features": ("normals", "light"),
 }
+WITH_PRETRAINED_ENCODER = ("compact-pretrained", "two-encoders", "joint-encoders", "joint-wide")
 ENCODER_DECODER_TERMS = ("material", "target", "target_features")
 
 
@@ -159,16 +160,7 @@ def require_trainable(run: Run, where: str | Path) -> None:
             f"{sum(shares):g}",
             "lower one of them; the rest are training materials",
         )
-    if (
-        run.network
-        in (
-            "compact-pretrained",
-            "two-encoders",
-            "joint-encoders",
-            "joint-wide",
-        )
-        and run.size % 32
-    ):
+    if run.network in WITH_PRETRAINED_ENCODER and run.size % 32:
         raise InputError(
             f"{where}: size",
             "a multiple of 32, for this network's encoder halves pictures five times",
