@@ -53,7 +53,7 @@ class JointWide(JointEncoders):
     """The same with a compact encoder of half as many channels again, and of more blocks.
 
     16.0 M parameters, about as many as 32 MiB of half precision hold. A step of 16 pictures takes
-    one thread 2 s, so that it is for training on a GPU; a prediction takes it about 0.1 s.
+    one thread 2 s, so that it is for training on a GPU.
     """
 
     name = "joint-wide"

@@ -34,17 +34,21 @@ def separate_weights(tmp_path):
     return path
 
 
-def test_it_begins_with_the_normals_of_weights_whose_encoders_learned_separately(separate_weights):
-    network = JointEncoders(RANGES)
+def kept_by(network, path):
+    """Names of the modules that keep their weights when a network begins with those of a file."""
     before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    with tensor_file.opened(separate_weights) as stored:
+    with tensor_file.opened(path) as stored:
         weights.fill_joint(network, stored)
-    kept = {
+    return {
         name.split(".")[0]
         for name, tensor in network.state_dict().items()
         if torch.equal(tensor, before[name]) and tensor.ndim > 1
     }
-    assert kept == {"narrow", "material", "illumination"}
+
+
+def test_it_begins_with_the_normals_of_weights_whose_encoders_learned_separately(separate_weights):
+    network = JointEncoders(RANGES)
+    assert kept_by(network, separate_weights) == {"narrow", "material", "illumination"}
     assert torch.equal(network.ranges.centre, RANGES.centre)
     theirs = weights.load_network(separate_weights)[0]
     image, mask = picture()
@@ -104,15 +108,15 @@ def test_normals_material_and_light_depend_on_both_encoders():
 
 def test_the_wide_one_takes_the_pretrained_part_and_learns_its_own_encoder_anew(separate_weights):
     network = JointWide(RANGES)
-    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    with tensor_file.opened(separate_weights) as stored:
-        weights.fill_joint(network, stored)
-    kept = {
-        name.split(".")[0]
-        for name, tensor in network.state_dict().items()
-        if torch.equal(tensor, before[name]) and tensor.ndim > 1
+    assert kept_by(network, separate_weights) == {
+        "narrow",
+        "material",
+        "illumination",
+        "down",
+        "deepen",
+        "up",
+        "normals",
     }
-    assert kept == {"narrow", "material", "illumination", "down", "deepen", "up", "normals"}
     theirs = weights.load_network(separate_weights)[0].of_normals.state_dict()
     ours = network.of_normals.state_dict()
     assert all(torch.equal(ours[name], tensor) for name, tensor in theirs.items())

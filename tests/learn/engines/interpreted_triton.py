@@ -73,6 +73,20 @@ def test_a_measured_metal(rng, perspective):
     )
 
 
+def compare_groups(g, arrays, constants):
+    """Values, and gradients by material and light; the gradients by n of both are returned."""
+    tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
+    assert (
+        relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1))
+        <= TOLERANCE
+    )
+    right = cpu.gradients(g, *arrays, *constants, 1)
+    result = cuda.gradients(torch.as_tensor(g), *tensors, *constants)
+    for by, expected in zip(result[2:], right[2:], strict=True):
+        assert relative(by.numpy(), expected) <= TOLERANCE
+    return result[0], right[0]
+
+
 @CAMERAS
 def test_groups_with_lights_of_their_own(rng, perspective):
     scene = make_scene(rng, random_material(rng), pixels=50, size=(8, 16), perspective=perspective)
@@ -80,15 +94,7 @@ def test_groups_with_lights_of_their_own(rng, perspective):
     light = rng.random((2, 8, 16, 3)).astype(np.float32)
     constants = tuple(ROTATION.flatten().tolist()), (20, 5, len(scene.n) - 25), (0, 0, 1)
     arrays = scene.n, scene.view, m, light
-    tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
-    assert (
-        relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1))
-        <= TOLERANCE
-    )
-    right = cpu.gradients(scene.g, *arrays, *constants, 1)
-    result = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
-    for by, expected in zip(result[2:], right[2:], strict=True):
-        assert relative(by.numpy(), expected) <= TOLERANCE
+    compare_groups(scene.g, arrays, constants)
 
 
 @pytest.mark.parametrize("groups_per_launch", [1, 2, 5])
@@ -101,15 +107,7 @@ def test_groups_of_few_pixels_share_a_launch(rng, groups_per_launch, monkeypatch
     light = rng.random((4, 4, 8, 3)).astype(np.float32)
     constants = tuple(ROTATION.flatten().tolist()), counts, (2, 0, 1, 3, 1)
     arrays = scene.n, None, m, light
-    tensors = [None if a is None else torch.as_tensor(a) for a in arrays]
-    assert (
-        relative(cuda.radiance(*tensors, *constants).numpy(), cpu.radiance(*arrays, *constants, 1))
-        <= TOLERANCE
-    )
-    right = cpu.gradients(scene.g, *arrays, *constants, 1)
-    result = cuda.gradients(torch.as_tensor(scene.g), *tensors, *constants)
-    for by, expected in zip(result[2:], right[2:], strict=True):
-        assert relative(by.numpy(), expected) <= TOLERANCE
+    by_n, by_n_on_cpu = compare_groups(scene.g, arrays, constants)
     normals = scene.n.astype(np.float64)
-    pair = [tangential(a.astype(np.float64), unit(normals)) for a in (result[0].numpy(), right[0])]
+    pair = [tangential(a.astype(np.float64), unit(normals)) for a in (by_n.numpy(), by_n_on_cpu)]
     assert relative(*pair) <= TOLERANCE
