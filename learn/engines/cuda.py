@@ -22,6 +22,7 @@ from learn.engines.lights import Rotation
 
 TILE = distant.LIGHTS
 LARGEST_WORK = 512 << 20  # bytes of tables and parts for the groups of one launch
+MOST_GROUPS = 65_535 // 3  # the third side of a CUDA grid, with three channels for each group
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def _most(counts, total):
     """The largest number of groups in a launch over `total` lights."""
     # float32 and float64 tables, and sums by the kernel and in float64
     of_one = total * (18 * 12 + 3 * 4 + 21 * (4 * _parts(counts) + 3 * 8))
-    return max(1, LARGEST_WORK // of_one)
+    return min(max(1, LARGEST_WORK // of_one), MOST_GROUPS)
 
 
 def _offsets(counts, device):
