@@ -435,6 +435,9 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert closed_form.cost(10_000, DirectWork(64, 0.0, 400.0)) > few
 
 
+EACH = np.full(int(MASK.sum()), 16)  # points per pixel
+
+
 def _left(direct, points, finer):
     """The differences that remain by the law, of grids that lie where `finer` says."""
     counts = np.full(MASK.shape, points)
@@ -448,22 +451,22 @@ def test_small_limits_and_grids_that_differ_take_more_points():
     same = Shaded().direct_light()
     off = same._replace(variance=np.full_like(same.radiance, 2e-4))
     assert closed_form.differences(off, MASK) > 4
-    assert closed_form.finer(same, MASK, 16, 2.0) == []
-    assert closed_form.finer(off, MASK, 16, 60.0) == []
+    assert closed_form.finer(same, MASK, EACH, 2.0) == []
+    assert closed_form.finer(off, MASK, EACH, 60.0) == []
     left, points = zip(
-        *(_left(off, 16, closed_form.finer(off, MASK, 16, limit)) for limit in (2.0, 0.5)),
+        *(_left(off, 16, closed_form.finer(off, MASK, EACH, limit)) for limit in (2.0, 0.5)),
         strict=True,
     )
     assert left[1] < left[0] and 16 < points[0] < points[1] <= 256
     sampled = off._replace(sampled=True)  # whose differences say more
-    assert _left(sampled, 16, closed_form.finer(sampled, MASK, 16, 2.0))[1] > points[0]
+    assert _left(sampled, 16, closed_form.finer(sampled, MASK, EACH, 2.0))[1] > points[0]
 
 
 def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_too():
     off = Shaded().direct_light()
     row, column = (side // 2 for side in MASK.shape)
     off.variance[row, column] = 1.0
-    finer = closed_form.finer(off, MASK, 16, 2.0)
+    finer = closed_form.finer(off, MASK, EACH, 2.0)
     counts = np.full(MASK.shape, 16)
     for each in finer:
         counts[each.where] = each.points
@@ -477,10 +480,54 @@ def test_no_more_points_are_asked_for_than_memory_holds(monkeypatch):
     off.variance[:] = 1.0
     most = 64 * int(MASK.sum()) // 2
     monkeypatch.setattr(closed_form, "MOST_POINTS", most)
-    finer = closed_form.finer(off, MASK, 16, 0.5)
+    finer = closed_form.finer(off, MASK, EACH, 0.5)
     assert finer and sum(each.points * int(each.where.sum()) for each in finer) <= most
     monkeypatch.setattr(closed_form, "MOST_PER_PIXEL", 16)
-    assert closed_form.finer(off, MASK, 16, 0.5) == []
+    assert closed_form.finer(off, MASK, EACH, 0.5) == []
+
+
+def test_no_pixel_is_given_fewer_points_than_it_has():
+    off = Shaded().direct_light()
+    off.variance[:] = 2e-4
+    columns = np.arange(MASK.shape[1]) < MASK.shape[1] // 2
+    counts = np.where(columns, 64, 16) * np.ones(MASK.shape, int)
+    finer = closed_form.finer(off, MASK, counts[MASK], 5.0)
+    assert finer and sum(each.where.sum() for each in finer) > 0.9 * (MASK & ~columns).sum()
+    assert not any(each.where[counts >= each.points].any() for each in finer)
+
+
+@pytest.mark.parametrize("factor", [1.0, 50.0])
+def test_errors_that_grids_did_not_say_give_other_pixels_more_points(factor):
+    """By a picture whose pixels are off by `factor` times what the rules expect of their grids."""
+    off = Shaded().direct_light()
+    rows = np.arange(MASK.shape[0])[:, None]
+    off.variance[:] = np.where(rows < MASK.shape[0] // 2, 1e-3, 2e-5)[..., None]
+    off_by = np.sqrt(factor * closed_form.LEFT[False][0] * off.variance)
+    seen = []
+
+    def finer(known, more):
+        seen.append((more.points, int(more.where.sum())))
+        inside = more.where[..., None]
+        return known._replace(
+            radiance=np.where(inside, off.radiance + off_by, known.radiance),
+            variance=np.where(inside, off.variance * 16 / more.points, known.variance),
+        )
+
+    direct = closed_form.refined(off, MASK, 16, 8.0, finer)
+    untouched = MASK & (direct.radiance == off.radiance).all(-1)
+    scale = direct.variance[untouched] / off.variance[untouched]
+    if factor == 1:
+        assert untouched.sum() > 0.3 * MASK.sum() and len(seen) == 1
+        np.testing.assert_allclose(scale, 1, rtol=1e-5)
+    else:
+        assert untouched.sum() < 0.01 * MASK.sum() and len(seen) > 1
+        np.testing.assert_allclose(scale, factor, rtol=0.01)
+
+
+def test_a_frame_without_more_points_stays_as_it_is():
+    off = Shaded().direct_light()
+    off.variance[:] = 2e-4
+    assert closed_form.refined(off, MASK, 16, 2.0, lambda known, more: None) is off
 
 
 def test_grids_that_differ_are_made_finer():

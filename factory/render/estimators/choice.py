@@ -24,7 +24,7 @@ from factory.render.estimators.renderer import EFFORTS, DirectPicture, Shown
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 11  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 12  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 MORE = 1.5  # times the samples of a try that failed, at least
@@ -71,7 +71,7 @@ def identity() -> list[object]:
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
         [closed_form.MOST_PER_PIXEL, closed_form.GEOMETRY],
         [sorted(closed_form.LEFT.items()), closed_form.OTHER, closed_form.OTHER_SPREAD],
-        [closed_form.USUAL, closed_form.SURPRISING, closed_form.FINER],
+        [closed_form.USUAL, closed_form.SURPRISING, closed_form.FINER, closed_form.ROUNDS],
         sorted(denoised.COST.items()),
         [sorted(EFFORTS.items()), NOISY_GUIDES],
         direct_light.constants(),
@@ -226,12 +226,13 @@ class _Attempt:
         work, direct = renderer.direct_light_work(points), renderer.direct_light(points)
         if work is None or direct is None:
             return None
-        for finer in closed_form.finer(direct, mask, work.points, self.error):
-            if renderer.direct_light_work(finer.points) == work:
-                break  # the frame has no more points
-            direct = renderer.direct_light(finer.points, direct, finer.where)
-            assert direct is not None
-        return direct
+
+        def finer(known: DirectPicture, more: closed_form.Finer) -> DirectPicture | None:
+            if renderer.direct_light_work(more.points) == work:
+                return None  # the frame has no more points
+            return renderer.direct_light(more.points, known, more.where)
+
+        return closed_form.refined(direct, mask, work.points, self.error, finer)
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""

@@ -12,7 +12,7 @@ fails     few: edges and mirror-like materials that the points miss, and materia
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ POINTS = 16  # per pixel, before `finer`
 MOST_POINTS = 1 << 21  # of all pixels that have more than those
 MOST_PER_PIXEL = 256
 FINER = ((2,), (4,), (4, 16))  # times the points, of pixels whose points differ
+ROUNDS = 3  # of giving more points, after each of which it is known better where they lack
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
 # the error that is expected: LEFT times the points' `differences`, and OTHER. It is less than of
@@ -52,36 +53,97 @@ class Finer(NamedTuple):
     where: np.ndarray
 
 
-def finer(direct: DirectPicture, mask: np.ndarray, points: int, error: float) -> list[Finer]:
+def refined(
+    direct: DirectPicture,
+    mask: np.ndarray,
+    points: int,
+    error: float,
+    compute: Callable[[DirectPicture, Finer], DirectPicture | None],
+) -> DirectPicture:
+    """Return direct light by as many points per pixel as make its own error small beside a limit.
+
+    What more points change in a pixel is the error that its points had before. Where that is more
+    than their differences say, as with bright facets that cover a few per cent of a pixel and that
+    all grids miss, the pixels that still have as few points are taken to be off by as much more:
+    their variance is scaled.
+
+    direct   by `points` per pixel
+    compute  returns a picture with more points in some pixels, None if the frame has no more
+    """
+    counts = np.full(int(mask.sum()), points)
+    for _ in range(ROUNDS):
+        before, known = direct, counts
+        for more in finer(direct, mask, counts, error):
+            result = compute(direct, more)
+            if result is None:
+                return direct
+            direct = result
+            counts = np.where(more.where[mask], more.points, counts)
+        if (changed := counts > known).any():
+            few = np.zeros_like(mask)
+            few[mask] = ~changed & (known == points)
+            scale = _surprise(before, direct, mask, changed)
+            direct = direct._replace(
+                variance=direct.variance * np.where(few, scale, 1)[..., None].astype(np.float32)
+            )
+        else:
+            break
+    return direct
+
+
+def _surprise(
+    before: DirectPicture, after: DirectPicture, mask: np.ndarray, changed: np.ndarray
+) -> float:
+    """Return by how much points were off, in units of what their differences say; at least 1.
+
+    Beside small differences of the pixels that changed it is those of all pixels that count.
+
+    changed  (P,) bool, the pixels that have more points in `after`
+    """
+    exposure = tone.auto_exposure(before.radiance, mask)
+    slope = tone.display_slope(before.radiance[mask], exposure)
+    off = (((after.radiance - before.radiance)[mask] * slope) ** 2).mean(-1, dtype=np.float64)
+    parts = _differences(before, mask)
+    said = _left(before).error * max(float(parts[changed].mean()), float(parts.mean()))
+    return max(1.0, float(off[changed].mean()) / max(said, 1e-12))
+
+
+def finer(
+    direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: float
+) -> list[Finer]:
     """Return what makes the points' own error small beside a limit: nothing if it is.
 
     The error lies at edges and in reflections, so that a few pixels are given many points: in
     proportion to the root of their part of it, which falls in proportion to their points. Which
     pixels those are is seen by their neighbours too, for the grids of one may agree by chance.
 
-    direct  by `points` per pixel
+    direct  by so many points per pixel of the mask: counts (P,)
     """
     most = ENOUGH * error / _left(direct).bound
     if differences(direct, mask) <= most:
         return []
-    parts = _with_neighbours(_differences(direct, mask), mask)
+    points = int(counts.min())
+    # of as many points everywhere
+    parts = _with_neighbours(_differences(direct, mask) * (counts / points), mask)
     best: tuple[float, float, np.ndarray] | None = None
     for levels in FINER:
-        counts = np.array([points * times for times in (1, *levels)])
-        if counts[-1] > MOST_PER_PIXEL:
+        steps = np.array([points * times for times in (1, *levels)])
+        if steps[-1] > MOST_PER_PIXEL:
             continue
-        known = _counts(parts, counts, most)
+        known = _counts(parts, counts, steps, most)
         left = float((parts * points / known).mean())
-        used = counts[1:][[bool((known == count).any()) for count in counts[1:]]]
-        work = float(known[known > points].sum() + GEOMETRY * len(parts) * used.sum())
+        more = known > counts
+        used = steps[1:][[bool((known[more] == count).any()) for count in steps[1:]]]
+        work = float(known[more].sum() + GEOMETRY * len(parts) * used.sum())
         plan = (max(left, most), work, known)
         best = min(best, plan, key=lambda each: each[:2]) if best else plan
     if best is None:
         return []
     result = []
-    for count in np.unique(best[2][best[2] > points]):
+    more = best[2] > counts
+    for count in np.unique(best[2][more]):
         where = np.zeros_like(mask)
-        where[mask] = best[2] == count
+        where[mask] = more & (best[2] == count)
         result.append(Finer(int(count), where))
     return result
 
@@ -101,23 +163,26 @@ def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result * (values.sum() / max(result.sum(), 1e-12))
 
 
-def _counts(parts: np.ndarray, counts: np.ndarray, most: float) -> np.ndarray:
-    """Return points per pixel (P,) of those in `counts`, by which the mean of the parts is `most`.
+def _counts(
+    parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float
+) -> np.ndarray:
+    """Return points per pixel (P,) by which the mean of the parts is `most`: its own, or a level.
 
     It is more where memory does not suffice.
 
-    parts   (P,) of the error, by counts[0] points
-    counts  rising
+    parts   (P,) of the error, by levels[0] points everywhere
+    counts  (P,) points per pixel so far, none of which is taken away
+    levels  rising
     """
     roots = np.sqrt(parts)
-    steps = np.sqrt(counts[1:] * counts[:-1].astype(float)) / counts[0]
+    steps = np.sqrt(levels[1:] * levels[:-1].astype(float)) / levels[0]
     low, high = 1e-6 * (float(roots.max()) + 1e-12), float(roots.max()) + 1e-12
-    largest = np.full(len(parts), counts[0])
+    largest = counts
     for _ in range(30):  # halvings, on a log scale, of the root that more points are worth
         middle = math.sqrt(low * high)
-        known = counts[np.searchsorted(steps, roots / middle)]
-        enough = float((parts * counts[0] / known).mean()) <= most
-        if int(known[known > counts[0]].sum()) > MOST_POINTS:
+        known = np.maximum(counts, levels[np.searchsorted(steps, roots / middle)])
+        enough = float((parts * levels[0] / known).mean()) <= most
+        if int(known[known > counts].sum()) > MOST_POINTS:
             low = middle
             continue
         largest = known
