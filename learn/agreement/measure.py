@@ -143,7 +143,7 @@ def rendered(sample: Sample, tolerance: float, device: str | torch.device = "cpu
 
 def narrow(m: torch.Tensor) -> bool:
     """Return whether texels and pixels are too coarse for a lobe of m (…, 3, 3, 2, 6)."""
-    return bool(quadrature.sharpness_bound(m).max() > NARROW)
+    return bool(quadrature.sharpness(m).max() > NARROW)
 
 
 def footprint(

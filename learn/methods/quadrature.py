@@ -105,14 +105,13 @@ LARGEST_IN_KERNEL = 1e7
 # θ_h grid on which the lobes' energy is added up
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
+THETA_D_FINE = np.linspace(0, np.pi / 2, 65)  # 16 per interval of the splines
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     """Outgoing radiance (P, 3) of a batch."""
-    exponent, rows = (
-        sharpness_bound(batch.m.detach()),
-        min(batch.light.shape[1], batch.light.shape[2] / 2),
-    )
+    exponent = sharpness(batch.m.detach())
+    rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
     if not wants_gradient(batch.m):
         # lobes that reflect nothing are skipped
         exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
@@ -213,15 +212,17 @@ def sample_count_for(tolerance: float) -> int:
     return int(np.clip(2 ** math.ceil(math.log2(2.5 / tolerance)), LEAST, MOST))
 
 
-def sharpness_bound(m: torch.Tensor) -> torch.Tensor:
-    """A bound on the sharpness of each lobe and channel (G, 3, 3) at any θ_d: max γ · max(κ, 1).
+def sharpness(m: torch.Tensor) -> torch.Tensor:
+    """The sharpness of each lobe and channel (…, 3, 3): the largest γ · max(κ, 1) along its curves.
 
-    The largest γ and the largest κ may belong to different angles, so this is up to 7.5 times
-    `lobe_sharpness` along the curve of a measured material. It is never below 0.63 of it, since κ /
-    (1 − e^−κ) ≤ 1.58 max(κ, 1). BROAD is calibrated for this bound (docs/engines.md).
+    It is 0.63 to 1 of the largest `lobe_sharpness`, since κ / (1 − e^−κ) is 1 to 1.58 times max(κ,
+    1). BROAD is calibrated for it (docs/engines.md). The product of the largest γ and the largest
+    κ, which may belong to different angles, is up to 7.5 times as much for measured materials, and
+    has broad lobes summed over split texels.
     """
-    kappa, gamma = m[..., 0, :].amax(-1), m[..., 1, :].amax(-1)
-    return gamma * kappa.clamp(min=1)
+    along = basis(torch.as_tensor(THETA_D_FINE, dtype=m.dtype, device=m.device))
+    kappa, gamma = torch.einsum("...ksjb,ab->j...ksa", m, along)
+    return (gamma * kappa.clamp(min=1)).amax(-1)
 
 
 def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
