@@ -13,11 +13,12 @@ lobe is too narrow. L is the mean over a sample's footprint, the square of its s
 then does not jump where a sample crosses a texel's border, and the error falls as 1/N instead of
 N^−¾.
 
-Lobes down to half a texel's width take texels split into 2 × 2 of the same radiance: a measured
-lobe of that width is often broad at another θ_d, where samples are too far apart to see a lamp of
-one texel. The sum over them leaves out a tenth of the tolerance at most, except where it is short.
-Narrower ones take texels split into 4 × 4 at small tolerances, or where derivatives are requested
-and there are no kernels. Maps of few texels are too coarse for any lobe, because the horizon cuts
+Where lobes are down to half a texel wide, texels are split into 2 × 2 of the same radiance: a
+measured lobe of that width is often broad at another θ_d, where samples are too far apart to see a
+lamp of one texel. Only texels at a θ_d where a lobe is that narrow are split (split_texels), which
+is less than a tenth of them for many. The sum leaves out a tenth of the tolerance at most, except
+where it is short. Narrower ones take texels split into 4 × 4 at small tolerances, or where
+derivatives are requested and there are no kernels. Maps of few texels are too coarse for any lobe, because the horizon cuts
 through texels: there all lobes take split texels or samples.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
@@ -30,6 +31,7 @@ N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,9 +56,10 @@ from learn.methods import (
     by_group,
     directional,
     first_only,
-    light_tables,
     load,
+    per_group,
     refusal,
+    split_texels,
     wants_gradient,
 )
 from learn.methods.exact import PAIRS
@@ -105,57 +108,62 @@ LARGEST_IN_KERNEL = 1e7
 # θ_h grid on which the lobes' energy is added up
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
-THETA_D_FINE = np.linspace(0, np.pi / 2, 65)  # 16 per interval of the splines
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     """Outgoing radiance (P, 3) of a batch."""
-    exponent = sharpness(batch.m.detach())
+    sharp = sharpness(batch.m.detach())
     rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
     if not wants_gradient(batch.m):
         # lobes that reflect nothing are skipped
-        exponent = torch.where(batch.m[..., 0, :].amax(-1) > 0, exponent, -1.0)
-    out = 0 * batch.n
-    low, samples = -1.0, sample_count_for(tolerance)
+        sharp = torch.where(batch.m[..., 0, :].amax(-1) > 0, sharp, -1.0)
     # Without kernels, split texels are faster where derivatives are requested. Where all of it is
     # short, they stay the sum that can be differentiated twice.
     derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
     kernels = has_kernels(batch.n, batch.m) and batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
-    texels = batch.light.shape[1] * batch.light.shape[2]
-    for split in (*SPLITS, None):  # None: samples
-        high = math.inf if split is None else broadest(split * rows, tolerance, low)
-        lobes = (exponent > low) & (exponent <= high)
-        low = high
-        if not lobes.any():
-            continue
-        band = replace(batch, m=keep(batch.m, lobes))
-        small = split is not None and len(batch.n) * split**2 * texels <= SHORT
-        by_texels = tolerance < LOOSE or (derivatives and (small or not kernels))
-        if split is not None and (split <= ALWAYS_SPLIT or by_texels):
-            light = (
-                batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
-                if split > 1
-                else batch.light
-            )
-            band = replace(band, light=light)
-            if split == 1 or small or not kernels:
-                out = out + load("exact").radiance(band, tolerance)
-            else:
-                out = out + by_group(
-                    first_only(band, CARD.name, CULLED),
-                    functools.partial(
-                        over_split_texels,
-                        camera_from_light=batch.camera_from_light,
-                        left_out=LEFT_OUT * tolerance,
-                    ),
-                )
-        else:
-            band, count = (
-                first_only(band, CARD.name, HELD_SAMPLES),
-                min(samples * WIDER[split], MOST),
-            )
+    pairs = len(batch.n) * batch.light.shape[1] * batch.light.shape[2]
+    short = {split: pairs * split**2 <= SHORT for split in SPLITS}
+    by_texels = tolerance < LOOSE or (derivatives and (short[SPLITS[-1]] or not kernels))
+    splits = tuple(split for split in SPLITS if split <= ALWAYS_SPLIT or by_texels)
+    limits, limit = [], -1.0
+    for split in SPLITS:
+        limit = broadest(split * rows, tolerance, limit)
+        limits.append(limit)
+    out = 0 * batch.n
+
+    in_texels = (sharp > -1.0) & (sharp <= limits[len(splits) - 1])
+    sharpest = torch.where(in_texels, sharp, -1.0).amax((-1, -2))  # of each group
+    narrow = in_texels & (sharpest > limits[0])[:, None, None]
+    whole = in_texels & ~narrow
+    if whole.any():
+        out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole)), tolerance)
+    if narrow.any() and kernels and not all(short[split] for split in splits[1:]):
+        out = out + per_group(
+            first_only(replace(batch, m=keep(batch.m, narrow)), CARD.name, CULLED),
+            functools.partial(
+                over_split_texels,
+                lobes=narrow,
+                camera_from_light=batch.camera_from_light,
+                limits=limits[: len(splits)],
+                left_out=LEFT_OUT * tolerance,
+            ),
+        )
+    elif narrow.any():
+        for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
+            groups = (sharpest > lower) & (sharpest <= upper)
+            if (lobes := narrow & groups[:, None, None]).any():
+                light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
+                split_map = replace(batch, m=keep(batch.m, lobes), light=light)
+                out = out + load("exact").radiance(split_map, tolerance)
+
+    for split in (*SPLITS[len(splits) :], None):  # None: narrower than any
+        lower = limits[len(splits) - 1] if split else limits[-1]
+        upper = limits[-1] if split else math.inf
+        lobes = (sharp > lower) & (sharp <= upper)
+        if lobes.any():
+            count = min(sample_count_for(tolerance) * WIDER[split], MOST)
             out = out + by_group(
-                band,
+                first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
                 functools.partial(
                     over_samples, camera_from_light=batch.camera_from_light, samples=count
                 ),
@@ -164,27 +172,39 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def over_split_texels(
+    group: int,
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
     light: torch.Tensor,
+    lobes: torch.Tensor,
     camera_from_light: torch.Tensor,
+    limits: Sequence[float],
     left_out: float,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of one group by the sum over texels, without texels where a lobe is faint.
+    """Radiance (p, 3) of one group by the sum over texels that are split where lobes are narrow.
 
-    left_out  part of the mean radiance that a pixel may lack. Lobes that need split texels are
-              narrow: most texels are skipped.
+    lobes     (G, 3, 3) bool that count, of each group
+    limits    sharpness up to which texels of each of SPLITS serve
+    left_out  part of the mean radiance that a pixel may lack: texels where lobes are faint are
+              skipped
     """
-    texels, energy = light_tables.of_map(light, camera_from_light)
-    lacking = 0.0 if view is not None else left_out * directional.scale(n, view, m, energy, texels)
+    if not lobes[group].any():
+        return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
+    size = light.shape[0], light.shape[1]
+    rotation = camera_from_light.double().numpy()
+    splits = SPLITS[: len(limits)]
+    parts = split_texels.parts_of_texels(m, lobes[group], view, size, rotation, limits, splits)
+    lights, energy = split_texels.lights_of(light, camera_from_light, parts)
+    lacking = 0.0 if view is not None else left_out * directional.scale(n, view, m, energy, lights)
     return directional.radiance(
         n,
         view,
         m,
         energy,
-        texels,
+        lights,
         lacking,
+        lobes=tuple(lobes[group].any(0).nonzero().flatten().tolist()),
         method=CARD.name,
         negligible=math.log2(max(left_out, 2.0**NEGLIGIBLE)),
     )
@@ -216,13 +236,9 @@ def sharpness(m: torch.Tensor) -> torch.Tensor:
     """The sharpness of each lobe and channel (…, 3, 3): the largest γ · max(κ, 1) along its curves.
 
     It is 0.63 to 1 of the largest `lobe_sharpness`, since κ / (1 − e^−κ) is 1 to 1.58 times max(κ,
-    1). BROAD is calibrated for it (docs/engines.md). The product of the largest γ and the largest
-    κ, which may belong to different angles, is up to 7.5 times as much for measured materials, and
-    has broad lobes summed over split texels.
+    1). BROAD is calibrated for it (docs/engines.md).
     """
-    along = basis(torch.as_tensor(THETA_D_FINE, dtype=m.dtype, device=m.device))
-    kappa, gamma = torch.einsum("...ksjb,ab->j...ksa", m, along)
-    return (gamma * kappa.clamp(min=1)).amax(-1)
+    return split_texels.sharpness_along(m).amax(-1)
 
 
 def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
