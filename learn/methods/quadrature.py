@@ -18,8 +18,8 @@ measured lobe of that width is often broad at another θ_d, where samples are to
 lamp of one texel. Only texels at a θ_d where a lobe is that narrow are split (split_texels), which
 is less than a tenth of them for many. The sum leaves out a tenth of the tolerance at most, except
 where it is short. Narrower ones take texels split into 4 × 4 at small tolerances, or where
-derivatives are requested and there are no kernels. Maps of few texels are too coarse for any lobe, because the horizon cuts
-through texels: there all lobes take split texels or samples.
+derivatives are requested and there are no kernels. Maps of few texels are too coarse for any lobe,
+because the horizon cuts through texels: there all lobes take split texels or samples.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
 differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk` in plain
@@ -90,8 +90,8 @@ SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
 # parts of a texel's side up to which texels are split at any tolerance: samples that err as little
 # take longer there
 ALWAYS_SPLIT = 2
-# times as many samples for lobes of each split's band, which hold more texels
-WIDER = {4: 2, None: 1}
+# times as many samples for lobes that texels of the finest split would serve: they hold more texels
+WIDER = 2
 # tolerance from which samples serve the band of the finest split too; below, they would need more
 # time than split texels
 LOOSE = 5e-3
@@ -137,7 +137,8 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     whole = in_texels & ~narrow
     if whole.any():
         out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole)), tolerance)
-    if narrow.any() and kernels and not all(short[split] for split in splits[1:]):
+    finest = splits[int(np.searchsorted(limits[: len(splits) - 1], sharpest.max().item()))]
+    if narrow.any() and kernels and not short[finest]:
         out = out + per_group(
             first_only(replace(batch, m=keep(batch.m, narrow)), CARD.name, CULLED),
             functools.partial(
@@ -156,12 +157,14 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
                 split_map = replace(batch, m=keep(batch.m, lobes), light=light)
                 out = out + load("exact").radiance(split_map, tolerance)
 
-    for split in (*SPLITS[len(splits) :], None):  # None: narrower than any
-        lower = limits[len(splits) - 1] if split else limits[-1]
-        upper = limits[-1] if split else math.inf
+    samples = sample_count_for(tolerance)
+    for lower, upper, times in (
+        (limits[len(splits) - 1], limits[-1], WIDER),
+        (limits[-1], math.inf, 1),
+    ):
         lobes = (sharp > lower) & (sharp <= upper)
         if lobes.any():
-            count = min(sample_count_for(tolerance) * WIDER[split], MOST)
+            count = min(samples * times, MOST)
             out = out + by_group(
                 first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
                 functools.partial(

@@ -95,15 +95,15 @@ def _split(
 
     Those of equal parts come one after the other, in 4×4 tiles.
     """
-    wanted = np.frombuffer(parts, np.uint8).reshape(height, width)
+    requested = np.frombuffer(parts, np.uint8).reshape(height, width)
     directions_, texels, areas = [], [], []
-    for split in np.unique(wanted):
+    for split in np.unique(requested):
         w, solid_angle = directions(height * split, width * split)
-        row, column = np.nonzero(wanted.repeat(split, 0).repeat(split, 1) == split)
+        row, column = np.nonzero(requested.repeat(split, 0).repeat(split, 1) == split)
         order = np.lexsort((column, row, column // 4, row // 4))
         row, column = row[order], column[order]
         directions_.append(w[row, column])
         texels.append(row // split * width + column // split)
-        areas.append(np.broadcast_to(solid_angle, w.shape[:2])[row, column])
+        areas.append(solid_angle[row, column])
     turned = np.concatenate(directions_) @ np.array(rotation).reshape(3, 3).T
     return lights_at(turned), np.concatenate(texels), np.concatenate(areas)
