@@ -49,8 +49,8 @@ def parts_of_texels(
     lobes     (3, 3) bool, which channels and lobes count
     view      (P, 3) of each pixel, or None for a distant viewer
     size      H, W
-    broadest  the largest sharpness that texels split so serve, of each of `splits`, rising. The
-              last serves whatever is sharper
+    broadest  the largest sharpness that texels split so serve, of the first of `splits`, rising.
+              The last of these serves whatever is sharper
     """
     along = sharpness_along(m.detach())
     sharpest = torch.where(lobes[..., None], along, 0.0).amax((0, 1)).cpu().numpy()
