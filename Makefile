@@ -85,7 +85,7 @@ weights: $(VENV)/installed
 	$(VENV)/bin/python -m factory render geometry-general --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory render geometry-20 --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory lights make --count $(WEIGHTS_LIGHTS) --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
-	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --steps $(WEIGHTS_STEPS) --workers 2 --out $(WEIGHTS_OUT)/run
+	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --steps $(WEIGHTS_STEPS) --threads $(WORKERS) --workers 2 --out $(WEIGHTS_OUT)/run
 
 # The same with a sixtieth of the shapes, lights and steps: a part that has shapes for validation and for testing.
 weights-small:

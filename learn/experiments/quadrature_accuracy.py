@@ -3,6 +3,9 @@
 A sphere over 40 % of the picture under a sun in one texel, for lobes from broad to narrow (γ from
 0.01 to 1e5). An error is a mean absolute difference over the picture's mean; "converged to" is
 the same between the two finest means, and bounds what the comparison can show.
+
+With --material, measured materials as well: the time of a picture with all of its gradients, beside
+the sum's, and the error of both, from a distant viewer and in perspective.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from manifests.option_types import above_zero
 # at 300 half-vector sample directions take over from the sum over texels
 GAMMAS = (0.01, 1.0, 30.0, 290.0, 310.0, 1.3e3, 5e3, 3e4, 1e5)
 METHODS = ("quadrature", "exact")
+MATERIALS_SIZE = 64  # of pictures of measured materials
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,18 +39,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="G",
         help="exponents of the lobes (default: nine from 0.01 to 1e5)",
     )
+    parser.add_argument(
+        "--material",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a material of the catalogue to measure too; repeatable. `all`: all 151, which takes"
+        " ten minutes",
+    )
     options.add_size(parser, 256)
     options.add_threads(parser, "number of threads; one thread is timed too")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"tolerance", "threads", "rows": [a row per lobe]}."""
-    from learn.experiments import converged_integrals
+    """Return {"tolerance", "threads", "rows": [a row per lobe], "materials": [rows]}."""
+    from learn.experiments import converged_integrals, quadrature_materials
 
     rows = converged_integrals.compared(
         arguments.tolerance, arguments.threads, tuple(arguments.gamma), arguments.size
     )
-    return {"tolerance": arguments.tolerance, "threads": arguments.threads, "rows": rows}
+    names = [] if "all" in arguments.material else arguments.material
+    materials = (
+        quadrature_materials.compared(arguments.tolerance, names, MATERIALS_SIZE)
+        if arguments.material
+        else []
+    )
+    return {
+        "tolerance": arguments.tolerance,
+        "threads": arguments.threads,
+        "rows": rows,
+        "materials": materials,
+    }
 
 
 def tables(report: runner.Report) -> str:
@@ -70,8 +93,19 @@ def tables(report: runner.Report) -> str:
         ]
         for row in report["rows"]
     ]
-    return (
+    page = (
         "# Quadrature and the sum over texels against the converged integral\n\n"
         f"Sun in one texel; tolerance {report['tolerance']:g}; forward alone.\n\n"
         + runner.table(head, rows)
     )
+    if report.get("materials"):
+        from learn.experiments import quadrature_materials
+
+        page += (
+            f"\nMeasured materials at {MATERIALS_SIZE}², forward and backward with the gradients of"
+            " normals, material and light, one thread:\n\n"
+            + runner.table(
+                quadrature_materials.HEAD, quadrature_materials.summary(report["materials"])
+            )
+        )
+    return page

@@ -46,8 +46,12 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         lambda r: all(0 <= share <= 1 for share in r["kept"].values()) and r["cases"] == 2,
     ),
     "quadrature-accuracy": (
-        "--gamma 1 30000 --size 16 --threads 1",
-        lambda r: r["rows"][1]["quadrature"]["error"] < 0.1 < r["rows"][1]["exact"]["error"],
+        "--gamma 1 30000 --size 16 --threads 1 --material chrome",
+        lambda r: (
+            r["rows"][1]["quadrature"]["error"] < 0.1 < r["rows"][1]["exact"]["error"]
+            and all(m["quadrature"]["error"] < 0.01 < m["exact"]["error"] for m in r["materials"])
+            and {m["camera"] for m in r["materials"]} == {"orthographic", "perspective"}
+        ),
     ),
     "latency": (
         "--every 100 --tolerance 0.1 --threads 1",

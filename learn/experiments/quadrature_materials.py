@@ -1,0 +1,87 @@
+"""Times and errors of quadrature for measured materials (quadrature_accuracy)."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from functools import partial
+from itertools import product
+from typing import Any
+
+import torch
+
+from learn.experiments import chart_cases, chart_measurement
+from learn.methods import load
+from learn.methods.directional import sample
+from manifests import materials
+from manifests.progress import tqdm
+
+LIGHT = "sun in a texel"
+CAMERAS = ("orthographic", "perspective")
+METHODS = ("exact", "quadrature")
+ROUNDS = 3
+HEAD = [
+    "camera",
+    "materials",
+    "time, of exact's: median",
+    "longest",
+    "above 3 times",
+    "largest error",
+    "exact's",
+]
+
+
+def compared(tolerance: float, names: Sequence[str], size: int) -> list[dict[str, Any]]:
+    """Return a row per camera and material: seconds and error of both methods.
+
+    Seconds are the least of ROUNDS of one thread's processor time, forward and backward, with the
+    gradients of normals, material and light. Errors are mean absolute differences over the mean, to
+    the integral over texels of constant radiance.
+
+    names  of the built-in materials; none: all of them
+    """
+    chosen = [materials.find(name) for name in names or materials.load_catalogue()]
+    light, rows = chart_cases.computed_lights()[LIGHT], []
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    for camera, material in tqdm(list(product(CAMERAS, chosen)), unit="case"):
+        case = chart_measurement.Case(material.name, material.label, LIGHT, light, camera, size)
+        batch, _ = case.batch()
+        truth = chart_measurement.truth_at(batch, sample(len(batch.n), chart_measurement.SAMPLE))
+        row: dict[str, Any] = {"camera": camera, "material": material.name}
+        for method in METHODS:
+            setting = chart_cases.Setting(
+                method, f"{tolerance:g}", partial(load(method).radiance, tolerance=tolerance)
+            )
+            seconds, pictures = zip(
+                *(chart_measurement.timed(setting, case, True) for _ in range(ROUNDS)), strict=True
+            )
+            errors = truth.errors(pictures[0].numpy()[truth.pick])
+            row[method] = {"seconds": min(seconds), "error": errors["integral"]}
+        rows.append(row)
+    torch.set_num_threads(before)
+    return rows
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Return a row of a table per camera; see HEAD."""
+    result = []
+    for camera in CAMERAS:
+        here = [row for row in rows if row["camera"] == camera]
+        times = {
+            row["material"]: row["quadrature"]["seconds"] / row["exact"]["seconds"] for row in here
+        }
+        slowest = max(times, key=lambda name: times[name])
+        worst = max(here, key=lambda row: row["quadrature"]["error"])
+        result.append(
+            [
+                camera,
+                str(len(here)),
+                f"{statistics.median(times.values()):.2f}",
+                f"{times[slowest]:.2f} ({slowest})",
+                str(sum(each > 3 for each in times.values())),
+                f"{worst['quadrature']['error']:.2%} ({worst['material']})",
+                f"{max(row['exact']['error'] for row in here):.0%}",
+            ]
+        )
+    return result
