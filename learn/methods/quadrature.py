@@ -134,7 +134,11 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         limits.append(limit)
     out = 0 * batch.n
 
-    in_texels = (sharp > -1.0) & (sharp <= limits[len(splits) - 1])
+    # a lobe whose channels lie on both sides of the limit has one strategy, not two
+    widest, of_lobe = limits[len(splits) - 1], sharp.amax(-2, keepdim=True)
+    sharp = torch.where((of_lobe > widest) & (sharp > widest / 2), of_lobe, sharp)
+
+    in_texels = (sharp > -1.0) & (sharp <= widest)
     sharpest = torch.where(in_texels, sharp, -1.0).amax((-1, -2))  # of each group
     narrow = in_texels & (sharpest > limits[0])[:, None, None]
     whole = in_texels & ~narrow
@@ -162,7 +166,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
     samples = sample_count_for(tolerance)
     for lower, upper, times in (
-        (limits[len(splits) - 1], limits[-1], WIDER),
+        (widest, limits[-1], WIDER),
         (limits[-1], math.inf, 1),
     ):
         lobes = (sharp > lower) & (sharp <= upper)
