@@ -30,7 +30,7 @@ import torch
 
 from learn.agreement.measure import Layer, at_pixels, narrow
 from learn.data.records import Sample
-from learn.methods import quadrature
+from learn.methods import half_vectors
 from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from manifests.schema import Record
 from shaders import closures, dsbrdf, tone
@@ -147,7 +147,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     The radiance (p, N, 3) of a direction is the mean over the solid angle that it stands for, as in
     the layer's integral.
     """
-    half, solid_angle = (torch.as_tensor(x) for x in quadrature.spiral(m, count))
+    half, solid_angle = (torch.as_tensor(x) for x in half_vectors.spiral(m, count))
     rotation, light = (
         torch.as_tensor(sample.camera_from_light),
         sample.light.reshape(-1, 3).double(),
@@ -156,10 +156,10 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     def places(
         n: torch.Tensor, view: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
-        w, weight, _ = quadrature.place(
+        w, weight, _ = half_vectors.place(
             n, view, half, solid_angle, rotation, (sample.light.shape[0], sample.light.shape[1])
         )
-        texel, share = quadrature.footprint(w @ rotation, weight, *sample.light.shape[:2])
+        texel, share = half_vectors.footprint(w @ rotation, weight, *sample.light.shape[:2])
         return w, weight, torch.einsum("pic,pick->pik", share, light[texel]).numpy()
 
     return places, count

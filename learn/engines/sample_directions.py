@@ -16,9 +16,10 @@ scratch   per call of forward: (7, 16) floats
 c and its logarithm belong to the sample, not to the pixel: they have full precision, however sharp
 the lobe. A sample's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel
 wide each way: L_k is the mean over it, so that the sum does not jump where a sample crosses a
-texel's border, and few samples resolve the border's place (learn.methods.quadrature.footprint).
+texel's border, and few samples resolve the border's place (learn.methods.half_vectors.footprint).
 
-The backward pass holds w_i and dω_i, as learn.methods.quadrature says, and computes the rest again:
+The backward pass holds w_i and dω_i, as learn.methods.half_vectors says, and computes the rest
+again:
 
     ∂μ/∂n = w    ∂c/∂n = h − c n    ∂c/∂v = (n − c h)/‖w + v‖, with ‖w + v‖ = 2 v·h    θ_d as in
     learn.engines.general

@@ -19,7 +19,7 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from learn.methods import Batch, by_group, lobe_shapes
-from learn.methods.quadrature import frame_about, reflectance, texel_of
+from learn.methods.half_vectors import frame_about, reflectance, texel_of
 from shaders.dsbrdf import differentiable_half_angles
 from shaders.envmap import directions
 from shaders.tone import LUMINANCE

@@ -10,7 +10,7 @@ import torch
 
 from learn.engines import machine_code
 from learn.layer import render
-from learn.methods import quadrature
+from learn.methods import half_vectors, quadrature
 from manifests.materials import load_catalogue
 from shaders.envmap import texel
 
@@ -187,7 +187,7 @@ def test_kernels_have_the_derivatives_of_torch_in_float64(gamma, perspective):
         given["n"][0, 0, 0] = torch.tensor([0.0, 0.6, -0.8])  # behind the image plane
         given["view"][0, 0, 0] = torch.tensor([0.0, 0.8, -0.6])
         names.append("view")
-    assert quadrature.has_kernels(given["n"], given["material"])
+    assert half_vectors.has_kernels(given["n"], given["material"])
     fast = derivatives(given, names)
     slow = derivatives({name: x.double() for name, x in given.items()}, names)
     for found in (fast, slow):  # the narrow lobe's κ and γ by themselves
@@ -242,7 +242,7 @@ def test_split_texels_without_faint_ones_keep_the_tolerance(perspective):
 
 def test_taps_cover_the_hemisphere_and_follow_the_lobes():
     m = scene(1e4, matte=0.01)["material"].reshape(3, 3, 2, 6)
-    theta, solid_angle = quadrature.sample_radii(m, 512)
+    theta, solid_angle = half_vectors.sample_radii(m, 512)
     assert (np.diff(theta) > 0).all() and theta[-1] > 1.2
     np.testing.assert_allclose(solid_angle.sum(), 2 * np.pi, rtol=1e-12)
     # one of three lobes, taps as its root: e^(−1e4 θ²/4) is nothing beyond .06
