@@ -52,13 +52,13 @@ def test_only_texels_at_angles_where_a_lobe_is_narrow_are_split():
 def test_views_that_differ_split_more_texels():
     m = one_lobe(20.0, 900.0)
     alike = torch.tensor([[0.0, 0.0, 1.0]] * 2)
-    apart = torch.nn.functional.normalize(torch.tensor([[0.3, 0.0, 1.0], [-0.3, 0.0, 1.0]]), dim=1)
+    far = torch.nn.functional.normalize(torch.tensor([[0.3, 0.0, 1.0], [-0.3, 0.0, 1.0]]), dim=1)
     distant = parts(m) == 2
     assert (distant == (parts(m, view=alike) == 2)).all()
-    wide = parts(m, view=apart) == 2
+    wide = parts(m, view=far) == 2
     assert (wide[distant]).all() and wide.sum() > 1.2 * distant.sum()
     # what each of the views needs by itself
-    assert all((wide[parts(m, view=each[None]) == 2]).all() for each in apart)
+    assert all((wide[parts(m, view=each[None]) == 2]).all() for each in far)
 
 
 def test_parts_of_texels_have_their_light_and_lie_in_them():
