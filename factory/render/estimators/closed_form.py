@@ -108,9 +108,7 @@ def _surprise(
     return max(1.0, float(off[changed].mean()) / max(said, 1e-12))
 
 
-def finer(
-    direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: float
-) -> list[Finer]:
+def finer(direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: float) -> list[Finer]:
     """Return what makes the points' own error small beside a limit: nothing if it is.
 
     The error lies at edges and in reflections, so that a few pixels are given many points: in
@@ -163,9 +161,7 @@ def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result * (values.sum() / max(result.sum(), 1e-12))
 
 
-def _counts(
-    parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float
-) -> np.ndarray:
+def _counts(parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float) -> np.ndarray:
     """Return points per pixel (P,) by which the mean of the parts is `most`: its own, or a level.
 
     It is more where memory does not suffice.
