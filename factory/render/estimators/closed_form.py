@@ -73,21 +73,19 @@ def refined(
     counts = np.full(int(mask.sum()), points)
     for _ in range(ROUNDS):
         before, known = direct, counts
-        for more in finer(direct, mask, counts, error):
+        plan = finer(direct, mask, counts, error)
+        if not plan:
+            break
+        for more in plan:
             result = compute(direct, more)
             if result is None:
                 return direct
             direct = result
             counts = np.where(more.where[mask], more.points, counts)
-        if (changed := counts > known).any():
-            few = np.zeros_like(mask)
-            few[mask] = ~changed & (known == points)
-            scale = _surprise(before, direct, mask, changed)
-            direct = direct._replace(
-                variance=direct.variance * np.where(few, scale, 1)[..., None].astype(np.float32)
-            )
-        else:
-            break
+        few = np.zeros_like(mask)
+        few[mask] = counts == points
+        scale = np.where(few, _surprise(before, direct, mask, counts > known), 1.0)
+        direct = direct._replace(variance=direct.variance * scale[..., None].astype(np.float32))
     return direct
 
 
@@ -100,8 +98,7 @@ def _surprise(
 
     changed  (P,) bool, the pixels that have more points in `after`
     """
-    exposure = tone.auto_exposure(before.radiance, mask)
-    slope = tone.display_slope(before.radiance[mask], exposure)
+    slope = _slope(before.radiance, mask)
     off = (((after.radiance - before.radiance)[mask] * slope) ** 2).mean(-1, dtype=np.float64)
     parts = _differences(before, mask)
     said = _left(before).error * max(float(parts[changed].mean()), float(parts.mean()))
@@ -204,9 +201,13 @@ def differences(direct: DirectPicture, mask: np.ndarray) -> float:
 
 def _differences(direct: DirectPicture, mask: np.ndarray) -> np.ndarray:
     """Return the same of each pixel of the mask, (P,) float64."""
-    exposure = tone.auto_exposure(direct.radiance, mask)
-    slope = tone.display_slope(direct.radiance[mask], exposure)
+    slope = _slope(direct.radiance, mask)
     return (direct.variance[mask] * slope**2).mean(-1, dtype=np.float64)
+
+
+def _slope(radiance: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return the display curve's slope (P, 3) at the mask's pixels, in the picture's exposure."""
+    return tone.display_slope(radiance[mask], tone.auto_exposure(radiance, mask))
 
 
 def expected(direct: DirectPicture, mask: np.ndarray) -> Estimate:
@@ -232,9 +233,7 @@ def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarr
     direct     (height, width, 3) by the closed form
     unblocked  two such pictures of equally many samples
     """
-    exposure = tone.auto_exposure(direct, mask)
-    exact = direct[mask]
-    slope = tone.display_slope(exact, exposure)
+    exact, slope = direct[mask], _slope(direct, mask)
     one, other = ((each[mask] - exact) * slope for each in unblocked)
     return mean_over((one * other).mean(-1))
 

@@ -63,10 +63,10 @@ def test_views_that_differ_split_more_texels():
 
 def test_parts_of_texels_have_their_light_and_lie_in_them():
     rng = np.random.default_rng(1)
-    wanted = rng.integers(1, 4, SIZE)
+    parts_of_each = rng.integers(1, 4, SIZE)
     light = torch.from_numpy(rng.random((*SIZE, 3))).requires_grad_()
-    lights, energy = split_texels.lights_of(light, torch.from_numpy(TURN), wanted)
-    assert len(lights.w) == len(energy) == (wanted**2).sum()
+    lights, energy = split_texels.lights_of(light, torch.from_numpy(TURN), parts_of_each)
+    assert len(lights.w) == len(energy) == (parts_of_each**2).sum()
     whole = light * torch.from_numpy(directions(*SIZE)[1])[..., None]
     sums = np.zeros((*SIZE, 3))
     np.add.at(sums, texel(lights.w @ TURN, *SIZE), energy.detach().numpy())
