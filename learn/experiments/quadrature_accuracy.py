@@ -55,13 +55,15 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"tolerance", "threads", "rows": [a row per lobe], "materials": [rows]}."""
     from learn.experiments import converged_integrals, quadrature_materials
 
+    measured = quadrature_materials.chosen(arguments.material)
     rows = converged_integrals.compared(
         arguments.tolerance, arguments.threads, tuple(arguments.gamma), arguments.size
     )
-    names = [] if "all" in arguments.material else arguments.material
     materials = (
-        quadrature_materials.compared(arguments.tolerance, names, MATERIALS_SIZE)
-        if arguments.material
+        quadrature_materials.compared(
+            arguments.tolerance, measured, MATERIALS_SIZE, arguments.out / "materials.jsonl"
+        )
+        if measured
         else []
     )
     return {

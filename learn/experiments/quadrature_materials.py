@@ -6,15 +6,15 @@ import statistics
 from collections.abc import Sequence
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import torch
 
-from learn.experiments import chart_cases, chart_measurement
+from learn.experiments import chart_cases, chart_measurement, runner
 from learn.methods import load
 from learn.methods.directional import sample
 from manifests import materials
-from manifests.progress import tqdm
 
 LIGHT = "sun in a texel"
 CAMERAS = ("orthographic", "perspective")
@@ -31,36 +31,57 @@ HEAD = [
 ]
 
 
-def compared(tolerance: float, names: Sequence[str], size: int) -> list[dict[str, Any]]:
+def chosen(names: Sequence[str]) -> list[materials.Material]:
+    """Return the built-in materials of these names, or all if one of them is `all`.
+
+    Raises  InputError: an unknown name
+    """
+    every = materials.load_catalogue()
+    return list(every.values()) if "all" in names else [materials.find(name) for name in names]
+
+
+def compared(
+    tolerance: float, of: Sequence[materials.Material], size: int, path: Path
+) -> list[dict[str, Any]]:
     """Return a row per camera and material: seconds and error of both methods.
 
     Seconds are the least of ROUNDS of one thread's processor time, forward and backward, with the
     gradients of normals, material and light. Errors are mean absolute differences over the mean, to
     the integral over texels of constant radiance.
 
-    names  of the built-in materials; none: all of them
+    size  of pictures, in pixels
+    path  of a file that keeps the rows, so that a stopped measurement continues
     """
-    chosen = [materials.find(name) for name in names or materials.load_catalogue()]
-    light, rows = chart_cases.computed_lights()[LIGHT], []
+    light = chart_cases.computed_lights()[LIGHT]
+    cases = [
+        (
+            {"camera": camera, "material": each.name, "tolerance": tolerance, "size": size},
+            chart_measurement.Case(each.name, each.label, LIGHT, light, camera, size),
+        )
+        for camera, each in product(CAMERAS, of)
+    ]
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    for camera, material in tqdm(list(product(CAMERAS, chosen)), unit="case"):
-        case = chart_measurement.Case(material.name, material.label, LIGHT, light, camera, size)
-        batch, _ = case.batch()
-        truth = chart_measurement.truth_at(batch, sample(len(batch.n), chart_measurement.SAMPLE))
-        row: dict[str, Any] = {"camera": camera, "material": material.name}
-        for method in METHODS:
-            setting = chart_cases.Setting(
-                method, f"{tolerance:g}", partial(load(method).radiance, tolerance=tolerance)
-            )
-            seconds, pictures = zip(
-                *(chart_measurement.timed(setting, case, True) for _ in range(ROUNDS)), strict=True
-            )
-            errors = truth.errors(pictures[0].numpy()[truth.pick])
-            row[method] = {"seconds": min(seconds), "error": errors["integral"]}
-        rows.append(row)
+    rows = runner.resume(path, cases, lambda case: _measured(case, tolerance), "case")
     torch.set_num_threads(before)
     return rows
+
+
+def _measured(case: chart_measurement.Case, tolerance: float) -> dict[str, Any]:
+    """Return {method: {"seconds", "error"}}."""
+    batch, _ = case.batch()
+    truth = chart_measurement.truth_at(batch, sample(len(batch.n), chart_measurement.SAMPLE))
+    row = {}
+    for method in METHODS:
+        setting = chart_cases.Setting(
+            method, f"{tolerance:g}", partial(load(method).radiance, tolerance=tolerance)
+        )
+        seconds, pictures = zip(
+            *(chart_measurement.timed(setting, case, True) for _ in range(ROUNDS)), strict=True
+        )
+        errors = truth.errors(pictures[0].numpy()[truth.pick])
+        row[method] = {"seconds": min(seconds), "error": errors["integral"]}
+    return row
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:

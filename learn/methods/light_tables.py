@@ -91,14 +91,18 @@ def cone(vectors: np.ndarray) -> np.ndarray:
     return np.concatenate([axis, np.cos(angle)[..., None], np.sin(angle)[..., None]], -1)
 
 
+def in_tiles(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """The order (T,) of texels in 4×4 tiles, by their rows and columns (T,)."""
+    return np.lexsort((column, row, column // 4, row // 4))
+
+
 @functools.lru_cache(maxsize=8)
 def map_lights(height: int, width: int, camera_from_light: Rotation) -> tuple[Lights, np.ndarray]:
     """The `Lights` of a map's texels in 4×4 tiles, and their places (T,) in the flattened map.
 
     All in numpy: a cached tensor from torch's inference mode could not join a graph later.
     """
-    row, column = np.divmod(np.arange(height * width), width)
-    order = np.lexsort((column, row, column // 4, row // 4))
+    order = in_tiles(*np.divmod(np.arange(height * width), width))
     rotation = np.array(camera_from_light).reshape(3, 3)
     return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), order
 

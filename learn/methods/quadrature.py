@@ -29,9 +29,9 @@ from learn.methods import (
     by_group,
     directional,
     first_only,
-    half_vectors,
     load,
     per_group,
+    sampled_sum,
     split_texels,
     wants_gradient,
 )
@@ -79,73 +79,91 @@ LEAST, MOST = 256, 16384  # samples
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     """Outgoing radiance (P, 3) of a batch."""
-    sharp = sharpness(batch.m.detach())
-    rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
-    if not wants_gradient(batch.m):
-        # lobes that reflect nothing are skipped
-        sharp = torch.where(batch.m[..., 0, :].amax(-1) > 0, sharp, -1.0)
     # Without kernels, split texels are faster where derivatives are requested. Where all of it is
     # short, they stay the sum that can be differentiated twice.
     derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
-    kernels = (
-        half_vectors.has_kernels(batch.n, batch.m)
-        and batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
+    by_texels = tolerance < LOOSE or (
+        derivatives and (is_short(batch, SPLITS[-1]) or not has_kernels(batch))
     )
-    pairs = len(batch.n) * batch.light.shape[1] * batch.light.shape[2]
-    short = {split: pairs * split**2 <= SHORT for split in SPLITS}
-    by_texels = tolerance < LOOSE or (derivatives and (short[SPLITS[-1]] or not kernels))
-    splits = tuple(split for split in SPLITS if split <= ALWAYS_SPLIT or by_texels)
-    limits, limit = [], -1.0
+    rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
+    limits, limit = [], -1.0  # sharpness up to which texels of each of SPLITS serve
     for split in SPLITS:
         limit = broadest(split * rows, tolerance, limit)
         limits.append(limit)
-    out = 0 * batch.n
+    splits = SPLITS if by_texels else tuple(split for split in SPLITS if split <= ALWAYS_SPLIT)
+    sharpest, beyond = limits[len(splits) - 1], limits[-1]  # for texels; for WIDER
 
+    sharp = sharpness(batch.m.detach())
+    if not wants_gradient(batch.m):
+        # lobes that reflect nothing are skipped
+        sharp = torch.where(batch.m[..., 0, :].amax(-1) > 0, sharp, -1.0)
     # a lobe whose channels lie on both sides of the limit has one strategy, not two
-    widest, of_lobe = limits[len(splits) - 1], sharp.amax(-2, keepdim=True)
-    sharp = torch.where((of_lobe > widest) & (sharp > widest / 2), of_lobe, sharp)
+    of_lobe = sharp.amax(-2, keepdim=True)
+    sharp = torch.where((of_lobe > sharpest) & (sharp > sharpest / 2), of_lobe, sharp)
 
-    in_texels = (sharp > -1.0) & (sharp <= widest)
-    sharpest = torch.where(in_texels, sharp, -1.0).amax((-1, -2))  # of each group
-    narrow = in_texels & (sharpest > limits[0])[:, None, None]
-    whole = in_texels & ~narrow
+    in_texels = (sharp > -1.0) & (sharp <= sharpest)
+    of_group = torch.where(in_texels, sharp, -1.0).amax((-1, -2))
+    whole = in_texels & (of_group <= limits[0])[:, None, None]
+    out = 0 * batch.n
     if whole.any():
         out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole)), tolerance)
-    finest = splits[int(np.searchsorted(limits[: len(splits) - 1], sharpest.max().item()))]
-    if narrow.any() and kernels and not short[finest]:
-        out = out + per_group(
-            first_only(replace(batch, m=keep(batch.m, narrow)), CARD.name, CULLED),
-            functools.partial(
-                over_split_texels,
-                lobes=narrow,
-                camera_from_light=batch.camera_from_light,
-                limits=limits[: len(splits)],
-                left_out=LEFT_OUT * tolerance,
-            ),
-        )
-    elif narrow.any():
-        for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
-            groups = (sharpest > lower) & (sharpest <= upper)
-            if (lobes := narrow & groups[:, None, None]).any():
-                light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
-                split_map = replace(batch, m=keep(batch.m, lobes), light=light)
-                out = out + load("exact").radiance(split_map, tolerance)
-
+    for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
+        groups = (of_group > lower) & (of_group <= upper)
+        if groups.any():
+            lobes = in_texels & groups[:, None, None]
+            out = out + over_texels(batch, lobes, split, limits, tolerance)
     samples = sample_count_for(tolerance)
-    for lower, upper, times in (
-        (widest, limits[-1], WIDER),
-        (limits[-1], math.inf, 1),
+    for lower, upper, count in (
+        (sharpest, beyond, min(WIDER * samples, MOST)),
+        (beyond, math.inf, samples),
     ):
         lobes = (sharp > lower) & (sharp <= upper)
         if lobes.any():
-            count = min(samples * times, MOST)
             out = out + by_group(
                 first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
                 functools.partial(
-                    half_vectors.radiance, camera_from_light=batch.camera_from_light, samples=count
+                    sampled_sum.radiance, camera_from_light=batch.camera_from_light, samples=count
                 ),
             )
     return out
+
+
+def is_short(batch: Batch, split: int) -> bool:
+    """Whether a sum over a map whose texels are all split may be made whole."""
+    texels = batch.light.shape[1] * batch.light.shape[2]
+    return len(batch.n) * split**2 * texels <= SHORT
+
+
+def has_kernels(batch: Batch) -> bool:
+    """Whether compiled kernels serve a batch, derivatives included."""
+    return sampled_sum.has_kernels(batch.n, batch.m) and bool(
+        batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
+    )
+
+
+def over_texels(
+    batch: Batch, lobes: torch.Tensor, split: int, limits: Sequence[float], tolerance: float
+) -> torch.Tensor:
+    """Radiance (P, 3) of some lobes of a batch by sums over texels, some or all of which are split.
+
+    lobes   (G, 3, 3) bool, channels and lobes of each group
+    split   parts of a texel's side that the sharpest of them needs
+    limits  sharpness up to which texels of each of SPLITS serve
+    """
+    chosen = replace(batch, m=keep(batch.m, lobes))
+    if is_short(batch, split) or not has_kernels(batch):
+        light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
+        return load("exact").radiance(replace(chosen, light=light), tolerance)
+    return per_group(
+        first_only(chosen, CARD.name, CULLED),
+        functools.partial(
+            over_split_texels,
+            lobes=lobes,
+            camera_from_light=batch.camera_from_light,
+            limits=limits[: SPLITS.index(split) + 1],
+            left_out=LEFT_OUT * tolerance,
+        ),
+    )
 
 
 def over_split_texels(

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from learn.engines.lights import Rotation
-from learn.methods.light_tables import VIEWER, Lights, lights_at
+from learn.methods.light_tables import VIEWER, Lights, in_tiles, lights_at, of_map
 from shaders.envmap import directions
 from shaders.spline import basis
 
@@ -78,6 +78,8 @@ def lights_of(
 
     parts  (H, W) of each texel's side
     """
+    if (parts == 1).all():
+        return of_map(light, camera_from_light)
     rotation = tuple(camera_from_light.double().flatten().tolist())
     lights, texels, solid_angles = _split(
         *parts.shape, rotation, np.ascontiguousarray(parts, np.uint8).tobytes()
@@ -100,7 +102,7 @@ def _split(
     for split in np.unique(requested):
         w, solid_angle = directions(height * split, width * split)
         row, column = np.nonzero(requested.repeat(split, 0).repeat(split, 1) == split)
-        order = np.lexsort((column, row, column // 4, row // 4))
+        order = in_tiles(row, column)
         row, column = row[order], column[order]
         directions_.append(w[row, column])
         texels.append(row // split * width + column // split)

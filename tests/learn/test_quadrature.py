@@ -10,7 +10,7 @@ import torch
 
 from learn.engines import machine_code
 from learn.layer import render
-from learn.methods import half_vectors, quadrature
+from learn.methods import half_vectors, quadrature, sampled_sum
 from manifests.materials import load_catalogue
 from shaders.envmap import texel
 
@@ -187,7 +187,7 @@ def test_kernels_have_the_derivatives_of_torch_in_float64(gamma, perspective):
         given["n"][0, 0, 0] = torch.tensor([0.0, 0.6, -0.8])  # behind the image plane
         given["view"][0, 0, 0] = torch.tensor([0.0, 0.8, -0.6])
         names.append("view")
-    assert half_vectors.has_kernels(given["n"], given["material"])
+    assert sampled_sum.has_kernels(given["n"], given["material"])
     fast = derivatives(given, names)
     slow = derivatives({name: x.double() for name, x in given.items()}, names)
     for found in (fast, slow):  # the narrow lobe's κ and γ by themselves
