@@ -494,6 +494,9 @@ def test_no_pixel_is_given_fewer_points_than_it_has():
     finer = closed_form.finer(off, MASK, counts[MASK], 5.0)
     assert finer and sum(each.where.sum() for each in finer) > 0.9 * (MASK & ~columns).sum()
     assert not any(each.where[counts >= each.points].any() for each in finer)
+    # nor are those that it has left out of the error
+    parts, own, levels = np.array([1.0, 1e-9]), np.array([16, 64]), np.array([16, 32])
+    assert (closed_form._counts(parts, own, levels, 1e-3) == [32, 64]).all()
 
 
 @pytest.mark.parametrize("factor", [1.0, 50.0])
@@ -522,6 +525,8 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(factor):
     else:
         assert untouched.sum() < 0.01 * MASK.sum() and len(seen) > 1
         np.testing.assert_allclose(scale, factor, rtol=0.01)
+    given = MASK & ~untouched  # whose variance is their own
+    assert (direct.variance[given] <= off.variance[given] / 4).all()
 
 
 def test_a_frame_without_more_points_stays_as_it_is():

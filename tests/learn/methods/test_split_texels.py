@@ -98,6 +98,44 @@ def test_the_sum_over_few_split_texels_is_that_over_many(name, camera):
     assert 0 < (few == 2).mean() < 0.1
 
 
+@pytest.mark.parametrize("at_matte, sums", [(20.0, 1), (900.0, 2)])
+def test_a_matte_lobe_has_a_sum_of_its_own_where_most_texels_are_split(monkeypatch, at_matte, sums):
+    m = one_lobe(at_matte, 900.0)
+    m[:, 0, 0], m[:, 0, 1] = 0.3, 2.0
+    light = chart_cases.computed_lights()["lamps"]
+    batch, _ = chart_cases.batch_of(
+        m.log().nan_to_num(neginf=-50).reshape(108), light, 24, "distant"
+    )
+    made, lights_of = [], split_texels.lights_of
+
+    def counted(light, turn, parts):
+        made.append(int((parts**2).sum()))
+        return lights_of(light, turn, parts)
+
+    monkeypatch.setattr(split_texels, "lights_of", counted)
+    quadrature.radiance(batch, 1e-2)
+    assert len(made) == sums and made[0] < 1.5 * SIZE[0] * SIZE[1]
+
+
+def test_a_lobe_on_both_sides_of_the_limit_has_one_strategy_unless_a_channel_is_much_broader(
+    monkeypatch,
+):
+    m = torch.full((3, 3, 2, 6), 1e-9)
+    m[:, 1, 0] = 0.5
+    m[:, 1, 1] = torch.tensor([2000.0, 1000.0, 500.0])[:, None]
+    light = chart_cases.computed_lights()["lamps"]
+    batch, _ = chart_cases.batch_of(m.log().reshape(108), light, 24, "distant")
+    seen, over_texels = [], quadrature.over_texels
+
+    def noted(batch, lobes, *others):
+        seen.append(lobes[0, :, 1].tolist())
+        return over_texels(batch, lobes, *others)
+
+    monkeypatch.setattr(quadrature, "over_texels", noted)
+    quadrature.radiance(batch, 1e-2)
+    assert seen == [[False, False, True]]
+
+
 def test_a_picture_does_not_depend_on_the_materials_beside_it():
     light = chart_cases.computed_lights()["sun in a texel"]
     each = [
