@@ -35,8 +35,8 @@ from manifests.materials import Material
 from shaders import tone
 from shaders.dsbrdf import SHAPE
 
-# largest exponent of a lobe that texels of 64 rows and pixels of 2° are fine enough for
-NARROW = 1200.0
+# largest sharpness of a lobe for which pixels of 2° and texels of 64 rows are fine enough
+NARROW = 600.0
 # places in a pixel, rightwards and downwards
 OFFSETS = np.stack(np.meshgrid(*[np.array([-1, 0, 1]) / 3] * 2), -1).reshape(-1, 2)
 
@@ -156,8 +156,8 @@ def footprint(
     """Return the integral (H, W, 3) averaged over the square of each inner pixel.
 
     Normals inside a pixel are interpolated between its neighbours'. Nothing is rendered where no
-    lobe is narrow, since a pixel's centre then stands for its square (measured: below 0.001 display
-    L2), nor where Cycles sampled pixels at their centres.
+    lobe is narrow, since a pixel's centre then stands for its square (display L2 of at most 0.03 on
+    24 pictures of six materials), nor where Cycles sampled pixels at their centres.
     """
     index = np.flatnonzero(inner)
     if (
