@@ -83,7 +83,7 @@ def leading_settings() -> list[Setting]:
 
 def computed_lights() -> dict[str, np.ndarray]:
     """Return {name: (64, 128, 3)} of lights that need no file."""
-    w, solid_angle = envmap.directions(*SIZE)
+    w, _ = envmap.directions(*SIZE)
     sky = 0.2 + np.clip(w[..., 1:2], 0, 1) * [0.5, 0.8, 1.4]
     lamps = (
         0.05
@@ -92,11 +92,18 @@ def computed_lights() -> dict[str, np.ndarray]:
             for a in np.array([(1, 1, 1), (-2, 1, 0), (0, 0.3, 1)])
         )[..., None]
     )
-    sun, spot = np.full((*SIZE, 3), 0.4), np.zeros((*SIZE, 3))
-    sun[20, 40] = 0.6 * 4 * np.pi / solid_angle[20, 40]
+    spot = np.zeros((*SIZE, 3))
     spot[18, 25] = 1.0
-    result = {"sky": sky, "lamps": lamps * np.ones(3), "sun in a texel": sun, "one texel": spot}
-    return {name: envmap.unit_mean(L)[0] for name, L in result.items()}
+    result = {"sky": sky, "lamps": lamps * np.ones(3), "one texel": spot}
+    result = {name: envmap.unit_mean(L)[0] for name, L in result.items()}
+    return result | {"sun in a texel": sun_in((20, 40))}
+
+
+def sun_in(texel: tuple[int, int]) -> np.ndarray:
+    """Return (64, 128, 3): 0.6 of the light from one texel, the rest from everywhere alike."""
+    light = np.full((*SIZE, 3), 0.4)
+    light[texel] = 0.6 * 4 * np.pi / envmap.directions(*SIZE)[1][texel]
+    return envmap.unit_mean(light)[0]
 
 
 def lights(folder: Path | None = None, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:

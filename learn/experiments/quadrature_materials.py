@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from learn.experiments import chart_cases, chart_measurement, runner
 from learn.methods import load
 from learn.methods.directional import sample
 from manifests import materials
+from shaders import envmap
+from shaders.frames import ELEVATION, camera_from_light
 
 LIGHT = "sun in a texel"
 CAMERAS = ("orthographic", "perspective")
@@ -28,7 +32,22 @@ HEAD = [
     "above 3 times",
     "largest error",
     "exact's",
+    "quadrature's under further suns",
 ]
+SUNS = (20, 55, 90, 125)  # degrees from the viewer
+SUNS_SIZE = 32  # of pictures under these
+
+
+def sun_at(degrees: float) -> np.ndarray:
+    """Return light (64, 128, 3) with a sun in one texel, so far from a distant viewer.
+
+    The texel is one of those that are at least nine tenths of the largest.
+    """
+    w, solid_angle = envmap.directions(*chart_cases.SIZE)
+    off = np.abs((w @ camera_from_light(ELEVATION).T)[..., 2] - np.cos(np.radians(degrees)))
+    off[solid_angle < 0.9 * solid_angle.max()] = np.inf
+    row, column = np.unravel_index(np.argmin(off), off.shape)
+    return chart_cases.sun_in((int(row), int(column)))
 
 
 def chosen(names: Sequence[str]) -> list[materials.Material]:
@@ -43,11 +62,12 @@ def chosen(names: Sequence[str]) -> list[materials.Material]:
 def compared(
     tolerance: float, of: Sequence[materials.Material], size: int, path: Path
 ) -> list[dict[str, Any]]:
-    """Return a row per camera and material: seconds and error of both methods.
+    """Return a row per camera and material: seconds and error of both methods, and further errors.
 
     Seconds are the least of ROUNDS of one thread's processor time, forward and backward, with the
     gradients of normals, material and light. Errors are mean absolute differences over the mean, to
-    the integral over texels of constant radiance.
+    the integral over texels of constant radiance. The further ones are of quadrature under a sun at
+    each angle of SUNS.
 
     size  of pictures, in pixels
     path  of a file that keeps the rows, so that a stopped measurement continues
@@ -62,16 +82,19 @@ def compared(
     ]
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    rows = runner.resume(path, cases, lambda case: _measured(case, tolerance), "case")
+    suns = [sun_at(degrees) for degrees in SUNS]
+    rows = runner.resume(path, cases, lambda case: _measured(case, tolerance, suns), "case")
     torch.set_num_threads(before)
     return rows
 
 
-def _measured(case: chart_measurement.Case, tolerance: float) -> dict[str, Any]:
-    """Return {method: {"seconds", "error"}}."""
+def _measured(
+    case: chart_measurement.Case, tolerance: float, suns: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """Return {method: {"seconds", "error"}, "further errors": [of each sun]}."""
     batch, _ = case.batch()
     truth = chart_measurement.truth_at(batch, sample(len(batch.n), chart_measurement.SAMPLE))
-    row = {}
+    row: dict[str, Any] = {}
     for method in METHODS:
         setting = chart_cases.Setting(
             method, f"{tolerance:g}", partial(load(method).radiance, tolerance=tolerance)
@@ -81,7 +104,18 @@ def _measured(case: chart_measurement.Case, tolerance: float) -> dict[str, Any]:
         )
         errors = truth.errors(pictures[0].numpy()[truth.pick])
         row[method] = {"seconds": min(seconds), "error": errors["integral"]}
+    row["further errors"] = [_error(case, light, tolerance) for light in suns]
     return row
+
+
+def _error(case: chart_measurement.Case, light: np.ndarray, tolerance: float) -> float:
+    """Return the error of a case's picture of SUNS_SIZE under another light."""
+    batch, _ = replace(case, light=light, size=SUNS_SIZE).batch()
+    pick = sample(len(batch.n), chart_measurement.SAMPLE)
+    with torch.no_grad():
+        picture = load("quadrature").radiance(batch, tolerance)[pick]
+        right = chart_measurement.converged(chart_measurement.picked(batch, pick))
+    return float((picture - right).abs().mean() / right.mean())
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -94,6 +128,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
         }
         slowest = max(times, key=lambda name: times[name])
         worst = max(here, key=lambda row: row["quadrature"]["error"])
+        further = max(here, key=lambda row: max(row["further errors"]))
         result.append(
             [
                 camera,
@@ -103,6 +138,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
                 str(sum(each > 3 for each in times.values())),
                 f"{worst['quadrature']['error']:.2%} ({worst['material']})",
                 f"{max(row['exact']['error'] for row in here):.0%}",
+                f"{max(further['further errors']):.2%} ({further['material']})",
             ]
         )
     return result

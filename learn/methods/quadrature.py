@@ -26,7 +26,6 @@ from learn.methods import (
     HELD_SAMPLES,
     Batch,
     Card,
-    by_group,
     directional,
     first_only,
     load,
@@ -63,6 +62,8 @@ SPLITS = (1, 2, 4)  # parts of a texel's side; beyond, samples
 ALWAYS_SPLIT = 2
 # times as many samples for lobes that texels of the finest split would serve: they hold more texels
 WIDER = 2
+# share of texels from which those that a narrow lobe is broad for are worth a sum of their own
+WORTHWHILE = 0.02
 # share of split texels beyond which broad lobes are summed by themselves over whole ones: measured
 # on the 66 built-in materials with a lobe for texels split in two, and on both kinds of camera
 JOINT = 0.15
@@ -91,7 +92,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         limit = broadest(split * rows, tolerance, limit)
         limits.append(limit)
     splits = SPLITS if by_texels else tuple(split for split in SPLITS if split <= ALWAYS_SPLIT)
-    sharpest, beyond = limits[len(splits) - 1], limits[-1]  # for texels; for WIDER
+    sharpest = limits[len(splits) - 1]  # for texels
 
     sharp = sharpness(batch.m.detach())
     if not wants_gradient(batch.m):
@@ -112,19 +113,11 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         if groups.any():
             lobes = in_texels & groups[:, None, None]
             out = out + over_texels(batch, lobes, split, limits, tolerance)
-    samples = sample_count_for(tolerance)
-    for lower, upper, count in (
-        (sharpest, beyond, min(WIDER * samples, MOST)),
-        (beyond, math.inf, samples),
-    ):
-        lobes = (sharp > lower) & (sharp <= upper)
-        if lobes.any():
-            out = out + by_group(
-                first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
-                functools.partial(
-                    sampled_sum.radiance, camera_from_light=batch.camera_from_light, samples=count
-                ),
-            )
+    narrow = sharp > sharpest
+    if narrow.any():
+        of_lobe = torch.where(narrow, sharp, -1.0).amax(-2)
+        times = torch.where(of_lobe <= limits[-1], WIDER, 1)
+        out = out + over_samples(batch, narrow, times, limits[0], tolerance)
     return out
 
 
@@ -203,22 +196,100 @@ def over_split_texels(
         sums = [(each, parts_of(each)) for each in (broad, here & ~broad) if each.any()]
     out = 0 * n
     for each, parts in sums:
-        kept = keep(m, each)
-        lights, energy = split_texels.lights_of(light, camera_from_light, parts)
-        lacking = 0.0
-        if view is None:
-            lacking = left_out / len(sums) * directional.scale(n, None, kept, energy, lights)
-        out = out + directional.radiance(
-            n,
-            view,
-            kept,
-            energy,
-            lights,
-            lacking,
-            lobes=tuple(each.any(0).nonzero().flatten().tolist()),
-            method=CARD.name,
-            negligible=math.log2(max(left_out, 2.0**NEGLIGIBLE)),
+        out = out + over_parts(
+            n, view, m, light, each, parts, camera_from_light, left_out, len(sums)
         )
+    return out
+
+
+def over_parts(
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    lobes: torch.Tensor,
+    parts: np.ndarray,
+    camera_from_light: torch.Tensor,
+    left_out: float,
+    sums: int = 1,
+) -> torch.Tensor:
+    """Radiance (p, 3) of some lobes (3, 3) of one group by a sum over texels split into parts.
+
+    parts     (H, W) of each texel's side
+    left_out  part of the mean radiance that a pixel may lack in so many sums
+    """
+    kept = keep(m, lobes)
+    lights, energy = split_texels.lights_of(light, camera_from_light, parts)
+    lacking = 0.0
+    if view is None:
+        lacking = left_out / sums * directional.scale(n, None, kept, energy, lights)
+    return directional.radiance(
+        n,
+        view,
+        kept,
+        energy,
+        lights,
+        lacking,
+        lobes=tuple(lobes.any(0).nonzero().flatten().tolist()),
+        method=CARD.name,
+        negligible=math.log2(max(left_out, 2.0**NEGLIGIBLE)),
+    )
+
+
+def over_samples(
+    batch: Batch, lobes: torch.Tensor, times: torch.Tensor, broad: float, tolerance: float
+) -> torch.Tensor:
+    """Radiance (P, 3) of narrow lobes by samples, and by texels at angles where they are broad.
+
+    lobes  (G, 3, 3) bool, channels and lobes of each group
+    times  (G, 3) how many times as many samples each lobe needs as most do
+    broad  sharpness up to which whole texels serve
+    """
+    return per_group(
+        first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
+        functools.partial(
+            over_samples_and_texels,
+            lobes=lobes,
+            times=times,
+            camera_from_light=batch.camera_from_light,
+            broad=broad,
+            tolerance=tolerance,
+        ),
+    )
+
+
+def over_samples_and_texels(
+    group: int,
+    n: torch.Tensor,
+    view: torch.Tensor | None,
+    m: torch.Tensor,
+    light: torch.Tensor,
+    lobes: torch.Tensor,
+    times: torch.Tensor,
+    camera_from_light: torch.Tensor,
+    broad: float,
+    tolerance: float,
+) -> torch.Tensor:
+    """Radiance (p, 3) of the narrow lobes of one group; arguments as `over_samples`.
+
+    Samples that follow a lobe where it is narrow are too far apart to see a lamp of one texel at a
+    θ_d where it is broad. Texels at such a θ_d are summed, and black for the samples. Each lobe has
+    samples of its own: of those that two share, too few would lie in the broader one.
+    """
+    rotation = camera_from_light.double().numpy()
+    out = 0 * n
+    for lobe in lobes[group].any(0).nonzero().flatten().tolist():
+        one = lobes[group] & (torch.arange(3, device=lobes.device) == lobe)
+        parts = split_texels.parts_of_texels(
+            m, one, view, (light.shape[0], light.shape[1]), rotation, [broad], SPLITS
+        )
+        sampled = light
+        if (parts > 0).mean() >= WORTHWHILE:
+            left_out = LEFT_OUT * tolerance
+            out = out + over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
+            sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light
+        count = min(int(times[group, lobe]) * sample_count_for(tolerance), MOST)
+        out = out + sampled_sum.radiance(n, view, keep(m, one), sampled, camera_from_light, count)
     return out
 
 

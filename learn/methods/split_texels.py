@@ -43,14 +43,13 @@ def parts_of_texels(
     broadest: Sequence[float],
     splits: Sequence[int],
 ) -> np.ndarray:
-    """Return into how many parts of its side each texel is to be split, (H, W).
+    """Return into how many parts of its side each texel is to be split (H, W), 0 if none serve.
 
     m         a material
     lobes     (3, 3) bool, which channels and lobes count
     view      (P, 3) of each pixel, or None for a distant viewer
     size      H, W
-    broadest  the largest sharpness that texels split so serve, of the first of `splits`, rising.
-              The last of these serves whatever is sharper
+    broadest  the largest sharpness that texels split so serve, of the first of `splits`, rising
     """
     along = sharpness_along(m.detach())
     sharpest = torch.where(lobes[..., None], along, 0.0).amax((0, 1)).cpu().numpy()
@@ -68,7 +67,7 @@ def parts_of_texels(
     padded = np.pad(sharpest, around, mode="edge")
     largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1).max(-1)
     there = largest[np.rint(theta_d / step).astype(int)]
-    return np.asarray(splits)[np.searchsorted(broadest[:-1], there)]
+    return np.asarray([*splits[: len(broadest)], 0])[np.searchsorted(broadest, there)]
 
 
 def lights_of(
@@ -76,7 +75,7 @@ def lights_of(
 ) -> tuple[Lights, torch.Tensor]:
     """`Lights` and E (T, 3), differentiable in light (H, W, 3), of split texels.
 
-    parts  (H, W) of each texel's side
+    parts  (H, W) of each texel's side; texels of 0 are left out
     """
     if (parts == 1).all():
         return of_map(light, camera_from_light)
@@ -99,7 +98,7 @@ def _split(
     """
     requested = np.frombuffer(parts, np.uint8).reshape(height, width)
     directions_, texels, areas = [], [], []
-    for split in np.unique(requested):
+    for split in np.unique(requested[requested > 0]):
         w, solid_angle = directions(height * split, width * split)
         row, column = np.nonzero(requested.repeat(split, 0).repeat(split, 1) == split)
         order = in_tiles(row, column)
