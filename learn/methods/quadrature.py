@@ -115,9 +115,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
             out = out + over_texels(batch, lobes, split, limits, tolerance)
     narrow = sharp > sharpest
     if narrow.any():
-        of_lobe = torch.where(narrow, sharp, -1.0).amax(-2)
-        times = torch.where(of_lobe <= limits[-1], WIDER, 1)
-        out = out + over_samples(batch, narrow, times, limits[0], tolerance)
+        out = out + over_samples(batch, narrow, limits, tolerance)
     return out
 
 
@@ -237,22 +235,20 @@ def over_parts(
 
 
 def over_samples(
-    batch: Batch, lobes: torch.Tensor, times: torch.Tensor, broad: float, tolerance: float
+    batch: Batch, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (P, 3) of narrow lobes by samples, and by texels at angles where they are broad.
 
-    lobes  (G, 3, 3) bool, channels and lobes of each group
-    times  (G, 3) how many times as many samples each lobe needs as most do
-    broad  sharpness up to which whole texels serve
+    lobes   (G, 3, 3) bool, channels and lobes of each group
+    limits  sharpness up to which texels of each of SPLITS serve
     """
     return per_group(
         first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
         functools.partial(
             over_samples_and_texels,
             lobes=lobes,
-            times=times,
             camera_from_light=batch.camera_from_light,
-            broad=broad,
+            limits=limits,
             tolerance=tolerance,
         ),
     )
@@ -265,9 +261,8 @@ def over_samples_and_texels(
     m: torch.Tensor,
     light: torch.Tensor,
     lobes: torch.Tensor,
-    times: torch.Tensor,
     camera_from_light: torch.Tensor,
-    broad: float,
+    limits: Sequence[float],
     tolerance: float,
 ) -> torch.Tensor:
     """Radiance (p, 3) of the narrow lobes of one group; arguments as `over_samples`.
@@ -277,18 +272,20 @@ def over_samples_and_texels(
     samples of its own: of those that two share, too few would lie in the broader one.
     """
     rotation = camera_from_light.double().numpy()
+    sharp = sharpness(m.detach())
     out = 0 * n
     for lobe in lobes[group].any(0).nonzero().flatten().tolist():
         one = lobes[group] & (torch.arange(3, device=lobes.device) == lobe)
         parts = split_texels.parts_of_texels(
-            m, one, view, (light.shape[0], light.shape[1]), rotation, [broad], SPLITS
+            m, one, view, (light.shape[0], light.shape[1]), rotation, limits[:1], SPLITS
         )
         sampled = light
         if (parts > 0).mean() >= WORTHWHILE:
             left_out = LEFT_OUT * tolerance
             out = out + over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
             sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light
-        count = min(int(times[group, lobe]) * sample_count_for(tolerance), MOST)
+        times = WIDER if sharp[one].max() <= limits[-1] else 1
+        count = min(times * sample_count_for(tolerance), MOST)
         out = out + sampled_sum.radiance(n, view, keep(m, one), sampled, camera_from_light, count)
     return out
 
