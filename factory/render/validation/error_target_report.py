@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import choice
+from factory.render.estimators.blends import MOST_BIAS
 from factory.render.estimators.halves import CONFIDENCE
 
 FIXED = 64  # samples of the pictures that are made as without an error
@@ -31,7 +32,9 @@ def group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any]
             row["achieved"] - CONFIDENCE * row["achieved_standard_error"] > row["requested"]
             for row in of
         ),
-        "bias_above_a_third": int((column["squared_bias"] > column["requested"] / 3).sum()),
+        "bias_above_a_third": sum(_is_biased(row) for row in of),
+        "biased_beyond_doubt": sum(_is_biased(row, CONFIDENCE) for row in of),
+        "both_kept": sum(row["achieved"] <= row["requested"] and not _is_biased(row) for row in of),
         "achieved_over_requested": float((column["achieved"] / column["requested"]).mean()),
         "bias_over_requested": float((column["squared_bias"] / column["requested"]).mean()),
         "estimated_over_achieved": _spread(column["estimated"] / column["achieved"]),
@@ -49,6 +52,13 @@ def group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any]
             "fixed_seconds_that_keep_as_often": keeping * per_sample,
         }
     return result
+
+
+def _is_biased(row: dict[str, Any], errors: float = 0.0) -> bool:
+    """Return whether a squared bias is above its part of the limit by so many standard errors."""
+    # rows of older checks have no uncertainty of the bias
+    uncertainty = row.get("squared_bias_standard_error", row["achieved_standard_error"])
+    return bool(row["squared_bias"] - errors * uncertainty > MOST_BIAS * row["requested"])
 
 
 def _spread(values: np.ndarray) -> list[float]:
@@ -79,9 +89,9 @@ def report(result: dict[str, Any]) -> str:
         "",
         "| requested | shots | path traced, denoised, ratio, closed form | kept"
         " | beyond doubt not | achieved ÷ requested, mean"
-        " | squared bias ÷ requested, mean | bias above a third"
+        " | squared bias ÷ requested, mean | bias above a third | beyond doubt | both kept"
         " | estimated ÷ achieved, 5 %, median, 95 % | predicted ÷ achieved |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
 
     def three(values: list[float]) -> str:
@@ -94,6 +104,7 @@ def report(result: dict[str, Any]) -> str:
             f" | {g['kept']} ({g['kept'] / g['shots']:.1%})"
             f" | {g['missed_beyond_doubt']} | {g['achieved_over_requested']:.2f}"
             f" | {g['bias_over_requested']:.3f} | {g['bias_above_a_third']}"
+            f" | {g['biased_beyond_doubt']} | {g['both_kept']} ({g['both_kept'] / g['shots']:.1%})"
             f" | {three(g['estimated_over_achieved'])} | {three(g['predicted_over_achieved'])} |"
         )
     lines += [
@@ -125,5 +136,19 @@ def report(result: dict[str, Any]) -> str:
             f" | {row['estimator']}, {row['samples']} | {row['requested']:g}"
             f" | {row['estimated']:.3g}"
             f" | {row['achieved']:.3g} ± {row['achieved_standard_error']:.2g} | {cause(row)} |"
+        )
+    biased = [row for row in result["figures"]["rows"] if _is_biased(row)]
+    lines += ["", f"Shots whose squared bias is above a third of the limit ({len(biased)}):", ""]
+    lines += [
+        "| shot | estimator, samples | requested | squared bias | beyond doubt |",
+        "|---|---|---|---|---|",
+    ]
+    for row in sorted(biased, key=lambda row: row["requested"] / row["squared_bias"]):
+        uncertainty = row.get("squared_bias_standard_error", row["achieved_standard_error"])
+        lines.append(
+            f"| {row['shape']}, {row['material']}, {row['light']}, {row['tier']}"
+            f" | {row['estimator']}, {row['samples']} | {row['requested']:g}"
+            f" | {row['squared_bias']:.3g} ± {uncertainty:.2g}"
+            f" | {'yes' if _is_biased(row, CONFIDENCE) else 'no'} |"
         )
     return "\n".join(lines) + "\n"
