@@ -4,10 +4,11 @@ The paper's sum evaluates a lobe once per texel, and is wrong by a factor where 
 narrower. Here the sharpness of each lobe decides its strategy: broad ones take the exact sum over
 texels, narrow ones take samples about the pixel's normal (learn.methods.half_vectors).
 
-Where lobes are down to half a texel wide, texels are split into 2 × 2 of the same radiance: a
-measured lobe of that width is often broad at another θ_d, where samples are too far apart to see a
-lamp of one texel. Only texels at a θ_d where a lobe is that narrow are split (split_texels), which
-is less than a tenth of them for many. The sum leaves out a tenth of the tolerance at most, except
+A measured lobe that is narrow at one θ_d is often broad at another, where samples that follow it
+are too far apart to see a lamp of one texel. There texels are summed, and the samples see the
+others alone. Where lobes are down to half a texel wide, texels are split into 2 × 2 of the same
+radiance: only those at a θ_d where a lobe is that narrow (split_texels), which is less than a tenth
+of them for many. A sum over split texels leaves out a tenth of the tolerance at most, except
 where it is short. Narrower ones take texels split into 4 × 4 at small tolerances, or where
 derivatives are requested and there are no kernels. Maps of few texels are too coarse for any lobe,
 because the horizon cuts through texels: there all lobes take split texels or samples.
