@@ -141,9 +141,9 @@ class DirectLight:
         facets       (P, 3) normals of the surface itself: of light below it Cycles loses a part
                      (direct_light_kernels.add_leaning). None: the normals
         misdirected  False: without the light that Cycles finds by mistake
-        cells        (P,) integers, equal for normals that are neighbours in a picture: what takes a
-                     sum of its own near the horizon is computed once for each cell. None: for each
-                     normal
+        cells        (P,) integers, equal for similar normals that are neighbours in a picture: what
+                     takes a sum of its own near the horizon is computed once for the mean of each
+                     cell. None: for each normal
         patches      (P,) the same for neighbours on one facet: what facets take away, and what
                      normals that face away reflect
         """
@@ -255,8 +255,8 @@ class DirectLight:
         (low,) = np.nonzero(n[:, 2] < np.float32(horizon))
         if len(low):
             weights = table_look_up(table[:, 2:], 1 - n[low, 2])
-            first, each = _distinct(low, cells)
-            out[low] += compute(np.ascontiguousarray(n[first]))[each] * weights
+            _, each = _distinct(low, cells)
+            out[low] += compute(_means(n[low], each))[each] * weights
 
     def _horizon(self, at: _Map, k: int | None) -> float:
         """Return n·v below which a map is not looked up: two nodes from where closure k ends.

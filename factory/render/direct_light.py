@@ -33,7 +33,10 @@ SHIFTS = {
     2: ((-0.25, -0.25), (0.25, 0.25)),
     4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
 }
-CELLS = 2  # across a pixel; in each of them light near the horizon is summed once
+# across a pixel; in each of them light near the horizon is summed once for similar normals, whose x
+# and y differ by less than a step of so many per unit
+CELLS, SIMILAR = 2, 8
+EDGE, EDGE_STEPS = 0.1, 32  # n·v below which normals of a patch are similar, and its steps per unit
 FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
 MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_DIRECT = 64  # maps of direct light in memory
@@ -189,8 +192,8 @@ def _add_band(
             normals[here],
             points.samples,
             facets[here],
-            cells=cells[here],
-            patches=_patches(pixels[here], facets[here]),
+            cells=_similar(cells[here], normals[here]),
+            patches=_patches(pixels[here], facets[here], normals[here]),
         )
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
             channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
@@ -226,11 +229,25 @@ def merged(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> Dir
     )
 
 
-def _patches(pixels: np.ndarray, facets: np.ndarray) -> np.ndarray:
+def _similar(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return integers (P,) that are equal for points of one cell with similar normals.
+
+    cells (P,) their numbers; normals (P, 3)
+    """
+    x, y = np.rint((normals[:, :2].T + 1) * SIMILAR).astype(np.int64)
+    steps = 2 * SIMILAR + 1
+    return (cells * steps + x) * steps + y
+
+
+def _patches(pixels: np.ndarray, facets: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return integers (P,) that are equal for points of one facet in one pixel.
+
+    Of normals that face away, or hardly do not, only similar ones are equal: where a closure's
+    tilted normal turns away from the viewer it ends.
 
     pixels (P,) their numbers; facets (P, 3) normals
     """
     x, y = np.rint((facets[:, :2].T + 1) * FACET_STEPS).astype(np.int64)
     steps = 2 * FACET_STEPS + 1
-    return (pixels * steps + x) * steps + y
+    turned = np.clip(np.floor((EDGE - normals[:, 2]) * EDGE_STEPS), 0, 2 * EDGE_STEPS)
+    return ((pixels * steps + x) * steps + y) * (2 * EDGE_STEPS + 1) + turned.astype(np.int64)
