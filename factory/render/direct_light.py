@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # mirror-like materials need more, for normals turn by more than their lobes in a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
 # points per pixel: so many across in each of so many grids, which are shifted against each other
-GRIDS = {256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (1, 4)}
+GRIDS = {1024: (16, 4), 512: (16, 2), 256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (1, 4)}
 USUAL = 64  # points per pixel, and the least of mirror-like materials, where few mean nothing
 LEAST = 16  # points per pixel, if as many fit
 MOST_POINTS = 1 << 23  # of a frame; those on the object take 100 bytes each

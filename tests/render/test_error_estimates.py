@@ -457,7 +457,7 @@ def test_small_limits_and_grids_that_differ_take_more_points():
         *(_left(off, 16, closed_form.finer(off, MASK, EACH, limit)) for limit in (2.0, 0.5)),
         strict=True,
     )
-    assert left[1] < left[0] and 16 < points[0] < points[1] <= 256
+    assert left[1] < left[0] and 16 < points[0] < points[1] <= closed_form.MOST_PER_PIXEL
     sampled = off._replace(sampled=True)  # whose differences say more
     assert _left(sampled, 16, closed_form.finer(sampled, MASK, EACH, 2.0))[1] > points[0]
 

@@ -25,8 +25,8 @@ from shaders import tone
 NAME: Estimator = "closed-form"
 POINTS = 16  # per pixel, before `finer`
 MOST_POINTS = 1 << 21  # of all pixels that have more than those
-MOST_PER_PIXEL = 256
-FINER = ((2,), (4,), (4, 16))  # times the points, of pixels whose points differ
+MOST_PER_PIXEL = 1024
+FINER = ((2,), (4,), (4, 16), (4, 16, 64))  # times the points, of pixels whose points differ
 ROUNDS = 3  # of giving more points, after each of which it is known better where they lack
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
