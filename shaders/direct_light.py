@@ -145,7 +145,7 @@ class DirectLight:
                      takes a sum of its own near the horizon is computed once for the mean of each
                      cell. None: for each normal
         patches      (P,) the same for neighbours on one facet: what facets take away, and what
-                     normals that face away reflect
+                     normals that face away reflect by the same closures
         """
         given = np.ascontiguousarray(n, np.float32)
         facets = None if facets is None else np.ascontiguousarray(facets, np.float32)
@@ -166,6 +166,7 @@ class DirectLight:
             np.maximum(radiance, 0, out=radiance)
         (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
+            patches = None if patches is None else self._by_closures(given, patches)
             first, each = _distinct(away, patches)
             means = _means(given[away], each)
             radiance[away] = self._leaning(means, facets[first], away=True)[each]
@@ -188,6 +189,16 @@ class DirectLight:
             first, each = _distinct(away, patches)
             radiance[away] = self.misdirected(_means(n[away], each), facets[first])[each]
         return radiance
+
+    def _by_closures(self, n: np.ndarray, patches: np.ndarray) -> np.ndarray:
+        """Return integers (P,) that are equal where patches (P,) are and the same closures reflect.
+
+        At normals (P, 3) that face away those do whose tilted normal faces the viewer.
+        """
+        for table in self._tables:
+            tilt = table_look_up(table[:, 1:2], 1 - np.abs(n[:, 2]))[:, 0]
+            patches = 2 * patches + (n[:, 2] + tilt * (1 - n[:, 2] ** 2) > 0)
+        return patches
 
     def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
         """Return what add_leaning adds (P, 3) at normals and facets (P, 3)."""

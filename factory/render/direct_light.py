@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 # mirror-like materials need more, for normals turn by more than their lobes in a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
 # points per pixel: so many across in each of so many grids, which are shifted against each other
-GRIDS = {1024: (16, 4), 512: (16, 2), 256: (8, 4), 128: (8, 2), 64: (4, 4), 32: (4, 2), 16: (2, 4), 4: (1, 4)}
+GRIDS = {
+    1024: (16, 4),
+    512: (16, 2),
+    256: (8, 4),
+    128: (8, 2),
+    64: (4, 4),
+    32: (4, 2),
+    16: (2, 4),
+    4: (1, 4),
+}
 USUAL = 64  # points per pixel, and the least of mirror-like materials, where few mean nothing
 LEAST = 16  # points per pixel, if as many fit
 MOST_POINTS = 1 << 23  # of a frame; those on the object take 100 bytes each
@@ -36,7 +45,6 @@ SHIFTS = {
 # across a pixel; in each of them light near the horizon is summed once for similar normals, whose x
 # and y differ by less than a step of so many per unit
 CELLS, SIMILAR = 2, 8
-EDGE, EDGE_STEPS = 0.1, 32  # n·v below which normals of a patch are similar, and its steps per unit
 FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
 MIRROR_LIKE = 0.03  # α below which a lobe is
 MOST_DIRECT = 64  # maps of direct light in memory
@@ -193,7 +201,7 @@ def _add_band(
             points.samples,
             facets[here],
             cells=_similar(cells[here], normals[here]),
-            patches=_patches(pixels[here], facets[here], normals[here]),
+            patches=_patches(pixels[here], facets[here]),
         )
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
             channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
@@ -239,15 +247,11 @@ def _similar(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return (cells * steps + x) * steps + y
 
 
-def _patches(pixels: np.ndarray, facets: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _patches(pixels: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """Return integers (P,) that are equal for points of one facet in one pixel.
-
-    Of normals that face away, or hardly do not, only similar ones are equal: where a closure's
-    tilted normal turns away from the viewer it ends.
 
     pixels (P,) their numbers; facets (P, 3) normals
     """
     x, y = np.rint((facets[:, :2].T + 1) * FACET_STEPS).astype(np.int64)
     steps = 2 * FACET_STEPS + 1
-    turned = np.clip(np.floor((EDGE - normals[:, 2]) * EDGE_STEPS), 0, 2 * EDGE_STEPS)
-    return ((pixels * steps + x) * steps + y) * (2 * EDGE_STEPS + 1) + turned.astype(np.int64)
+    return (pixels * steps + x) * steps + y
