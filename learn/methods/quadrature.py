@@ -195,9 +195,8 @@ def over_split_texels(
         sums = [(each, parts_of(each)) for each in (broad, here & ~broad) if each.any()]
     out = 0 * n
     for each, parts in sums:
-        out = out + over_parts(
-            n, view, m, light, each, parts, camera_from_light, left_out, len(sums)
-        )
+        share = left_out / len(sums)
+        out = out + over_parts(n, view, m, light, each, parts, camera_from_light, share)
     return out
 
 
@@ -210,18 +209,17 @@ def over_parts(
     parts: np.ndarray,
     camera_from_light: torch.Tensor,
     left_out: float,
-    sums: int = 1,
 ) -> torch.Tensor:
     """Radiance (p, 3) of some lobes (3, 3) of one group by a sum over texels split into parts.
 
     parts     (H, W) of each texel's side
-    left_out  part of the mean radiance that a pixel may lack in so many sums
+    left_out  part of the mean radiance that a pixel may lack
     """
     kept = keep(m, lobes)
     lights, energy = split_texels.lights_of(light, camera_from_light, parts)
     lacking = 0.0
     if view is None:
-        lacking = left_out / sums * directional.scale(n, None, kept, energy, lights)
+        lacking = left_out * directional.scale(n, None, kept, energy, lights)
     return directional.radiance(
         n,
         view,
