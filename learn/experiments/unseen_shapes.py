@@ -4,15 +4,16 @@ Every view of each data set's geometry is relit with materials and lights that t
 held out, with shadows, and taken by the camera model of training at an unknown exposure
 (learn.data.camera_model). Pictures are made without Cycles, so that hundreds of shapes take
 minutes; the ladder (`python -m learn evaluate-ladder`) shows fewer shapes in Cycles' pictures. All
-weights see the same pictures. The report has mean angles of each data set and of each family, with
-intervals over shapes and materials, beside normals that all face the viewer. rows.jsonl
-keeps a line per picture: the same command continues.
+weights see the same views, materials and lights, each in pictures of the size that it was trained
+on; the geometry must be a whole number of times larger. The report has mean angles of each data set
+and of each family, with intervals over shapes and materials, beside normals that all face the
+viewer. rows.jsonl keeps a line per picture: the same command continues.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,32 +80,36 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": {path.name: file_hash(path / "materials.json") for path in arguments.data},
     }
     files.pin_settings(arguments.out / "settings.json", about)
-    networks = {_name(path): checkpoint.load_network(path)[0] for path in arguments.weights}
+    networks: dict[int, dict[str, Coded]] = {}  # {size of pictures: {name: network}}
+    for path in arguments.weights:
+        network, metadata = checkpoint.load_network(path)
+        networks.setdefault(metadata["size"], {})[_name(path)] = network
     todo, sentences = [], []
     for folder in arguments.data:
-        source = photographs_of(folder, arguments.weights[0])
-        shown = overlap.of_split(source.data_split)
+        sources = photographs_of(folder, arguments.weights[0], list(networks))
+        shown = overlap.of_split(next(iter(sources.values())).data_split)
         sentences += overlap.sentences(arguments.weights, shown, folder, arguments.allow_overlap)
         todo += [
-            ({"picture": f"{folder.name} {k}", "data": folder.name}, (source, k))
+            ({"picture": f"{folder.name} {k}", "data": folder.name}, (sources, k))
             for k in range(arguments.pictures)
         ]
 
-    def row(case: tuple[RelitDataset, int]) -> dict[str, Any]:
+    def row(case: tuple[dict[int, RelitDataset], int]) -> dict[str, Any]:
         return row_of(case[0], networks, case[1])
 
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
-    return {"rows": rows, "seen": sorted(set(sentences)), "weights": list(networks)}
+    names = [_name(path) for path in arguments.weights]
+    return {"rows": rows, "seen": sorted(set(sentences)), "weights": names}
 
 
 def _name(path: Path) -> str:
     return path.stem if path.stem != "weights" else path.parent.name
 
 
-def photographs_of(folder: Path, weights: Path) -> RelitDataset:
-    """Return pictures of all of a data set's views, as training would photograph them.
+def photographs_of(folder: Path, weights: Path, sizes: Sequence[int]) -> dict[int, RelitDataset]:
+    """Return pictures of all of a data set's views, as training would photograph them, by size.
 
-    Materials are the built-in ones for testing, lights the measured ones that the run of the
+    The k-th picture has the same view, material and light at all sizes. Materials are the built-in ones for testing, lights the measured ones that the run of the
     weights held out for testing; all measured ones where it names none.
     """
     import json
@@ -143,26 +148,35 @@ def photographs_of(folder: Path, weights: Path) -> RelitDataset:
         "train",
         map_names=tuple(lights),
     )
-    return RelitDataset(everything, data, 1, run.size, seed=5)
+    return {size: RelitDataset(everything, data, 1, size, seed=5) for size in sizes}
 
 
-def row_of(source: RelitDataset, networks: dict[str, Coded], number: int) -> dict[str, Any]:
-    """Return the angles of all weights, and of normals facing the viewer, on one picture."""
+def row_of(
+    sources: Mapping[int, RelitDataset],
+    networks: Mapping[int, Mapping[str, Coded]],
+    number: int,
+) -> dict[str, Any]:
+    """Return the angles of all weights, and of normals facing the viewer, on one picture.
+
+    sources, networks  by the size of pictures; normals facing the viewer are those of the first
+    """
     import torch
 
     from learn.training.validation import means
 
-    batch = source[number]
-    mask = batch.segments > 0
-    shape, _, _, material = batch.names[0].split(" ")
-    angles = {FACING: batch.n[:, 2].clamp(-1, 1).arccos().rad2deg()}
-    with torch.no_grad():
-        for name, network in networks.items():
-            n = network(batch.image, batch.mask, None, ("normals",)).n
-            angles[name] = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
-    return {"shape": shape, "family": family_of(shape), "material": material} | {
-        name: float(means(angle, mask)[0]) for name, angle in angles.items()
-    }
+    angles: dict[str, float] = {}
+    for size, source in sources.items():
+        batch = source[number]
+        mask = batch.segments > 0
+        shape, _, _, material = batch.names[0].split(" ")
+        facing = batch.n[:, 2].clamp(-1, 1).arccos().rad2deg()
+        angles.setdefault(FACING, float(means(facing, mask)[0]))
+        for name, network in networks[size].items():
+            with torch.no_grad():
+                n = network(batch.image, batch.mask, None, ("normals",)).n
+            angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
+            angles[name] = float(means(angle, mask)[0])
+    return {"shape": shape, "family": family_of(shape), "material": material} | angles
 
 
 def family_of(shape: str) -> str:

@@ -16,6 +16,7 @@ from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.experiments import auto_calibration, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.metrics import bootstrap
+from learn.networks import weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
@@ -276,6 +277,25 @@ def test_the_comparison_without_mitsuba_is_a_line_with_the_remedy(
     words = f"--data {room}/ladder --weights {room}/weights.safetensors"
     assert run("mitsuba-comparison", words, tmp_path / "out") == 1
     assert "pip install .[witness]" in capsys.readouterr().err
+
+
+def test_weights_of_another_size_see_the_same_scenes_in_pictures_of_their_own_size(room, tmp_path):
+    """Weights of 32 and 64 pixels, geometry of 64; by themselves, each has the same angles."""
+    network, _ = weights.load_network(room / "weights.safetensors")
+    larger = tmp_path / "larger.safetensors"
+    save_weights(larger, network, network.state_dict(), json.dumps(SETTINGS), 2 * SIZE)
+    smaller = room / "weights.safetensors"
+    pages = {}
+    for name, files in {"both": [smaller, larger], "one": [larger]}.items():
+        words = " ".join(f"--weights {file}" for file in files)
+        words += f" --data {room}/large --pictures 2"
+        assert run("unseen-shapes", words, tmp_path / name) == 0
+        pages[name] = json.loads((tmp_path / name / "report.json").read_text())["rows"]
+    stem = smaller.parent.name
+    for both, one in zip(pages["both"], pages["one"], strict=True):
+        assert (both["shape"], both["material"]) == (one["shape"], one["material"])
+        assert both["larger"] == one["larger"]
+        assert both[stem] != both["larger"]
 
 
 def test_a_line_through_exposures_leaves_out_draws_of_one_picture():
