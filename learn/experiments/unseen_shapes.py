@@ -109,8 +109,9 @@ def _name(path: Path) -> str:
 def photographs_of(folder: Path, weights: Path, sizes: Sequence[int]) -> dict[int, RelitDataset]:
     """Return pictures of all of a data set's views, as training would photograph them, by size.
 
-    The k-th picture has the same view, material and light at all sizes. Materials are the built-in ones for testing, lights the measured ones that the run of the
-    weights held out for testing; all measured ones where it names none.
+    The k-th picture has the same view, material and light at all sizes. Materials are the built-in
+    ones for testing, lights the measured ones that the run of the weights held out for testing; all
+    measured ones where it names none.
     """
     import json
 
