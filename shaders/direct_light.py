@@ -5,7 +5,8 @@ reflectance map (Ramamoorthi and Hanrahan 2001). Each closure is integrated as i
 
 wide    by maps over the visible hemisphere, of unit weight, between whose nodes radiance is
         interpolated. A node is the sum over the light's texels: blocks of them count as one light
-        where the lobe is much wider, and near a narrower lobe's axis each is divided
+        where the lobe is much wider, and near a narrower lobe's axis each is divided. Flat faces of
+        many points have sums of their own, over all texels: an error would be that of a whole face
 narrow  at every normal, over sample directions that follow the lobe as far as `extent` around its
         axis; what a long-tailed lobe (GGX) reflects from beyond comes from a map as above
 
@@ -48,6 +49,9 @@ SAMPLES = 12  # directions per normal of each of the two distributions
 # error is common to them, so that the differences of grids of points do not show it
 SHARED = 4
 MOST_TOGETHER = 16384
+# points that share a normal from which it has a sum of its own, and of so many normals at most
+FACE_POINTS, MOST_FACES = 64, 256
+KEPT_FACES = 1 << 14  # sums of faces that are remembered
 COS_FLAT = float(np.cos(np.radians(0.1)))  # between normals and facets that count as the same
 NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are distinguished
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
@@ -95,6 +99,7 @@ class DirectLight:
         self.blocks = LightBlocks(self.light, camera_from_light)
         self._least = np.exp(mixture.log_alpha.min(0))
         self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
+        self._faces: dict[bytes, np.ndarray] = {}  # what maps are for, by normals of flat faces
         self._misdirected: _Map | None = None
         if misdirected and "ashikhmin_shirley" in mixture.kinds and self.light.any():
             self._misdirected = _Map.empty(LEAST_NODES)
@@ -152,12 +157,18 @@ class DirectLight:
         n, lean = _facing(given, facets)
         facets = n if facets is None else facets
         radiance = np.zeros_like(n)
-        repeated = _by_repetition(n, facets) if self.narrow else None
+        alone, shared = _by_repetition(n, facets)
+        faces = _large(shared)
+        if len(faces.first):
+            radiance[faces.points] = self._on_faces(n[faces.first])[faces.each]
+            others = np.ones(len(n), bool)
+            others[faces.points] = False
+            radiance[others] = self._mapped(n[others], None if cells is None else cells[others])
+        else:
+            radiance += self._mapped(n, cells)
         for k in range(len(self.mixture.kinds)):
-            if self._has_map(k):
-                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance, cells)
-            if self._is_narrow(k) and repeated:
-                self._sample(k, n, facets, *repeated, samples, radiance)
+            if self._is_narrow(k):
+                self._sample(k, n, facets, alone, shared, samples, radiance)
         if lean:
             (leaning,) = np.nonzero(np.einsum("ij,ij->i", facets, n) < COS_LEANING)
             first, each = _distinct(leaning, patches)
@@ -189,6 +200,28 @@ class DirectLight:
             first, each = _distinct(away, patches)
             radiance[away] = self.misdirected(_means(n[away], each), facets[first])[each]
         return radiance
+
+    def _mapped(self, n: np.ndarray, cells: np.ndarray | None) -> np.ndarray:
+        """Return what closures reflect at normals (P, 3), but not what `_sample` adds; by maps."""
+        radiance = np.zeros_like(n)
+        for k in range(len(self.mixture.kinds)):
+            if self._has_map(k):
+                self._look_up(self._maps[k], partial(self._summed, k), k, n, radiance, cells)
+        return radiance
+
+    def _on_faces(self, n: np.ndarray) -> np.ndarray:
+        """Return the same at normals (F, 3) of flat faces, each by a sum over all texels."""
+        if len(self._faces) > KEPT_FACES:
+            self._faces.clear()
+        keys = [each.tobytes() for each in n]
+        lacking = [i for i, key in enumerate(keys) if key not in self._faces]
+        sums = np.zeros((len(lacking), 3), np.float32)
+        for k in range(len(self.mixture.kinds)):
+            if lacking and self._has_map(k):
+                weights = table_look_up(self._tables[k][:, 2:], 1 - n[lacking, 2])
+                sums += self._summed(k, n[lacking], in_blocks=False) * weights
+        self._faces.update(zip((keys[i] for i in lacking), sums, strict=True))
+        return np.stack([self._faces[key] for key in keys])
 
     def _by_closures(self, n: np.ndarray, patches: np.ndarray) -> np.ndarray:
         """Return integers (P,) that are equal where patches (P,) are and the same closures reflect.
@@ -277,10 +310,13 @@ class DirectLight:
         tilts = self.mixture.tilt if k is None else self._tables[k][-GRAZING_ROWS:, 1]
         return 2 * np.pi / (len(at.known) - 3) + max(0.0, -float(tilts.min()))
 
-    def _summed(self, k: int, n: np.ndarray) -> np.ndarray:
-        """Return what closure k of unit weight reflects, but not what `_sample` adds, (N, 3)."""
+    def _summed(self, k: int, n: np.ndarray, in_blocks: bool = True) -> np.ndarray:
+        """Return what closure k of unit weight reflects, but not what `_sample` adds, (N, 3).
+
+        in_blocks  whether blocks of texels may count as one light
+        """
         radiance = np.zeros_like(n)
-        self._sum(k, n, radiance)
+        self._sum(k, n, in_blocks, radiance)
         return radiance
 
     def misdirected(self, n: np.ndarray, facets: np.ndarray | None = None) -> np.ndarray:
@@ -302,11 +338,8 @@ class DirectLight:
         )
         return radiance
 
-    def _sum(self, k: int, n: np.ndarray, out: np.ndarray) -> None:
-        """Add to out (N, 3) what closure k reflects of all lights, but not what `_sample` adds.
-
-        Its weights are 1.
-        """
+    def _sum(self, k: int, n: np.ndarray, in_blocks: bool, out: np.ndarray) -> None:
+        """Add to out (N, 3) what `_summed` returns."""
         kind, narrow = self.mixture.kinds[k], self._is_narrow(k)
         number, table, least = direct_light_kernels.KINDS[kind], self._tables[k], self._least[k]
         extent = np.float32(np.tan(EXTENT / 2) if narrow else 0)
@@ -327,7 +360,9 @@ class DirectLight:
             return
         # sheen is bright near the horizon, whatever its width
         width = {"diffuse": 1.0, "sheen": 0.1}.get(kind, least)
-        rows = min(len(self.light), next(rows for wide, rows in BLOCKS if width >= wide))
+        rows = len(self.light)
+        if in_blocks:
+            rows = min(rows, next(rows for wide, rows in BLOCKS if width >= wide))
         direct_light_kernels.add_lights(number, n, table, extent, self.blocks.lights(rows), out)
 
     def _sample(
@@ -447,6 +482,17 @@ def _by_repetition(n: np.ndarray, facets: np.ndarray) -> tuple[_Group, _Group]:
         _Group(points, points, np.arange(len(points))),
         _Group(flat[inside], flat[first[normals]], np.searchsorted(normals, each[inside])),
     )
+
+
+def _large(shared: _Group) -> _Group:
+    """Return those normals of a group that at least FACE_POINTS have, MOST_FACES of them."""
+    counts = np.bincount(shared.each, minlength=len(shared.first))
+    most = np.argsort(-counts, kind="stable")[:MOST_FACES]
+    kept = most[counts[most] >= FACE_POINTS]
+    place = np.full(len(counts), -1)
+    place[kept] = np.arange(len(kept))
+    inside = place[shared.each] >= 0
+    return _Group(shared.points[inside], shared.first[kept], place[shared.each[inside]])
 
 
 def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from shaders import envmap
 
-LAMPS = 64  # texels of most energy, which are divided where the others are not
+LAMPS = 64  # texels of most energy: parts of no block, and divided where the others are not
 BLOCK = 4  # texels across a block of the light that counts in detail near a lobe's axis
 
 
@@ -87,24 +87,27 @@ class LightBlocks:
             step = height // rows
             w, solid_angle = envmap.directions(height, width)
             energy = self.light.astype(np.float64) * solid_angle[..., None]
+            # few lamps make most of a map's light
+            brightest = np.argsort(energy.sum(-1), axis=None)[-LAMPS:]
+            lamps = np.unravel_index(brightest, (height, width))
+            theirs = energy[lamps]
+            energy[lamps] = 0
             brightness = energy.sum(-1, keepdims=True) + 1e-12
 
             def blocks(values: np.ndarray) -> np.ndarray:
                 return values.reshape(rows, step, width // step, step, 3).sum((1, 3)).reshape(-1, 3)
 
             centres, energies = blocks(w * brightness), blocks(energy)
-            if step == 1:  # few lamps make most of a map's light: they are divided
-                lamps = np.argsort(energies.sum(-1))[-LAMPS:]
-                w, solid_angle = envmap.directions(4 * height, 4 * width)
-                parts = (
-                    (4 * (lamps // width)[:, None, None] + np.arange(4)[:, None]),
-                    (4 * (lamps % width)[:, None, None] + np.arange(4)),
-                )
-                inside = solid_angle[parts] / solid_angle[parts].sum((1, 2), keepdims=True)
-                divided = energies[lamps][:, None, None] * inside[..., None]
-                energies[lamps] = 0
-                centres = np.concatenate([centres, w[parts].reshape(-1, 3)])
-                energies = np.concatenate([energies, divided.reshape(-1, 3)])
+            parts = 4 if step == 1 else 1
+            w, solid_angle = envmap.directions(parts * height, parts * width)
+            places = tuple(
+                parts * each[:, None, None] + within
+                for each, within in zip(lamps, np.indices((parts, parts)), strict=True)
+            )
+            inside = solid_angle[places] / solid_angle[places].sum((1, 2), keepdims=True)
+            divided = theirs[:, None, None] * inside[..., None]
+            centres = np.concatenate([centres, w[places].reshape(-1, 3)])
+            energies = np.concatenate([energies, divided.reshape(-1, 3)])
             self._lights[rows] = self._lit(centres[None], energies[None])[0]
         return self._lights[rows]
 
