@@ -11,6 +11,7 @@ The mean over flips has less error than each.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,23 @@ CHANNELS = {
     "Vector": "XYZW",
 }
 FLIPS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # steps along rows and columns
-GUIDES = ("Denoising Albedo", "Denoising Normal")  # passes, in the order of a portion's guides
+# passes of albedo and normal: as Cycles' own denoiser takes them, and those of the surface itself
+FOLLOWED, OWN = ("Denoising Albedo", "Denoising Normal"), ("DiffCol", "Normal")
+MET = 0.5  # length of followed normals, in the mean over the object, below which they are missing
+
+
+def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return albedo and normal (height, width, 6) of a rendered portion, as `denoised` takes them.
+
+    Cycles follows a mirror-like surface to what it mirrors. Where that is the sky there is no
+    normal, and the albedo is that of few paths; the surface's own diffuse colour and normal then
+    leave 0.8 times the error.
+
+    passes  {pass: (height, width, channels)} with FOLLOWED, OWN and Combined
+    """
+    lengths = np.linalg.norm(passes[FOLLOWED[1]], axis=-1)
+    missing = lengths.sum() < MET * passes["Combined"][..., 3].sum()
+    return np.concatenate([passes[name] for name in (OWN if missing else FOLLOWED)], axis=-1)
 
 
 def denoised(
@@ -41,7 +58,7 @@ def denoised(
 
     radiance  (height, width, 3) of the rendered window
     alpha     (height, width)
-    guides    (height, width, 6) albedo and normal, as GUIDES
+    guides    (height, width, 6) albedo and normal, as of `guides_of`
     Raises    RuntimeError if Cycles has not finished
     """
     height, width = alpha.shape

@@ -282,16 +282,17 @@ class Studio:
         """Return samples first … first + count − 1 of a seed's sequence; others as for `picture`.
 
         Portions of one sequence, weighted by their counts, give the picture of all their samples to
-        float32's rounding. The sequence is not the one of `picture`, which depends on its length.
+        float32's rounding. The sequence is not the one of `picture`, which depends on its length; as
+        long as the object stays, Cycles keeps the longer one, and `picture` draws from it too.
         """
         self._show("picture")
         self._set_tier(tier)
         lens = self._require_camera()
         with portion_of_samples(self._scene, first, count, seed):
             visible, rendered = self._render_passes(lens)
-        guides = np.concatenate([rendered[name] for name in denoiser.GUIDES], axis=-1)
         rgba, guides = (
-            window.paste(each, visible, lens.size) for each in (rendered["Combined"], guides)
+            window.paste(each, visible, lens.size)
+            for each in (rendered["Combined"], denoiser.guides_of(rendered))
         )
         alpha = np.ascontiguousarray(rgba[..., 3])
         return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides)
