@@ -282,8 +282,8 @@ class Studio:
         """Return samples first … first + count − 1 of a seed's sequence; others as for `picture`.
 
         Portions of one sequence, weighted by their counts, give the picture of all their samples to
-        float32's rounding. The sequence is not the one of `picture`, which depends on its length; as
-        long as the object stays, Cycles keeps the longer one, and `picture` draws from it too.
+        float32's rounding. The sequence is not the one of `picture`, which depends on its length.
+        As long as the object stays, Cycles keeps the longer one, and `picture` draws from it too.
         """
         self._show("picture")
         self._set_tier(tier)
