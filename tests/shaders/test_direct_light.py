@@ -5,11 +5,11 @@ import pytest
 
 pytest.importorskip("numba")
 
-from shaders import direct_light, direct_light_kernels, envmap, frames
+from shaders import direct_light, direct_light_kernels, envmap
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
+from tests.support.texel_sums import ROTATION, normals, summed
 
-ROTATION = frames.camera_from_light()
 ROWS = 64
 
 
@@ -21,33 +21,6 @@ def light():
     L[:, 10:40, 0] *= 3
     L[20:23, 38:42] = 200
     return L
-
-
-def normals(count, steepest_deg=85):
-    """Normals that are spread over the visible side, the first one towards the viewer."""
-    k = np.arange(count)
-    theta = np.radians(steepest_deg) * np.sqrt(k / max(count - 1, 1))
-    phi = 2.4 * k
-    return np.stack(
-        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
-    )
-
-
-def summed(mixture, light, n, parts):
-    """Radiance (P, 3) at normals by a sum over texels that are divided into parts × parts."""
-    height, width = light.shape[0] * parts, light.shape[1] * parts
-    w, solid_angle = envmap.directions(height, width)
-    w = w.reshape(-1, 3) @ ROTATION.T
-    energy = light.repeat(parts, 0).repeat(parts, 1).reshape(-1, 3) * solid_angle.reshape(-1, 1)
-    h = w + np.array([0, 0, 1])
-    h /= np.maximum(np.linalg.norm(h, axis=1, keepdims=True), 1e-9)
-    out = np.zeros((len(n), 3))
-    for i, each in enumerate(n):
-        cos_i = w @ each
-        lit = cos_i > 1e-4
-        f = mixture.evaluate(cos_i[lit], each[2], (h @ each)[lit], h[lit, 2])
-        out[i] = (f * cos_i[lit, None] * energy[lit]).sum(0)
-    return out
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.25])

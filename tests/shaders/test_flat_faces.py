@@ -8,7 +8,7 @@ pytest.importorskip("numba")
 from shaders import direct_light, envmap
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
-from tests.shaders.test_direct_light import ROTATION, normals, summed
+from tests.support.texel_sums import ROTATION, normals, summed
 
 WIDTH = 0.3  # of a lobe for which blocks of four texels count as one light
 # a face that is seen at a grazing angle: half vectors lie close there
