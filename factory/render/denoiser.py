@@ -34,7 +34,7 @@ CHANNELS = {
 FLIPS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # steps along rows and columns
 # passes of albedo and normal: as Cycles' own denoiser takes them, and those of the surface itself
 FOLLOWED, OWN = ("Denoising Albedo", "Denoising Normal"), ("DiffCol", "Normal")
-MET = 0.5  # length of followed normals, in the mean over the object, below which they are missing
+LEAST_LENGTH = 0.5  # of followed normals, in the mean over the object; shorter ones are missing
 
 
 def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -42,12 +42,12 @@ def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
 
     Cycles follows a mirror-like surface to what it mirrors. Where that is the sky there is no
     normal, and the albedo is that of few paths; the surface's own diffuse colour and normal then
-    leave 0.8 times the error.
+    leave less error (docs/log.md).
 
     passes  {pass: (height, width, channels)} with FOLLOWED, OWN and Combined
     """
     lengths = np.linalg.norm(passes[FOLLOWED[1]], axis=-1)
-    missing = lengths.sum() < MET * passes["Combined"][..., 3].sum()
+    missing = lengths.sum() < LEAST_LENGTH * passes["Combined"][..., 3].sum()
     return np.concatenate([passes[name] for name in (OWN if missing else FOLLOWED)], axis=-1)
 
 

@@ -237,7 +237,7 @@ def effective(root: Any, settings: Iterable[Setting]) -> dict[str, dict[str, Any
 def portion_of_samples(scene: Any, first: int, count: int, seed: int) -> Iterator[None]:
     """Render samples first … first + count − 1 of a seed's sequence inside the block.
 
-    What guides the denoiser is among the passes: it takes 2 % of the time and changes no pixel.
+    What guides the denoiser is among the passes, which changes no pixel.
     """
     layer = scene.view_layers[0]
     earlier = {s.path: scene.path_resolve(s.path) for s in PORTION}

@@ -51,7 +51,7 @@ def test_a_flat_face_is_summed_over_all_texels(light, glossy):
 
 
 def test_other_points_beside_a_face_keep_their_maps(light, glossy):
-    """In any order of the points, and with a part of each face's points left out."""
+    """In any order of the points."""
     face = np.tile(FACE, (direct_light.FACE_POINTS, 1))
     others = normals(300, 80)
     order = np.random.default_rng(2).permutation(len(face) + len(others))
