@@ -30,11 +30,17 @@ def directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns  w (height, width, 3), light frame; solid_angle (height, width) in sr, sums to 4π
     """
-    theta = np.pi * (np.arange(height) + 0.5) / height
-    phi = 2 * np.pi * (np.arange(width) + 0.5) / width
-    theta, phi = np.meshgrid(theta, phi, indexing="ij")
-    w = np.stack([np.cos(phi) * np.sin(theta), np.cos(theta), np.sin(phi) * np.sin(theta)], axis=-1)
+    w = centres(*np.indices((height, width)), height, width)
     return w, np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
+
+
+def centres(row: np.ndarray, column: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return unit directions (..., 3), light frame, of the centres of some texels of a map.
+
+    row, column  (...) of each
+    """
+    theta, phi = np.pi * (row + 0.5) / height, 2 * np.pi * (column + 0.5) / width
+    return np.stack([np.cos(phi) * np.sin(theta), np.cos(theta), np.sin(phi) * np.sin(theta)], -1)
 
 
 def row_solid_angles(height: int, width: int) -> np.ndarray:

@@ -6,10 +6,11 @@ texels, narrow ones take samples about the pixel's normal (learn.methods.half_ve
 
 A measured lobe that is narrow at one θ_d is often broad at another, where samples that follow it
 are too far apart to see a lamp of one texel. There texels are summed, and the samples see the
-others alone. Where lobes are down to half a texel wide, texels are split into 2 × 2 of the same
-radiance: only those at a θ_d where a lobe is that narrow (split_texels), which is less than a tenth
-of them for many. A sum over split texels leaves out a tenth of the tolerance at most, except
-where it is short. Narrower ones take texels split into 4 × 4 at small tolerances, or where
+others alone. At any θ_d the brightest texels are split as finely as a lobe is narrow there, and
+summed (learn.methods.lamps). Where lobes are down to half a texel wide, texels are split into 2 × 2
+of the same radiance: only those at a θ_d where a lobe is that narrow (split_texels), which is less
+than a tenth of them for many. A sum over split texels leaves out a tenth of the tolerance at most,
+except where it is short. Narrower ones take texels split into 4 × 4 at small tolerances, or where
 derivatives are requested and there are no kernels. Maps of few texels are too coarse for any lobe,
 because the horizon cuts through texels: there all lobes take split texels or samples.
 """
@@ -29,6 +30,7 @@ from learn.methods import (
     Card,
     directional,
     first_only,
+    lamps,
     load,
     per_group,
     sampled_sum,
@@ -41,7 +43,7 @@ CARD = Card(
     name="quadrature",
     approximates=(
         "the integral: narrow lobes by samples that follow them, broad ones by the exact sum over"
-        " texels"
+        " texels, bright texels by their parts"
     ),
     # no claim against the paper's sum, which is itself wrong there; 1e-2 against the integral
     error=None,
@@ -107,8 +109,11 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     of_group = torch.where(in_texels, sharp, -1.0).amax((-1, -2))
     whole = in_texels & (of_group <= limits[0])[:, None, None]
     out = 0 * batch.n
-    if whole.any():
-        out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole)), tolerance)
+    lit = whole & lamps.are_split(batch, whole, tolerance)[:, None, None]
+    if lit.any():
+        out = out + over_texels(batch, lit, 1, limits, tolerance)
+    if (whole & ~lit).any():
+        out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole & ~lit)), tolerance)
     for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
         groups = (of_group > lower) & (of_group <= upper)
         if groups.any():
@@ -153,7 +158,7 @@ def over_texels(
             lobes=lobes,
             camera_from_light=batch.camera_from_light,
             limits=limits[: SPLITS.index(split) + 1],
-            left_out=LEFT_OUT * tolerance,
+            tolerance=tolerance,
         ),
     )
 
@@ -167,27 +172,24 @@ def over_split_texels(
     lobes: torch.Tensor,
     camera_from_light: torch.Tensor,
     limits: Sequence[float],
-    left_out: float,
+    tolerance: float,
 ) -> torch.Tensor:
     """Radiance (p, 3) of one group by the sum over texels that are split where lobes are narrow.
 
     lobes     (G, 3, 3) bool that count, of each group
     limits    sharpness up to which texels of each of the first SPLITS serve
-    left_out  part of the mean radiance that a pixel may lack: texels where lobes are faint are
-              skipped
 
+    Texels where lobes are faint are skipped: a pixel may lack LEFT_OUT of the tolerance.
     Broad lobes take part in the same sum where few texels are split, and else have one of their own
     over whole texels.
     """
     here = lobes[group]
     if not here.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
-    rotation = camera_from_light.double().numpy()
+    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
 
     def parts_of(lobes: torch.Tensor) -> np.ndarray:
-        return split_texels.parts_of_texels(
-            m, lobes, view, (light.shape[0], light.shape[1]), rotation, limits, SPLITS
-        )
+        return split_texels.parts_of_texels(m, lobes, view, size, rotation, limits, SPLITS)
 
     sums = [(here, parts_of(here))]
     if (sums[0][1] > 1).mean() > JOINT:
@@ -195,7 +197,8 @@ def over_split_texels(
         sums = [(each, parts_of(each)) for each in (broad, here & ~broad) if each.any()]
     out = 0 * n
     for each, parts in sums:
-        share = left_out / len(sums)
+        parts = np.maximum(parts, lamps.parts_of(light, m, each, view, rotation, tolerance))
+        share = LEFT_OUT * tolerance / len(sums)
         out = out + over_parts(n, view, m, light, each, parts, camera_from_light, share)
     return out
 
@@ -267,19 +270,20 @@ def over_samples_and_texels(
     """Radiance (p, 3) of the narrow lobes of one group; arguments as `over_samples`.
 
     Samples that follow a lobe where it is narrow are too far apart to see a lamp of one texel at a
-    θ_d where it is broad. Texels at such a θ_d are summed, and black for the samples. Each lobe has
-    samples of its own: of those that two share, too few would lie in the broader one.
+    θ_d where it is broad. Texels at such a θ_d are summed, lamps too, and black for the samples.
+    Each lobe has samples of its own: of those that two share, too few would lie in the broader one.
     """
-    rotation = camera_from_light.double().numpy()
+    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
     sharp = sharpness(m.detach())
     out = 0 * n
     for lobe in lobes[group].any(0).nonzero().flatten().tolist():
         one = lobes[group] & (torch.arange(3, device=lobes.device) == lobe)
-        parts = split_texels.parts_of_texels(
-            m, one, view, (light.shape[0], light.shape[1]), rotation, limits[:1], SPLITS
-        )
+        parts = split_texels.parts_of_texels(m, one, view, size, rotation, limits[:1], SPLITS)
+        if (parts > 0).mean() < WORTHWHILE:
+            parts = np.zeros_like(parts)
+        parts = np.maximum(parts, lamps.parts_of(light, m, one, view, rotation, tolerance))
         sampled = light
-        if (parts > 0).mean() >= WORTHWHILE:
+        if parts.any():
             left_out = LEFT_OUT * tolerance
             out = out + over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
             sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light

@@ -16,7 +16,7 @@ import torch
 
 from learn.engines.lights import Rotation
 from learn.methods.light_tables import VIEWER, Lights, in_tiles, lights_at, of_map
-from shaders.envmap import directions
+from shaders.envmap import centres, directions, row_solid_angles
 from shaders.spline import basis
 
 INTERVALS = 64  # of θ_d in [0, π/2], at whose ends sharpness is known: 16 of each of the splines'
@@ -51,6 +51,22 @@ def parts_of_texels(
     size      H, W
     broadest  the largest sharpness that texels split so serve, of the first of `splits`, rising
     """
+    w = directions(*size)[0] @ camera_from_light.T
+    return parts_for(sharpest_at(m, lobes, view, w, size), broadest, splits)
+
+
+def sharpest_at(
+    m: torch.Tensor,
+    lobes: torch.Tensor,
+    view: torch.Tensor | None,
+    w: np.ndarray,
+    size: tuple[int, int],
+) -> np.ndarray:
+    """Return how sharp a lobe may be for any pixel in texels about some directions, (…).
+
+    w     (…, 3) centres of texels, camera frame
+    size  H, W of their map; other arguments as `parts_of_texels`
+    """
     along = sharpness_along(m.detach())
     sharpest = torch.where(lobes[..., None], along, 0.0).amax((0, 1)).cpu().numpy()
     axis, spread = VIEWER, 0.0
@@ -58,7 +74,6 @@ def parts_of_texels(
         views = view.detach().double().cpu().numpy()
         axis = views.sum(0) / np.linalg.norm(views.sum(0))
         spread = float(np.arccos(np.clip((views @ axis).min(), -1, 1)))
-    w = directions(*size)[0] @ camera_from_light.T
     theta_d = np.arccos(np.clip(w @ axis, -1, 1)) / 2
     # a texel's corners are this far from its centre
     corner = np.hypot(np.pi / size[0], 2 * np.pi / size[1]) / 2
@@ -66,8 +81,15 @@ def parts_of_texels(
     around = int(np.ceil((corner + spread) / 2 / step)) + 1  # and the rounding of θ_d
     padded = np.pad(sharpest, around, mode="edge")
     largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1).max(-1)
-    there = largest[np.rint(theta_d / step).astype(int)]
-    return np.asarray([*splits[: len(broadest)], 0])[np.searchsorted(broadest, there)]
+    return np.asarray(largest[np.rint(theta_d / step).astype(int)])
+
+
+def parts_for(sharp: np.ndarray, broadest: Sequence[float], splits: Sequence[int]) -> np.ndarray:
+    """Return the least of `splits` that serves each sharpness (…), 0 if none does.
+
+    broadest  as for `parts_of_texels`
+    """
+    return np.asarray([*splits[: len(broadest)], 0])[np.searchsorted(broadest, sharp)]
 
 
 def lights_of(
@@ -98,13 +120,16 @@ def _split(
     """
     requested = np.frombuffer(parts, np.uint8).reshape(height, width)
     directions_, texels, areas = [], [], []
-    for split in np.unique(requested[requested > 0]):
-        w, solid_angle = directions(height * split, width * split)
-        row, column = np.nonzero(requested.repeat(split, 0).repeat(split, 1) == split)
+    for split in np.unique(requested[requested > 0]).astype(int):
+        fine = height * split, width * split
+        row, column = np.nonzero(requested == split)
+        within = np.indices((split, split)).reshape(2, 1, -1)
+        row = (split * row[:, None] + within[0]).ravel()
+        column = (split * column[:, None] + within[1]).ravel()
         order = in_tiles(row, column)
         row, column = row[order], column[order]
-        directions_.append(w[row, column])
+        directions_.append(centres(row, column, *fine))
         texels.append(row // split * width + column // split)
-        areas.append(solid_angle[row, column])
+        areas.append(row_solid_angles(*fine)[row])
     turned = np.concatenate(directions_) @ np.array(rotation).reshape(3, 3).T
     return lights_at(turned), np.concatenate(texels), np.concatenate(areas)
