@@ -30,7 +30,8 @@ def directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns  w (height, width, 3), light frame; solid_angle (height, width) in sr, sums to 4π
     """
-    w = centres(*np.indices((height, width)), height, width)
+    row, column = np.indices((height, width))
+    w = centres(row, column, height, width)
     return w, np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
