@@ -29,6 +29,7 @@ GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 # θ_h grid on which the lobes' energy is added up
 RADII = np.concatenate([[0.0], np.geomspace(1e-5, np.pi / 2, 1024)])
 THETA_D = np.linspace(0, np.pi / 2, 13)
+WIDE = 3.0  # times a ring's inner radius: beyond, its sample lies where half of its solid angle is
 
 
 def sample_radii(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -51,8 +52,13 @@ def sample_radii(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]
     # each lobe counts alike, however little it reflects
     share = (energy / np.maximum(energy[:, -1:], 1e-300)).mean(0)
     share = 0.95 * share / share[-1] + 0.05 * np.sin(RADII) ** 2  # and the whole hemisphere is seen
-    edges = np.interp(np.arange(2 * samples + 1) / (2 * samples), share, RADII)
-    return edges[1::2], 2 * np.pi * np.diff(-np.cos(edges[::2]))
+    halves = np.interp(np.arange(2 * samples + 1) / (2 * samples), share, RADII)
+    edges, middle = halves[::2], halves[1::2]
+    # the ring at a lobe's foot is nearly all outside, where half of its energy is not half of it
+    wide = edges[1:] > WIDE * edges[:-1]
+    cosines = np.cos(edges)
+    outer = np.arccos((cosines[1:] + cosines[:-1]) / 2)
+    return np.where(wide, outer, middle), 2 * np.pi * -np.diff(cosines)
 
 
 def spiral(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:

@@ -240,6 +240,19 @@ def test_split_texels_without_faint_ones_keep_the_tolerance(perspective):
         assert relative(fast[name], expected) < 1e-2, name
 
 
+@pytest.mark.parametrize("gamma", [5e3, 3e6])
+def test_few_rings_have_the_energy_of_a_lobe(gamma):
+    """The one at its foot, which is nearly all outside, too, where half of the energy is far from half of the ring."""
+    m = scene(gamma)["material"].reshape(3, 3, 2, 6)
+    edges = np.geomspace(1e-7, np.pi / 2, 100_000)
+    theta, areas = (edges[1:] + edges[:-1]) / 2, -2 * np.pi * np.diff(np.cos(edges))
+    right = np.expm1(np.cos(theta) ** gamma) @ areas
+    for samples in range(60, 140, 7):
+        middle, solid_angle = half_vectors.sample_radii(m, samples)
+        energy = (np.expm1(np.cos(middle) ** gamma) * solid_angle).sum()
+        assert energy == pytest.approx(right, rel=2e-3), samples
+
+
 def test_taps_cover_the_hemisphere_and_follow_the_lobes():
     m = scene(1e4, matte=0.01)["material"].reshape(3, 3, 2, 6)
     theta, solid_angle = half_vectors.sample_radii(m, 512)

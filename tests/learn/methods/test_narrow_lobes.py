@@ -116,14 +116,3 @@ def test_a_lobe_broad_for_hardly_any_texel_takes_samples_alone(monkeypatch):
     # lamps would have a sum of their own
     smooth = replace(batch, light=torch.ones_like(batch.light))
     assert sums_of(smooth, monkeypatch) == ([], [256])
-
-
-def test_a_lobe_as_broad_as_a_quarter_of_a_texel_has_twice_the_samples(monkeypatch):
-    batch, _ = narrow_near_the_viewer()
-    texels, samples = sums_of(batch, monkeypatch)
-    assert len(texels) == 1 and samples == [256]
-    monkeypatch.undo()
-    m = batch.m.detach().clone()
-    m[:, :, 1, 1] = torch.linspace(np.log(4e3), np.log(10), 6).exp()
-    texels, samples = sums_of(replace(batch, m=m), monkeypatch)
-    assert len(texels) == 1 and samples == [512]
