@@ -242,7 +242,7 @@ def test_split_texels_without_faint_ones_keep_the_tolerance(perspective):
 
 @pytest.mark.parametrize("gamma", [5e3, 3e6])
 def test_few_rings_have_the_energy_of_a_lobe(gamma):
-    """The one at its foot, which is nearly all outside, too, where half of the energy is far from half of the ring."""
+    """The ring at its foot, too, of which nearly all lies outside."""
     m = scene(gamma)["material"].reshape(3, 3, 2, 6)
     edges = np.geomspace(1e-7, np.pi / 2, 100_000)
     theta, areas = (edges[1:] + edges[:-1]) / 2, -2 * np.pi * np.diff(np.cos(edges))
