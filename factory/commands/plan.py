@@ -35,7 +35,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="show how many pictures a job has, and how much time and space it takes",
         description=(
             "Counts the pictures of a job and of its splits, and forecasts time and disk space"
-            " from three pictures that it renders. Writes nothing."
+            " from pictures of all its parts, which it renders for a quarter of a minute. Writes"
+            " nothing."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -50,7 +51,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--probe",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="render three pictures for the forecast (the default), or give no forecast",
+        help="render a few pictures for the forecast (the default), or give no forecast",
     )
     parser.add_argument(
         "--machines",
@@ -202,7 +203,7 @@ def _require_consistent(options: argparse.Namespace) -> None:
         remedy = "leave --workers out: a machine has a worker for each of its cores"
         raise InputError("plan --machines", "no --workers", f"{options.workers}", remedy)
     elif not options.probe:
-        remedy = "leave one of them out: the forecast needs three pictures"
+        remedy = "leave one of them out: the forecast needs pictures"
         raise InputError("plan --machines", "no --no-probe", "both", remedy)
 
 

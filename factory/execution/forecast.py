@@ -1,4 +1,4 @@
-"""The time and disk space that a job will take, estimated from three of its shots.
+"""The time and disk space that a job will take, estimated from a few of its shots.
 
 kind    of work that a worker spends time on: shape (load and set up), light (set and checked),
         materials, geometry, picture, writing
@@ -7,7 +7,10 @@ events  how often each kind of work occurs. This follows from the order of the s
 """
 
 import tempfile
+import time
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -22,6 +25,8 @@ from manifests.store import Store
 from manifests.viewpoints import COUNT
 
 COUNTED = 3000  # shots on which events are counted
+LEAST_PROBES, MOST_PROBES = 3, 24  # pictures that are rendered
+PROBE_SECONDS = 15.0  # beyond which no further ones are awaited
 RECORD_BYTES = 1100  # a line of records/*.jsonl
 
 
@@ -85,32 +90,43 @@ def on_cluster(forecast: Forecast, machines: int, cores: int, pictures: int) -> 
     return ClusterForecast(machines, cores, seconds / 3600)
 
 
-def probe_shots(plan: Plan) -> list[Shot]:
-    """Return three shots: of the first, middle and last shape, under different lights."""
-    shapes = plan.assets.shapes
-    result: list[Shot] = []
+def probe_shots(plan: Plan, most: int = MOST_PROBES) -> Iterator[Shot]:
+    """Yield shots from all over a plan: of the first, middle and last shape, then of others.
+
+    most  of them, where the job has pictures
+    """
+    shapes, lights = plan.assets.shapes, plan.lights
     if not plan.job.pictures:
-        return [
-            shot
-            for place in sorted({0, len(shapes) // 2, len(shapes) - 1})
-            for shot in islice(plan.views_alone(shapes[place]), 1)
-        ]
-    for k, place in enumerate((0, len(shapes) // 2, len(shapes) - 1)):
-        group = list(
-            islice(plan.group(shapes[place], *plan.lights[k * (len(plan.lights) - 1) // 2]), 200)
-        )
-        known = {shot.id for shot in result}
-        result += islice((s for s in group[k * len(group) // 3 :] if s.id not in known), 1)
-    return result
+        for place in sorted({0, len(shapes) // 2, len(shapes) - 1}):
+            yield from islice(plan.views_alone(shapes[place]), 1)
+        return
+    known: set[str] = set()
+    for k in range(most):
+        of_shapes, of_lights, of_shots = _places(k)
+        light = lights[int(of_lights * (len(lights) - 1) + 0.5)]
+        group = list(islice(plan.group(shapes[int(of_shapes * (len(shapes) - 1))], *light), 200))
+        shot = next((s for s in group[int(of_shots * len(group)) :] if s.id not in known), None)
+        if shot is not None:
+            known.add(shot.id)
+            yield shot
+
+
+def _places(k: int) -> tuple[float, float, float]:
+    """Return where shot k lies among shapes, lights and a group's shots, in [0, 1], [0, 1], [0, 1).
+
+    The first three begin, halve and end the first two; the others are spread by steps without a
+    common pattern (R. L. Roberts' generalised golden ratio).
+    """
+    if k < LEAST_PROBES:
+        return k / 2, k / 2, k / LEAST_PROBES
+    return (k * 0.8191725134) % 1, (k * 0.6710436067) % 1, (k * 0.5497004779) % 1
 
 
 def probed(plan: Plan, run_options: RunOptions) -> Forecast:
-    """Return the Forecast of a plan, after rendering three of its shots.
+    """Return the Forecast of a plan, after rendering a few of its shots.
 
     Raises  InputError for a shot that fails; OSError
     """
-    import time
-
     cost, sizes, start = defaultdict(list), defaultdict(list), time.perf_counter()
     computed: defaultdict[str, list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
@@ -124,20 +140,24 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
             Path(folder) / "partial",
             shape_sources(plan.assets.shapes),
         )
-        for shot, reply in pool.run(probe_shots(plan)):
-            if not reply.made:
-                raise InputError(
-                    f"{shot.shape}, view {shot.viewpoint}",
-                    "a shot that can be made",
-                    reply.reason,
-                    "mend what it names",
-                )
-            if plan.job.pictures:
-                sizes["images"].append(reply.bytes)
-            for kind, spent in (reply.spent or {}).items():
-                cost[kind].append(spent)
-            for kind, spent in (reply.computed or {}).items():
-                computed[kind].append(spent)
+        began = time.perf_counter()
+        with closing(pool.run(probe_shots(plan))) as replies:
+            for number, (shot, reply) in enumerate(replies, 1):
+                if not reply.made:
+                    raise InputError(
+                        f"{shot.shape}, view {shot.viewpoint}",
+                        "a shot that can be made",
+                        reply.reason,
+                        "mend what it names",
+                    )
+                if plan.job.pictures:
+                    sizes["images"].append(reply.bytes)
+                for kind, spent in (reply.spent or {}).items():
+                    cost[kind].append(spent)
+                for kind, spent in (reply.computed or {}).items():
+                    computed[kind].append(spent)
+                if number >= LEAST_PROBES and time.perf_counter() - began > PROBE_SECONDS:
+                    break
         sizes["geometry"] = [
             path.stat().st_size for path in (store.folder / "geometry").rglob("*.exr")
         ]

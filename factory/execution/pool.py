@@ -12,7 +12,7 @@ import selectors
 import subprocess
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -142,7 +142,7 @@ class Pool:
         self._tried: set[str] = set()  # ids of shots that have failed once
         self._longest, self._deaths = 0.0, 0  # seconds of a shot; deaths since the last picture
 
-    def run(self, shots: Iterable[Shot | None]) -> Iterator[tuple[Shot, Reply]]:
+    def run(self, shots: Iterable[Shot | None]) -> Generator[tuple[Shot, Reply], None, None]:
         """Make all shots; yield (shot, Reply) for each that is made or given up.
 
         shots   None among them: the next one is not known yet, and is asked for again soon

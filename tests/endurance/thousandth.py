@@ -3,8 +3,8 @@
     PYTHONPATH=. python tests/endurance/thousandth.py --out DIR [--size PIXELS] [--presets NAME …]
     [--minutes M]
 
-For each preset, three pictures are timed as `brdfactory plan` does; then a thousandth of the job
-is rendered with one worker of one thread, and three pictures are timed again, since other work on
+For each preset, pictures are timed as `brdfactory plan` does; then a thousandth of the job
+is rendered with one worker of one thread, and pictures are timed again, since other work on
 the machine may have changed. DIR/report.json has, for each preset,
 
 kinds     seconds of each kind of work, once: as the plan has it before and after, and measured
