@@ -20,6 +20,7 @@ from factory.execution.registration import register
 from factory.execution.run import RunOptions, assign, shape_sources, worker_config
 from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
+from manifests.progress import tqdm
 from manifests.schema import Draw
 from manifests.store import Store
 from manifests.viewpoints import COUNT
@@ -115,7 +116,7 @@ def _places(k: int) -> tuple[float, float, float]:
     """Return where shot k lies among shapes, lights and a group's shots, in [0, 1], [0, 1], [0, 1).
 
     The first three begin, halve and end the first two; the others are spread by steps without a
-    common pattern (R. L. Roberts' generalised golden ratio).
+    common pattern (Martin Roberts' generalised golden ratio).
     """
     if k < LEAST_PROBES:
         return k / 2, k / 2, k / LEAST_PROBES
@@ -142,7 +143,10 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
         )
         began = time.perf_counter()
         with closing(pool.run(probe_shots(plan))) as replies:
-            for number, (shot, reply) in enumerate(replies, 1):
+            shown = tqdm(
+                replies, "pictures for the forecast", MOST_PROBES, leave=False, unit="picture"
+            )
+            for number, (shot, reply) in enumerate(shown, 1):
                 if not reply.made:
                     raise InputError(
                         f"{shot.shape}, view {shot.viewpoint}",
