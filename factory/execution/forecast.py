@@ -104,8 +104,9 @@ def probe_shots(plan: Plan, most: int = MOST_PROBES) -> Iterator[Shot]:
     known: set[str] = set()
     for k in range(most):
         of_shapes, of_lights, of_shots = _places(k)
-        light = lights[int(of_lights * (len(lights) - 1) + 0.5)]
-        group = list(islice(plan.group(shapes[int(of_shapes * (len(shapes) - 1))], *light), 200))
+        shape = shapes[min(int(of_shapes * len(shapes)), len(shapes) - 1)]
+        light = lights[min(int(of_lights * len(lights)), len(lights) - 1)]
+        group = list(islice(plan.group(shape, *light), 200))
         shot = next((s for s in group[int(of_shots * len(group)) :] if s.id not in known), None)
         if shot is not None:
             known.add(shot.id)

@@ -5,6 +5,7 @@ of it can be read back.
 import json
 import subprocess
 import sys
+from collections import Counter
 
 import msgspec
 import numpy as np
@@ -209,6 +210,8 @@ def test_the_forecast_is_made_of_real_shots_and_leaves_nothing_behind(plan_of, s
     shots = list(probe_shots(plan))
     assert len({shot.shape for shot in shots[:3]}) == 3
     assert len({shot.id for shot in shots}) == len(shots) > 10
+    # no shape has most of them
+    assert max(Counter(shot.shape for shot in shots).values()) < 0.6 * len(shots)
     forecast = probed(plan, RunOptions(device="cpu"))
     assert 0 < forecast.hours < 1 and 0 < sum(forecast.bytes.values()) < 1e7
     assert {"shape", "light", "geometry", "picture", "writing"} <= set(forecast.seconds)
