@@ -30,7 +30,7 @@ def directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns  w (height, width, 3), light frame; solid_angle (height, width) in sr, sums to 4π
     """
-    row, column = np.indices((height, width))
+    row, column = np.indices((height, width), sparse=True)
     w = centres(row, column, height, width)
     return w, np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
@@ -38,10 +38,11 @@ def directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 def centres(row: np.ndarray, column: np.ndarray, height: int, width: int) -> np.ndarray:
     """Return unit directions (..., 3), light frame, of the centres of some texels of a map.
 
-    row, column  (...) of each
+    row, column  of each, which broadcast to (...)
     """
     theta, phi = np.pi * (row + 0.5) / height, 2 * np.pi * (column + 0.5) / width
-    return np.stack([np.cos(phi) * np.sin(theta), np.cos(theta), np.sin(phi) * np.sin(theta)], -1)
+    x, z = np.cos(phi) * np.sin(theta), np.sin(phi) * np.sin(theta)
+    return np.stack([x, np.broadcast_to(np.cos(theta), x.shape), z], -1)
 
 
 def row_solid_angles(height: int, width: int) -> np.ndarray:

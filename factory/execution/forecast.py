@@ -26,7 +26,7 @@ from manifests.store import Store
 from manifests.viewpoints import COUNT
 
 COUNTED = 3000  # shots on which events are counted
-LEAST_PROBES, MOST_PROBES = 3, 24  # pictures that are rendered
+LEAST_PROBES, MOST_PROBES = 3, 24  # shots that are tried
 PROBE_SECONDS = 15.0  # beyond which no further ones are awaited
 RECORD_BYTES = 1100  # a line of records/*.jsonl
 
@@ -91,10 +91,10 @@ def on_cluster(forecast: Forecast, machines: int, cores: int, pictures: int) -> 
     return ClusterForecast(machines, cores, seconds / 3600)
 
 
-def probe_shots(plan: Plan, most: int = MOST_PROBES) -> Iterator[Shot]:
+def probe_shots(plan: Plan) -> Iterator[Shot]:
     """Yield shots from all over a plan: of the first, middle and last shape, then of others.
 
-    most  of them, where the job has pictures
+    They are at most MOST_PROBES, and three where the job has no pictures.
     """
     shapes, lights = plan.assets.shapes, plan.lights
     if not plan.job.pictures:
@@ -102,7 +102,7 @@ def probe_shots(plan: Plan, most: int = MOST_PROBES) -> Iterator[Shot]:
             yield from islice(plan.views_alone(shapes[place]), 1)
         return
     known: set[str] = set()
-    for k in range(most):
+    for k in range(MOST_PROBES):
         of_shapes, of_lights, of_shots = _places(k)
         shape = shapes[min(int(of_shapes * len(shapes)), len(shapes) - 1)]
         light = lights[min(int(of_lights * len(lights)), len(lights) - 1)]
@@ -142,15 +142,13 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
             Path(folder) / "partial",
             shape_sources(plan.assets.shapes),
         )
-        began = time.perf_counter()
-        with closing(pool.run(probe_shots(plan))) as replies:
-            shown = tqdm(
-                replies, "pictures for the forecast", MOST_PROBES, leave=False, unit="picture"
-            )
+        began, shots = time.perf_counter(), list(probe_shots(plan))
+        with closing(pool.run(shots)) as replies:
+            shown = tqdm(replies, "trial shots", len(shots), leave=False, unit="shot")
             for number, (shot, reply) in enumerate(shown, 1):
-                if not reply.made and number > LEAST_PROBES:
-                    continue  # a job goes on without such a shot
                 if not reply.made:
+                    if number > LEAST_PROBES:
+                        continue  # a job goes on without such a shot
                     raise InputError(
                         f"{shot.shape}, view {shot.viewpoint}",
                         "a shot that can be made",

@@ -15,11 +15,11 @@ from learn.methods import Batch, split_texels
 from shaders.envmap import centres, row_solid_angles
 
 BRIGHT = 0.25  # of the tolerance: the share of all light beyond which a texel is a lamp
+LEAST_TOLERANCE, TOLERANCE = 1e-4, 1e-2  # others count as the nearer of these
 SPLITS = (1, 2, 4, 8, 16, 32, 64)  # parts of a lamp's side
-# sharpness up to which whole texels of 64 rows serve at a tolerance of 1e-2; parts serve more with
-# their square, and an error in proportion to the tolerance needs as much less
+# sharpness up to which whole texels of 64 rows serve at TOLERANCE; parts serve more with their
+# square, and an error in proportion to the tolerance needs as much less
 BROAD = 150.0
-LEAST_TOLERANCE = 1e-4  # smaller ones make neither finer parts nor more lamps
 SHARE = 0.25  # parts of lamps beside the texels of the map, beyond which no more are split
 MOST = 2**17  # the same at small tolerances
 
@@ -31,7 +31,7 @@ def are_split(batch: Batch, lobes: torch.Tensor, tolerance: float) -> torch.Tens
     lights = [batch.light[number] for number in batch.light_of]
     return torch.tensor(
         [
-            bool((parts_of(light, m, here, view, rotation, tolerance) > 1).any())
+            bool(here.any() and (parts_of(light, m, here, view, rotation, tolerance) > 1).any())
             for light, m, here, view in zip(lights, batch.m, lobes, views, strict=True)
         ],
         device=lobes.device,
@@ -55,11 +55,11 @@ def parts_of(
     view   (P, 3) of each pixel, or None for a distant viewer
     """
     size = light.shape[0], light.shape[1]
-    tolerance = float(np.clip(tolerance, LEAST_TOLERANCE, 1e-2))
+    tolerance = float(np.clip(tolerance, LEAST_TOLERANCE, TOLERANCE))
     place = brightest(light.detach().cpu().numpy(), BRIGHT * tolerance)
     row, column = np.divmod(place, size[1])
     w = centres(row, column, *size) @ camera_from_light.T
-    finer = tolerance / 1e-2
+    finer = tolerance / TOLERANCE
     scale = finer * BROAD * (min(size[0], size[1] / 2) / 64) ** 2
     sharp = split_texels.sharpest_at(m, lobes, view, w, size)
     parts = split_texels.parts_for(sharp, [scale * split**2 for split in SPLITS], SPLITS)

@@ -140,6 +140,8 @@ def over_texels(
 ) -> torch.Tensor:
     """Radiance (P, 3) of some lobes of a batch by sums over texels, some or all of which are split.
 
+    Without kernels, and where the sum is short, all are split alike, and lamps no finer.
+
     lobes   (G, 3, 3) bool, channels and lobes of each group
     split   parts of a texel's side that the sharpest of them needs
     limits  sharpness up to which texels of each of SPLITS serve

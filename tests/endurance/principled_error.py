@@ -1,6 +1,7 @@
 """How close labels come to principled materials, and how long their fits take.
 
     PYTHONPATH=. python tests/endurance/principled_error.py [--count 500] [--seed 0]
+    [--iterations N]
 
 Draws materials, fits each to a label on one core, and prints the relative L1 of f · cos at the
 held-out view angles (mean of the six: median, 90 %, worst), by kind of material and by view, with
@@ -64,7 +65,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--iterations", type=int, default=principled_fit.ITERATIONS)
     options = parser.parse_args()
+    principled_fit.ITERATIONS = options.iterations
     rng = np.random.default_rng(options.seed)
     materials = [drawn(rng) for _ in range(options.count)]
     principled_fit.fit(materials[0])  # tables of the held-out samples
