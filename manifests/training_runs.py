@@ -62,6 +62,8 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        run relights half as much (learn.training.repetition)
     recolored          how many further times each batch is shown, each time with its three colour
                        channels exchanged cyclically, so that relighting keeps up with a GPU
+    category_weights   how many times as often training draws a view of these categories of shapes
+                       as one of the others, for example {"chair": 4}; 0: never
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
     """
@@ -87,6 +89,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     deformations: Share = 0.0
     mirrored: bool = False
     recolored: Annotated[int, Meta(ge=0, le=2)] = 0
+    category_weights: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = {}
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
 

@@ -23,7 +23,7 @@ from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation
 from learn.data.settings import Data
 from learn.layer import render
-from manifests.errors import InputError
+from manifests.errors import InputError, closest
 from shaders.dsbrdf import SHAPE
 
 if TYPE_CHECKING:
@@ -118,6 +118,7 @@ class RelitDataset:
         self.of_group = [
             len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)
         ]
+        self.chances = self._chances() if is_training and data.category_weights else None
         self.names = sorted(data_split.labels)
         if data.gloss_curriculum:
             self.names.sort(key=lambda name: gloss(data_split.labels[name]))
@@ -133,10 +134,11 @@ class RelitDataset:
         """Return the examples of group g of batch k, which share a material and a light."""
         rng = self._generator(k, g)
         count, training = self.of_group[g], self.data_split.side == "train"
+        drawable = (
+            len(self.data_split.views) if self.chances is None else np.count_nonzero(self.chances)
+        )
         views = self.data_split.views[
-            rng.choice(
-                len(self.data_split.views), count, replace=count > len(self.data_split.views)
-            )
+            rng.choice(len(self.data_split.views), count, count > drawable, self.chances)
         ]
         chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
@@ -194,6 +196,31 @@ class RelitDataset:
         """Return the generator of a batch and a group, and of what is drawn for it."""
         key = (SIDES[self.data_split.side], *key)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+    def _chances(self) -> np.ndarray:
+        """Return the probability (views,) that a draw takes each view, as category_weights say.
+
+        Raises  InputError: a category without a training view, no view with a weight above 0
+        """
+        folder, weights = self.data_split.geometry.folder, self.data.category_weights
+        categories = [self.data_split.geometry.views[v].category for v in self.data_split.views]
+        for category in weights:
+            if category not in categories:
+                raise InputError(
+                    f"data.category_weights of category '{category}'",
+                    f"a category of the training shapes of {folder}",
+                    "no shape of that category",
+                    closest(category, set(categories)),
+                )
+        result = np.array([weights.get(category, 1.0) for category in categories])
+        if not result.any():
+            raise InputError(
+                "data.category_weights",
+                "a weight above 0 of a category of training shapes",
+                f"0 for all categories of {folder}",
+                "raise one of them",
+            )
+        return result / result.sum()
 
     def _augmented_labels(
         self, k: int, g: int, names: list[str], labels: np.ndarray
