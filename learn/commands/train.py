@@ -125,8 +125,11 @@ def run(arguments: argparse.Namespace) -> None:
             arguments.tensorboard,
             device,
         )
+        begun = training.step
         figures = training.train()
-        if training.journal is not None:  # of the first process
+        known = training.step == begun and (arguments.out / "made.json").exists()
+        # of the first process; a run that was complete keeps what its last command wrote
+        if training.journal is not None and not known:
             training.journal.made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},

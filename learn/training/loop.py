@@ -132,6 +132,7 @@ class Training:
             self.used += time.process_time() - begun
             now = time.monotonic()
             self.passed, before = self.passed + now - before, now
+            self._share_clocks()
             self.step += 1
             bar.update()
             bar.set_postfix_str(
@@ -144,6 +145,8 @@ class Training:
                 if self.sheet_every and (done or self.step % self.sheet_every == 0):
                     figures = self._validate()
                     record |= {"validation": figures}
+                elif done:
+                    self._save_weights()
                 self.journal.write(record | {"cpu_seconds": round(self.used, 2)})
             due = (
                 self.step % self.checkpoint_every == 0
@@ -156,6 +159,9 @@ class Training:
             if done:
                 break
         bar.close()
+        # of a run that ended before its weights were written
+        if self.rank == 0 and not (self.out / "weights.safetensors").exists():
+            self._save_weights()
         if self.journal:
             self.journal.close()
         if self.world > 1:
@@ -219,6 +225,17 @@ class Training:
             0.0 if limit is None else spent / limit
             for spent, limit in zip((self.used, self.passed), limits, strict=True)
         )
+
+    def _share_clocks(self) -> None:
+        """Give all processes of a run that ends by a clock the first one's times.
+
+        They follow them with the learning rate and the end, which must be the same in all.
+        """
+        limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
+        if self.world > 1 and any(limit is not None for limit in limits):
+            times = torch.tensor([self.used, self.passed], dtype=torch.float64, device=self.device)
+            torch.distributed.broadcast(times, 0)
+            self.used, self.passed = times.tolist()
 
     def _source_of_examples(self) -> str:
         """Return "relit", "pictures" or "mix"."""

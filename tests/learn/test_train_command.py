@@ -14,8 +14,9 @@ from tests.support.two_materials import damage, first
 
 # Each step's samples and the weights after it, by process: PROGRAM FOLDER train …
 PROGRAM = """
-import hashlib, json, os, sys
+import hashlib, itertools, json, os, sys, time
 from pathlib import Path
+from types import SimpleNamespace
 import torch
 from learn.training import loop
 from manifests.cli import main
@@ -32,6 +33,9 @@ def watched(self, batch):
     return record
 
 loop.Training._one_step = watched
+if os.environ.get("UNEQUAL_CLOCKS"):  # a step takes each process longer than the one before it
+    readings = (0.1 * k * (1 + int(os.environ["RANK"])) for k in itertools.count())
+    loop.time = SimpleNamespace(process_time=lambda: next(readings), monotonic=time.monotonic)
 sys.exit(main("learn", "", ("train",), sys.argv[2:]))
 """
 
@@ -96,6 +100,23 @@ def test_a_bad_record_stops_the_command_before_training_or_is_left_out_and_count
     assert (tmp_path / "out" / "weights.safetensors").exists()
 
 
+def launch(folder, root, processes, options, **environment):
+    """Run `train` in one process, or in several of torchrun, which watch themselves in `folder`."""
+    program = folder / "program.py"
+    program.write_text(PROGRAM)
+    torchrun = "-m torch.distributed.run --standalone --nproc-per-node".split()
+    words = [sys.executable, *([*torchrun, str(processes)] if processes > 1 else []), str(program)]
+    ran = subprocess.run(
+        [*words, str(folder), "train", *options],
+        capture_output=True,
+        text=True,
+        cwd=root,
+        env=os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"} | environment,
+        timeout=300,
+    )
+    assert ran.returncode == 0, ran.stderr[-2000:]
+
+
 def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weights(
     store, tmp_path, root
 ):
@@ -112,25 +133,8 @@ def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weig
         str(store.folder / "run.json"),
         "--out",
     ]
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    alone = [sys.executable, str(program)]
-    together = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--standalone",
-        "--nproc-per-node",
-        "2",
-        str(program),
-    ]
-    for name, launch in (("one", alone), ("two", together)):
-        words = [*launch, str(tmp_path), "train", *options, str(tmp_path / name)]
-        environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-        ran = subprocess.run(
-            words, capture_output=True, text=True, cwd=root, env=environment, timeout=300
-        )
-        assert ran.returncode == 0, ran.stderr[-2000:]
+    for name, processes in (("one", 1), ("two", 2)):
+        launch(tmp_path, root, processes, [*options, str(tmp_path / name)])
     one, first_half, second_half = (
         [json.loads(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()]
         for name in ("1-0", "2-0", "2-1")
@@ -140,3 +144,38 @@ def test_two_processes_of_torchrun_see_the_samples_of_one_and_keep_the_same_weig
         assert len(a["samples"]) == len(b["samples"]) == 2
         assert sorted(a["samples"] + b["samples"]) == sorted(whole["samples"])
         assert a["weights"] == b["weights"]
+
+
+def test_processes_of_a_run_that_ends_by_a_clock_follow_the_firsts(store, tmp_path, root):
+    schedule = {**RUN["schedule"], "steps": 100, "seconds": 1.9}
+    (store.folder / "run.json").write_text(json.dumps(RUN | {"schedule": schedule}))
+    options = ["--data", str(store.folder), "--workers", "0", "--sheet-every", "0"]
+    options += [str(store.folder / "run.json"), "--out", str(tmp_path / "out")]
+    launch(tmp_path, root, 2, options, UNEQUAL_CLOCKS="yes")
+    first, second = (
+        [json.loads(line)["weights"] for line in (tmp_path / name).read_text().splitlines()]
+        for name in ("2-0.jsonl", "2-1.jsonl")
+    )
+    assert first == second  # weights after each step, and so learning rates and the end
+    assert len(set(first)) == 4  # a step takes the first process half a second, the second a whole
+
+
+def test_a_run_without_contact_sheets_ends_with_weights(store, tmp_path):
+    options = ("--sheet-every", "0")
+    assert train(store, tmp_path / "out", *options) == 0
+    weights = tmp_path / "out" / "weights.safetensors"
+    written = weights.read_bytes()
+    assert train(store, tmp_path / "other", "--sheet-every", "2") == 0
+    assert (tmp_path / "other" / "weights.safetensors").read_bytes() == written
+    weights.unlink()
+    assert train(store, tmp_path / "out", *options) == 0
+    assert weights.read_bytes() == written
+
+
+def test_the_command_of_a_complete_run_leaves_what_the_last_one_wrote(store, tmp_path):
+    made = tmp_path / "out" / "made.json"
+    assert train(store, tmp_path / "out") == 0
+    written = made.read_text()
+    assert json.loads(written)["validation"]
+    assert train(store, tmp_path / "out") == 0
+    assert made.read_text() == written
