@@ -104,7 +104,7 @@ def launch(folder, root, processes, options, **environment):
     """Run `train` in one process, or in several of torchrun, which watch themselves in `folder`."""
     program = folder / "program.py"
     program.write_text(PROGRAM)
-    torchrun = "-m torch.distributed.run --standalone --nproc-per-node".split()
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
     words = [sys.executable, *([*torchrun, str(processes)] if processes > 1 else []), str(program)]
     ran = subprocess.run(
         [*words, str(folder), "train", *options],
