@@ -299,6 +299,9 @@ def read(path: Path) -> Edit:
 
     light = light_of(recipe.light if recipe.map is None else OWN_LIGHT, recipe.rotation_deg)
     if recipe.map is not None:
+        if not recipe.map:
+            remedy = "name it, or leave map out"
+            raise InputError(path, "a map's file in the same folder", "an empty name", remedy)
         if Path(recipe.map).name != recipe.map:
             raise InputError(path, "a map's file in the same folder", recipe.map, "move it there")
         light = replace(light, name=recipe.light, map=light_of_file(path.with_name(recipe.map)).map)

@@ -243,6 +243,13 @@ def test_a_damaged_edit_json_is_refused(tmp_path: Path) -> None:
         choices.read(path)
 
 
+def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "edit.json"
+    path.write_text(json.dumps({"regions": [{}], "light": "x", "map": ""}))
+    with pytest.raises(InputError, match="same folder, found an empty name"):
+        choices.read(path)
+
+
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
     default = own_weights.EDITING
