@@ -31,6 +31,7 @@ from shaders import envmap
 from tests.support.known_ball import Knowing, ball, label_of
 
 SIDE, RADIUS = 96, 36
+REPEATED = ["photo.png", "--repeat", "edit.json", "--out", "x"]
 
 
 def scene() -> np.ndarray:
@@ -416,14 +417,26 @@ def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_pat
         sessions.of("one").load(path)
 
 
-def test_the_command_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture) -> None:
+def test_the_command_refuses_what_it_cannot_do(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     from brdfactory.command_line import run
+
+    monkeypatch.chdir(tmp_path)
+    # a page that was served after all
+    monkeypatch.setattr("learn.app.page.serve", lambda *rest: None)
 
     for words, part in (
         (["--port", "0"], "a port from 1"),
         (["--host", "example.org"], "an address of this computer"),
         (["photo.png"], "--repeat FILE with it"),
         (["--repeat", "edit.json", "--out", "x"], "PHOTO"),
+        (["--no-refine"], "--no-refine: expected --repeat FILE with it"),
+        (["--refine"], "--refine: expected --repeat FILE with it"),
+        (["--overwrite"], "--overwrite: expected --repeat FILE with it"),
+        ([*REPEATED, "--host", "127.0.0.1"], "--host: expected no --repeat"),
+        ([*REPEATED, "--port", "0"], "--port: expected no --repeat"),
+        ([*REPEATED, "--open"], "--open: expected no --repeat"),
     ):
         assert run(["app", *words]) == 1
         assert part in capsys.readouterr().err
