@@ -13,6 +13,7 @@ import numpy as np
 
 from learn.data import photographs
 from learn.editing import desired_light, material_expression, material_file
+from learn.networks import own_weights
 from manifests import files, measured_lights, reading
 from manifests.errors import InputError, closest
 from manifests.materials import find
@@ -205,11 +206,14 @@ def mask_options(names: list[str]) -> list[str]:
     return [word for name in names if name in options for word in (options[name], name)]
 
 
-def command_line(edit: Edit, photograph: str, masks: list[str], refined: bool) -> str:
+def command_line(
+    edit: Edit, photograph: str, masks: list[str], refined: bool, weights: Path
+) -> str:
     """Return the command that repeats an edit, in a folder with the photograph and the files.
 
     photograph  the file's name, or example:NAME
     masks       names of the files of the mask that are needed
+    weights     the file of the network that decomposed
     """
     words = ["brdfactory"]
     kept = (*mask_options(masks), *([] if refined else ["--no-refine"]))
@@ -222,7 +226,7 @@ def command_line(edit: Edit, photograph: str, masks: list[str], refined: bool) -
         words += ["edit", photograph, *kept, "--material", "+".join(texts), "--out", "edited"]
     else:
         words += ["app", photograph, *kept, "--repeat", "edit.json", "--out", "edited"]
-    return shlex.join(words)
+    return shlex.join([*words, *own_weights.options_for(weights)])
 
 
 Numbers = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
@@ -295,6 +299,9 @@ def read(path: Path) -> Edit:
 
     light = light_of(recipe.light if recipe.map is None else OWN_LIGHT, recipe.rotation_deg)
     if recipe.map is not None:
+        if not recipe.map:
+            remedy = "name it, or leave map out"
+            raise InputError(path, "a map's file in the same folder", "an empty name", remedy)
         if Path(recipe.map).name != recipe.map:
             raise InputError(path, "a map's file in the same folder", recipe.map, "move it there")
         light = replace(light, name=recipe.light, map=light_of_file(path.with_name(recipe.map)).map)

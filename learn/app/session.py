@@ -257,7 +257,7 @@ class Session:
                 material_file.write(folder / name, each, framed, metadata, network.weights)
         masks = self._write_masks(folder, decomposed.photograph)
         choices.write(folder / "edit.json", edit)
-        command = choices.command_line(edit, self.name, masks, self.refined)
+        command = choices.command_line(edit, self.name, masks, self.refined, network.weights)
         files.write_text(folder / "command.txt", command + "\n")
         main = [result, folder / "edited.exr", folder / "material.json", folder / "command.txt"]
         others = sorted(path for path in folder.iterdir() if path not in main)

@@ -33,7 +33,6 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument(
         "--host",
-        default=LOCAL,
         metavar="ADDRESS",
         help=(
             "address to listen on (default 127.0.0.1: this computer alone; 0.0.0.0: whoever can"
@@ -53,7 +52,6 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--refine",
         action=argparse.BooleanOptionalAction,
-        default=True,
         help="with --repeat: whether to refine, as on the page (default: yes)",
     )
     options.add_weights(parser)
@@ -74,7 +72,14 @@ def run(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name) is not None:
             where = "PHOTO" if name == "photo" else f"--{name}"
             raise InputError(where, "--repeat FILE with it", "none", "choose files on the page")
-    _require_address(arguments.host)
+    if arguments.refine is not None:
+        where = "--refine" if arguments.refine else "--no-refine"
+        raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
+    if arguments.overwrite:
+        remedy = "leave it out: the page writes into no folder"
+        raise InputError("--overwrite", "--repeat FILE with it", "none", remedy)
+    host = LOCAL if arguments.host is None else arguments.host
+    _require_address(host)
     if arguments.port is not None and not 1 <= arguments.port <= LARGEST_PORT:
         rule = f"a port from 1 to {LARGEST_PORT}"
         raise InputError("--port", rule, f"{arguments.port}", "leave it out")
@@ -89,7 +94,7 @@ def run(arguments: argparse.Namespace) -> None:
     page.serve(
         arguments.weights,
         device,
-        arguments.host,
+        host,
         arguments.port,
         arguments.open,
     )
@@ -118,6 +123,12 @@ def _repeat(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name) is None:
             where = "PHOTO" if name == "photo" else f"--{name}"
             raise InputError(where, "a value with --repeat", "none", "see --help")
+    given = {"host": arguments.host, "port": arguments.port, "open": arguments.open or None}
+    for name, value in given.items():
+        if value is not None:
+            remedy = "leave it out: --repeat serves no page"
+            repeated = f"--repeat {arguments.repeat}"
+            raise InputError(f"--{name}", "no --repeat with it", repeated, remedy)
     inputs = [arguments.photo, arguments.repeat, arguments.mask, arguments.regions]
     files.reserve_outputs(
         arguments.out,
@@ -133,7 +144,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")
     device = devices.choose(arguments.device)
     network, metadata = checkpoint.load_parts(arguments.weights, device)
-    settings = PHOTOGRAPHS if arguments.refine else None
+    settings = None if arguments.refine is False else PHOTOGRAPHS
     decomposed = decomposition.decompose(opened, network, metadata["size"], settings)
     linear, display = Viewer(decomposed).full(edit)
     photographs.require_finite(arguments.photo, linear)

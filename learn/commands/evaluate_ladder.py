@@ -9,6 +9,7 @@ from learn.commands import options
 from manifests.option_types import positive, whole
 
 SIDES = ("development", "test")
+MESHES = 6  # that are used of a folder, unless --mesh-count is given
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -48,9 +49,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--mesh-count",
         type=positive,
-        default=6,
         metavar="N",
-        help="with --meshes: number of meshes that are used (default 6)",
+        help=f"with --meshes: number of meshes that are used (default {MESHES})",
     )
     options.add_weights(parser)
     parser.add_argument(
@@ -86,6 +86,10 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.jobs is not None:
         _write_jobs(arguments)
         return
+    for name, value in (("meshes", arguments.meshes), ("mesh-count", arguments.mesh_count)):
+        if value is not None:
+            remedy = "leave it out: the data set has its meshes"
+            raise InputError(f"--{name}", "--jobs DIR with it", "none", remedy)
     missing = [name for name in ("data", "out") if getattr(arguments, name) is None]
     if missing:
         raise InputError(
@@ -115,9 +119,8 @@ def run(arguments: argparse.Namespace) -> None:
 def _write_jobs(arguments: argparse.Namespace) -> None:
     from learn.evaluation import ladder, ladder_design
 
-    paths = ladder.write_jobs(
-        arguments.side, arguments.jobs, arguments.meshes, arguments.mesh_count
-    )
+    count = MESHES if arguments.mesh_count is None else arguments.mesh_count
+    paths = ladder.write_jobs(arguments.side, arguments.jobs, arguments.meshes, count)
     print(f"{arguments.jobs}: {len(paths)} jobs. These commands render them:")
     if seeds := ladder_design.light_seeds(ladder_design.preset(arguments.side)):
         span = f"--first {seeds[0]} --count {len(seeds)}"

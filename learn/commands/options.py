@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from learn.networks import own_weights
 from manifests.option_types import MATERIALS, positive, whole
 
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
-WEIGHTS_FOLDER = Path(__file__).parents[1] / "weights"
-EDITING_WEIGHTS = WEIGHTS_FOLDER / "general-compact.safetensors"  # for pictures of users
+WEIGHTS_FOLDER = own_weights.FOLDER
+EDITING_WEIGHTS = own_weights.EDITING
 TABLE_WEIGHTS = WEIGHTS_FOLDER / "joint-compact.safetensors"  # of the published figures
 DATA = "a data set that `python -m factory render` wrote"
 

@@ -1,6 +1,7 @@
 """The parts of `brdfactory app` without its page: masks by clicks, search, sessions, blends."""
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from learn.app.session import Session
 from learn.app.sessions import Sessions
 from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
+from learn.commands import options
 from learn.data import photographs
 from learn.editing import decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
+from learn.networks import own_weights
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
@@ -28,6 +31,7 @@ from shaders import envmap
 from tests.support.known_ball import Knowing, ball, label_of
 
 SIDE, RADIUS = 96, 36
+REPEATED = ["photo.png", "--repeat", "edit.json", "--out", "x"]
 
 
 def scene() -> np.ndarray:
@@ -240,15 +244,39 @@ def test_a_damaged_edit_json_is_refused(tmp_path: Path) -> None:
         choices.read(path)
 
 
+def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "edit.json"
+    path.write_text(json.dumps({"regions": [{}], "light": "x", "map": ""}))
+    with pytest.raises(InputError, match="same folder, found an empty name"):
+        choices.read(path)
+
+
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
-    text = choices.command_line(plain, "my cup.png", ["regions.png"], refined=False)
+    default = own_weights.EDITING
+    text = choices.command_line(plain, "my cup.png", ["regions.png"], False, default)
     assert text == (
         "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"
         " --out edited"
     )
     blend = Edit((Painted(chosen("brass"), chosen("chrome")),))
-    assert "--repeat edit.json" in choices.command_line(blend, "a.png", ["mask.png"], True)
+    assert "--repeat edit.json" in choices.command_line(blend, "a.png", ["mask.png"], True, default)
+
+
+@pytest.mark.parametrize("blended", [False, True])
+@pytest.mark.parametrize("text", ["general-two-encoders", "own run/weights.safetensors"])
+def test_the_command_takes_the_weights_that_decomposed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, blended: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    weights = options.weights_file(text)
+    second = chosen("chrome") if blended else None
+    edit = Edit((Painted(chosen("brass"), second),))
+    line = choices.command_line(edit, "a.png", ["mask.png"], True, weights)
+    *_, option, named = shlex.split(line)
+    assert option == "--weights" and (named == text or Path(named).is_absolute())
+    monkeypatch.chdir("/")
+    assert options.weights_file(named) == tmp_path / weights
 
 
 @pytest.fixture
@@ -318,6 +346,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     linear, _ = photographs.read_exr(paths[1])
     assert linear.shape == (80, 120, 3)
     assert text.startswith("brdfactory edit sent.png --mask mask.png --no-refine --material green")
+    assert text.endswith(f"--weights {Path('known.safetensors').resolve()}")
 
 
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
@@ -388,14 +417,26 @@ def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_pat
         sessions.of("one").load(path)
 
 
-def test_the_command_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture) -> None:
+def test_the_command_refuses_what_it_cannot_do(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     from brdfactory.command_line import run
+
+    monkeypatch.chdir(tmp_path)
+    # a page that was served after all
+    monkeypatch.setattr("learn.app.page.serve", lambda *rest: None)
 
     for words, part in (
         (["--port", "0"], "a port from 1"),
         (["--host", "example.org"], "an address of this computer"),
         (["photo.png"], "--repeat FILE with it"),
         (["--repeat", "edit.json", "--out", "x"], "PHOTO"),
+        (["--no-refine"], "--no-refine: expected --repeat FILE with it"),
+        (["--refine"], "--refine: expected --repeat FILE with it"),
+        (["--overwrite"], "--overwrite: expected --repeat FILE with it"),
+        ([*REPEATED, "--host", "127.0.0.1"], "--host: expected no --repeat"),
+        ([*REPEATED, "--port", "0"], "--port: expected no --repeat"),
+        ([*REPEATED, "--open"], "--open: expected no --repeat"),
     ):
         assert run(["app", *words]) == 1
         assert part in capsys.readouterr().err

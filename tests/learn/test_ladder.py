@@ -330,6 +330,16 @@ def test_the_command_needs_data_and_a_folder(capsys):
     assert "--data" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["--meshes", "folder"], ["--mesh-count", "3"]])
+def test_meshes_are_of_jobs_alone(capsys, words):
+    from learn.__main__ import COMMANDS
+    from manifests.cli import main
+
+    command = ["evaluate-ladder", "--data", "d", "--out", "o", *words]
+    assert main("learn", "", COMMANDS, command) == 1
+    assert f"{words[0]}: expected --jobs DIR with it" in capsys.readouterr().err
+
+
 def test_intervals_need_several_shapes_materials_and_lights():
     def line(number, shape):
         return {"shape": shape, "target": f"m{number % 2}", "light": f"l{number // 2 % 3}"} | {
