@@ -326,13 +326,23 @@ def _materials(job: Job, catalogues: Sequence[str | Path]) -> list[Material]:
 
 
 def _lights(job: Job, folder: str | Path | None, library: str | None) -> dict[str, Light]:
+    """Return the lights by the job's names. Raises InputError for two maps of one name."""
     from factory.lights import load
     from factory.lights.files import is_light_path
 
-    result = {}
+    result: dict[str, Light] = {}
+    by_name: dict[str, tuple[str, str]] = {}  # (the job's name, hash)
     for name in dict.fromkeys(job.lights):
         source = str(local(name, folder, "job: lights")) if is_light_path(name) else name
         light = load(source, library)
+        first, hash_ = by_name.setdefault(light.name, (name, light.hash))
+        if light.hash != hash_:  # records and entries know a light by its name
+            raise InputError(
+                f"light '{light.name}'",
+                "one map under a name",
+                f"{first} and {name}",
+                "rename one of the files",
+            )
         result[name] = Light(
             name=light.name,
             source=source,

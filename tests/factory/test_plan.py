@@ -7,6 +7,7 @@ import tracemalloc
 from itertools import islice, pairwise
 
 import msgspec
+import numpy as np
 import pytest
 
 from factory.commands.plan import described, split_counts
@@ -320,6 +321,29 @@ def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_shar
     both = msgspec.structs.replace(job, shapes=("chairs/one/model.ply", "chairs/two/model.ply"))
     with pytest.raises(InputError, match="expected one mesh under a name"):
         resolve(both, tmp_path, catalogues=[catalogue])
+
+
+def test_two_light_maps_never_share_a_name(small_job, catalogue, tmp_path, light_file):
+    for folder in ("a", "b", "c"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "lamp.exr").write_bytes(light_file.read_bytes())
+    ramp = np.linspace(2.0, 0.1, 8 * 16, dtype=np.float32).reshape(8, 16, 1)
+    np.savez(tmp_path / "b" / "lamp.npz", L=ramp * np.ones(3, np.float32))
+
+    def lights(*names):
+        job = msgspec.structs.replace(small_job, lights=names)
+        return resolve(job, tmp_path, catalogues=[catalogue]).lights
+
+    with pytest.raises(InputError) as caught:
+        lights("a/lamp.exr", "b/lamp.npz")
+    assert str(caught.value) == (
+        "light 'lamp': expected one map under a name, found a/lamp.exr and b/lamp.npz"
+        " (rename one of the files)"
+    )
+    (tmp_path / "b" / "city.npz").write_bytes((tmp_path / "b" / "lamp.npz").read_bytes())
+    with pytest.raises(InputError, match=r"found city and b/city\.npz"):
+        lights("city", "b/city.npz")
+    assert set(lights("a/lamp.exr", "c/lamp.exr")) == {"a/lamp.exr", "c/lamp.exr"}  # one map
 
 
 def test_sets_and_names_of_materials_can_be_mixed(small_job, catalogue):
