@@ -9,11 +9,12 @@ import contextlib
 import io
 import os
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import msgspec.inspect
 
 from manifests.errors import InputError
 from manifests.files import replacing, transaction, write_bytes
@@ -53,16 +54,45 @@ def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) 
             store.folder, "records to export", "none", "render some, or choose another --split"
         )
     with replacing(path) as file, contextlib.ExitStack() as opened:
-        writer = None
+        schema = pyarrow.schema(list(_columns(Record)))
+        writer = opened.enter_context(pyarrow.parquet.ParquetWriter(file, schema))
         for first in range(0, len(records), ROWS):
-            table = pyarrow.Table.from_pylist(
-                [_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]]
-            )
-            writer = writer or opened.enter_context(
-                pyarrow.parquet.ParquetWriter(file, table.schema)
-            )
-            writer.write_table(table.cast(writer.schema))
+            rows = [_flat(msgspec.to_builtins(record)) for record in records[first : first + ROWS]]
+            writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
     return len(records)
+
+
+def _columns(kind: type[msgspec.Struct], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted key, Arrow type) of a record's keys.
+
+    They come from the types and not from records, in which keys may be missing.
+    """
+    for field in msgspec.inspect.type_info(kind).fields:  # type: ignore[attr-defined]
+        of = field.type
+        if isinstance(of, msgspec.inspect.UnionType):  # T | None
+            (of,) = (each for each in of.types if not isinstance(each, msgspec.inspect.NoneType))
+        key = f"{prefix}{field.encode_name}"
+        if isinstance(of, msgspec.inspect.StructType):
+            yield from _columns(of.cls, f"{key}.")
+        else:
+            yield key, _arrow_type(of)
+
+
+def _arrow_type(of: msgspec.inspect.Type) -> Any:
+    """Return the Arrow type of a value: a text, a number, or a list of them."""
+    import pyarrow
+
+    if isinstance(of, msgspec.inspect.TupleType):
+        return pyarrow.list_(_arrow_type(of.item_types[0]))
+    if isinstance(of, msgspec.inspect.VarTupleType):
+        return pyarrow.list_(_arrow_type(of.item_type))
+    types = {
+        msgspec.inspect.StrType: pyarrow.string(),
+        msgspec.inspect.LiteralType: pyarrow.string(),
+        msgspec.inspect.IntType: pyarrow.int64(),
+        msgspec.inspect.FloatType: pyarrow.float64(),
+    }
+    return types[type(of)]
 
 
 def _flat(value: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -125,11 +125,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run_make(options: argparse.Namespace) -> None:
     """Render the maps that the library lacks and add them to it, each as soon as it is done."""
-    import concurrent.futures
+    import concurrent.futures.process
     import multiprocessing
 
     from factory.lights import interiors, library
     from manifests import subprocesses
+    from manifests.errors import InputError
     from manifests.progress import tqdm
 
     names = {
@@ -140,9 +141,10 @@ def run_make(options: argparse.Namespace) -> None:
     # in processes of their own: Blender's memory and its exit stay away from this one
     total = 0.0
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(
+    pool = concurrent.futures.ProcessPoolExecutor(
         options.workers, context, subprocesses.end_with_parent
-    ) as pool:
+    )
+    try:
         pending = {pool.submit(_render, seed): name for name, seed in missing.items()}
         progress = tqdm(
             concurrent.futures.as_completed(pending), total=len(pending), unit="map", disable=None
@@ -152,6 +154,15 @@ def run_make(options: argparse.Namespace) -> None:
             L, seconds = done.result()
             total += seconds
             library.add_made(name, L, options.library, OWN_LICENCE, interiors.SOURCE)
+    except concurrent.futures.process.BrokenProcessPool:
+        raise InputError(
+            f"{options.library}: {len(library.read_list(options.library))} maps",
+            "processes that render until all are made",
+            "one that was ended, perhaps for want of memory",
+            "give the same command with fewer --workers: it goes on with the maps that are missing",
+        ) from None
+    finally:  # after an error without the maps that were not begun, which may take hours
+        pool.shutdown(cancel_futures=True)
     print(f"{options.library}: {len(missing)} maps made, {len(names) - len(missing)} were there")
     if missing:
         print(f"{total / len(missing):.1f} seconds of processor time per map")

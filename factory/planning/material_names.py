@@ -24,9 +24,7 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
     Raises      InputError: a name that no catalogue has, with the closest ones; a material whose
                 hash is not that of its label and mixture
     """
-    files = {
-        SETS.get(Path(path).stem, Path(path).stem): Path(path) for path in (*BUILT_IN, *catalogues)
-    }
+    files = _files(catalogues)
     sets = {
         name: read_catalogue(path).materials
         for name, path in files.items()
@@ -50,6 +48,24 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
     for entry in chosen.values():
         require_own_hash(entry, "catalogue")
     return list(chosen.values())
+
+
+def _files(catalogues: Sequence[str | Path]) -> dict[str, Path]:
+    """Return {set: file} of the built-in catalogues and a user's.
+
+    Raises  InputError: two files, which would make one set
+    """
+    files = {SETS.get(path.stem, path.stem): path for path in BUILT_IN}
+    for path in map(Path, catalogues):
+        known = files.setdefault(path.stem, path)
+        if known.resolve() != path.resolve():
+            raise InputError(
+                f"--catalogue {path}",
+                "a set of materials of its own name, which is that of the file",
+                f"'{path.stem}' of {known}, too",
+                "rename one of the files",
+            )
+    return files
 
 
 def _part(entries: Sequence[Entry], part: str) -> list[Entry]:

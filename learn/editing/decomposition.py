@@ -93,8 +93,7 @@ def decompose(
     batch, start = predict_framed(framed, network, regions, photograph.count)
     if photograph.exposure is None:
         framed, batch = exposure.corrected(framed, batch, start)
-    if photograph.record is not None:  # a photograph's camera is not known, a record's is
-        batch = replace(batch, elevation=float(np.radians(photograph.record.camera.elevation_deg)))
+    batch = replace(batch, elevation=photograph.elevation)
     labels: np.ndarray | None = getattr(network, "training_labels", None)
     refined = None if settings is None else refine(batch, start, settings, labels, watch)
     return Decomposition(photograph, framed, batch, start, refined)

@@ -18,6 +18,7 @@ from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
 from manifests.errors import InputError, closest
 from manifests.schema import Record
+from shaders.frames import ELEVATION
 from shaders.tone import LUMINANCE
 
 # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
@@ -71,6 +72,13 @@ class Photograph:
     def clipped(self) -> np.ndarray | None:
         """Channels (H, W, 3) bool that are white in the file; None where it holds radiance."""
         return None if self.linear else photographs.saturated(self.radiance)
+
+    @property
+    def elevation(self) -> float:
+        """The camera's elevation in radians: a record's own, the usual one where none is known."""
+        if self.record is None:
+            return float(ELEVATION)
+        return float(np.radians(self.record.camera.elevation_deg))
 
     @property
     def balanced(self) -> np.ndarray:
@@ -144,7 +152,7 @@ def opened(
             regions,
             balance,
         )
-        return _of_record(path, exposure, record)
+        return of_record(path, exposure, record)
     if record is not None:
         raise InputError(
             f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
@@ -310,8 +318,14 @@ def _balance(requested, radiance, coverage, background):
     return factors / float(factors @ LUMINANCE)
 
 
-def _of_record(folder, exposure, requested):
-    """A record's picture; its light has unit mean luminance, so its exposure is 1."""
+def of_record(
+    folder: Path, exposure: float | None = None, requested: str | None = None
+) -> Photograph:
+    """Return a record's picture; its light has unit mean luminance, so its exposure is 1.
+
+    requested  id of the record, or its beginning; None: the first one that is held out
+    Raises     InputError: no such record, or one by a perspective or rolled camera
+    """
     records = Records(folder)
     if not len(records):
         raise InputError(

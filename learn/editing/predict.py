@@ -4,7 +4,7 @@ It writes normals.exr (X, Y, Z, camera frame), light.exr (64×128, light frame) 
 each with a PNG beside it, material.json, and sheet.png.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,7 @@ import torch
 from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.data.records import Records
-from learn.editing import material_file
+from learn.editing import material_file, photograph
 from learn.editing.decomposition import Parts, parts_of, predict_framed
 from learn.editing.edit_files import save
 from learn.editing.exposure import corrected, rendered_again
@@ -92,15 +91,18 @@ def compute(
             "leave --mask out",
         )
     network, metadata = checkpoint.load_parts(weights, device)
-    radiance, covered, exposure = (
-        _from_record(image, exposure)
-        if Path(image).is_dir()
-        else (*photographs.read(image, mask), exposure)
-    )
-    linear = Path(image).is_dir() or photographs.holds_radiance(image)
+    record = photograph.of_record(image, exposure) if Path(image).is_dir() else None
+    if record is None:
+        radiance, covered = photographs.read(image, mask)
+        linear = photographs.holds_radiance(image)
+    else:
+        radiance, covered, exposure = record.radiance, record.mask, record.exposure
+        linear = True
     clipped = None if linear else photographs.saturated(radiance)
     framed = framing.framed(radiance, covered, metadata["size"], exposure, image, clipped)
     batch, predicted = predict_framed(framed, network)
+    if record is not None:
+        batch = replace(batch, elevation=record.elevation)
     parts = parts_of(predicted)
     rendering = rendered_again(batch, predicted)
     if exposure is None:
@@ -127,18 +129,3 @@ def write(out: Path, result: PredictedPicture, weights: Path) -> None:
         material_file.write(
             out / "material.json", array(parts.label[0]), framed, result.metadata, weights
         )
-
-
-def _from_record(folder: Path, exposure: float | None) -> tuple[np.ndarray, np.ndarray, float]:
-    """Radiance, mask and exposure of a dataset's first record that is held out, or its first.
-
-    Its light has unit mean, so that its exposure is 1 unless another is requested.
-    """
-    records = Records(folder)
-    if not len(records):
-        raise InputError(
-            folder, "records", "none", "render some: python -m factory render JOB --out DIR"
-        )
-    record = next((r for r in records.records if r.split == "test"), records.records[0])
-    _, _, segments = records.geometry(record)
-    return records.image(record), segments > 0, 1.0 if exposure is None else exposure

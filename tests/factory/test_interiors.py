@@ -1,14 +1,20 @@
 """Rooms and skies: drawn from seeds, with nothing at the eye, rendered where they lie."""
 
+import argparse
 import os
 import subprocess
 import sys
+import time
+from concurrent import futures
+from concurrent.futures import process
 
 import numpy as np
 import pytest
 
-from factory.lights import interiors, load
+from factory.commands import lights
+from factory.lights import interiors, library, load
 from factory.lights.interiors import Bulb, Material, Scene, Sky
+from manifests.errors import InputError
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -84,3 +90,26 @@ def test_the_suns_disc_is_as_bright_as_the_light_that_it_sends():
     wall = Box((2.0, -20.0, -20.0), (3.0, 20.0, 20.0), Material((0.1, 0.1, 0.1)))
     east = Sky(0.3, float(np.pi / 2), 0.0, 1.0, True)
     assert panorama.render(Scene(east, (wall,))).max() < 0.01 * panorama.render(Scene(east)).max()
+
+
+def test_a_map_that_fails_keeps_those_before_it_and_begins_none_after_it(tmp_path, monkeypatch):
+    """Processes end where memory does; hours of further maps must not be waited for."""
+    begun = []
+
+    def rendered(seed):
+        begun.append(seed)
+        if seed == 2:
+            raise process.BrokenProcessPool("a process was ended")
+        time.sleep(0.05)  # so that the command sees each before the next is done
+        return np.ones((8, 16, 3), np.float32), 0.1
+
+    def pool(workers, *_):
+        return futures.ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr(lights, "_render", rendered)
+    monkeypatch.setattr(futures, "ProcessPoolExecutor", pool)
+    options = argparse.Namespace(first=0, count=40, library=tmp_path, workers=1)
+    with pytest.raises(InputError, match=r"2 maps: expected .* goes on"):
+        lights.run_make(options)
+    assert list(library.read_list(tmp_path)) == ["interior-0", "interior-1"]
+    assert len(begun) < 40

@@ -6,6 +6,7 @@ import json
 import os
 import struct
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
@@ -302,3 +303,26 @@ def test_an_unknown_key_in_a_catalogue_is_refused(tmp_path, own):
     (tmp_path / "typo.json").write_text(text)
     with pytest.raises(InputError, match="famliy"):
         materials.read_catalogue(tmp_path / "typo.json")
+
+
+def catalogue_of(folder, name, file):
+    """A catalogue of one built-in material under another name, in a folder of its own."""
+    entry = materials.read_catalogue(materials.BUILT_IN[0]).materials[0]
+    entry = msgspec.structs.replace(entry, name=name)
+    path = folder / name / file
+    path.parent.mkdir()
+    materials.write(materials.Catalogue(title="own", credit="none", materials=(entry,)), path)
+    return path
+
+
+def test_two_catalogues_of_one_name_are_refused(tmp_path):
+    first, second = (catalogue_of(tmp_path, name, "mine.json") for name in ("felt", "cork"))
+    with pytest.raises(InputError, match=r"'mine' of .*felt/mine.json, too .*rename"):
+        chosen_entries(["felt"], [first, second])
+    assert [each.name for each in chosen_entries(["mine"], [first, first])] == ["felt"]
+
+
+def test_a_catalogue_by_the_name_of_a_data_sets_own_leaves_the_built_in_materials(tmp_path):
+    own = catalogue_of(tmp_path, "felt", "materials.json")
+    names = [each.name for each in chosen_entries(["brass", "materials/felt"], [own])]
+    assert names == ["brass", "felt"]

@@ -12,6 +12,7 @@ from PIL import Image
 
 from learn.data.settings import Run
 from learn.editing import material_file, predict
+from learn.editing.exposure import rendered_again
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -19,6 +20,7 @@ from manifests import exr
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap
+from tests.support import synthetic
 from tests.support.two_materials import written
 
 SIZE = 32
@@ -136,6 +138,39 @@ def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weigh
     assert report["exposure"] == 0.7
     # about the object's middle
     assert side >= 40 and (2 * top + side, 2 * left + side) == pytest.approx((60, 90), abs=1)
+
+
+def test_a_record_is_rendered_again_by_its_own_camera(weights, tmp_path, rng, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        predict,
+        "rendered_again",
+        lambda batch, predicted: seen.append(batch.elevation) or rendered_again(batch, predicted),
+    )
+    synthetic.write_dataset(
+        tmp_path,
+        [synthetic.matte()],
+        rng,
+        size=SIZE,
+        seeds=1,
+        rotations=(0,),
+        method="quadrature",
+        elevation_deg=50.0,
+    )
+    predict.compute(tmp_path, None, weights, None, "cpu")
+    assert np.degrees(seen) == pytest.approx([50.0])
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [({"fov_deg": 40.0}, "an orthographic camera"), ({"roll_deg": 30.0}, "an upright camera")],
+)
+def test_a_record_by_another_camera_is_refused(weights, tmp_path, rng, camera, words):
+    synthetic.write_dataset(
+        tmp_path / "data", [synthetic.matte()], rng, size=SIZE, seeds=1, rotations=(0,), **camera
+    )
+    with pytest.raises(InputError, match=words):
+        predict.run(tmp_path / "data", None, weights, tmp_path / "out")
 
 
 def test_a_dataset_without_records_is_told(weights, tmp_path):

@@ -6,9 +6,11 @@ import tarfile
 import msgspec
 import pytest
 
+from manifests import export
 from manifests.errors import InputError
 from manifests.export import to_parquet, to_tars
-from manifests.schema import Record
+from manifests.line_files import Lines
+from manifests.schema import Accuracy, Camera, Record
 from manifests.store import image_path
 
 
@@ -125,3 +127,39 @@ def test_the_table_has_a_row_a_record(a_dataset, tmp_path):
     rows = parquet.read_table(tmp_path / "records.parquet").to_pylist()
     assert [row["id"] for row in rows] == sorted(a_dataset.ids())
     assert rows[0]["camera.size"] == [8, 8] and rows[0]["statistics.coverage"] == 0.5
+
+
+@pytest.mark.parametrize("rows", [1, 50_000])
+def test_the_table_s_columns_do_not_depend_on_the_first_record(
+    a_dataset, a_record, tmp_path, monkeypatch, rows
+):
+    parquet = pytest.importorskip(
+        "pyarrow.parquet", reason="pyarrow is not installed: the Parquet export is optional"
+    )
+    monkeypatch.setattr(export, "ROWS", rows)
+    accuracy = Accuracy(
+        requested=5.0,
+        estimator="denoised",
+        predicted=4.0,
+        estimated=3.0,
+        standard_error=0.5,
+        seconds=0.2,
+    )
+    lines = Lines(a_dataset.folder / "records" / "worker-01.jsonl")
+    lines.append(
+        a_record("f" * 24, accuracy=accuracy, camera=Camera(size=(8, 8), fov_deg=30.0))
+    )  # the last by its id
+    lines.close()
+    assert to_parquet(a_dataset, tmp_path / "records.parquet") == 4
+    table = parquet.read_table(tmp_path / "records.parquet")
+    rows = table.to_pylist()
+    assert [row["accuracy.requested"] for row in rows] == [None, None, None, 5.0]
+    assert [row["accuracy.estimator"] for row in rows] == [None, None, None, "denoised"]
+    assert [row["camera.fov_deg"] for row in rows] == [None, None, None, 30.0]
+    whole = msgspec.to_builtins(a_record("f" * 24, accuracy=accuracy))
+    flat = {
+        (f"{key}.{inner}" if inner else key)
+        for key, value in whole.items()
+        for inner in (value if isinstance(value, dict) else ("",))
+    }
+    assert set(table.column_names) == flat  # a key that the schema gains gets a column

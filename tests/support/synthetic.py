@@ -84,6 +84,7 @@ def write_dataset(
     rotations=(0, 5),
     fov_deg=None,
     roll_deg=0.0,
+    elevation_deg=20.0,
     tiers=("direct",),
     method="exact",
     category="primitive",
@@ -96,7 +97,10 @@ def write_dataset(
     category, side  of the one shape there is
     Returns         the folder's Store
     """
-    store, camera = Store(folder), Camera(size=(size, size), fov_deg=fov_deg, roll_deg=roll_deg)
+    store = Store(folder)
+    camera = Camera(
+        size=(size, size), fov_deg=fov_deg, roll_deg=roll_deg, elevation_deg=elevation_deg
+    )
     L, scale = envmap.unit_mean(np.exp(rng.standard_normal((64, 128, 3))))
     stored = light_path("sky", LIGHT)
     digest = store.place(stored, light_files.encode_light(L, scale), "test")
@@ -137,7 +141,9 @@ def write_dataset(
             scene = (upright, np.exp(np.asarray(each.label)), envmap.roll(L, turn))
             tensors = [torch.from_numpy(np.asarray(array, np.float32))[None] for array in scene]
             seen = None if view is None else torch.from_numpy(view)[None]
-            picture = render(*tensors, seen, method=method, tolerance=1e-3)[0].numpy()
+            elevation = np.radians(elevation_deg)
+            picture = render(*tensors, seen, elevation=elevation, method=method, tolerance=1e-3)
+            picture = picture[0].numpy()
             for tier in tiers:
                 for seed in range(seeds):
                     noisy = picture * (1 + noise * rng.standard_normal(picture.shape))
