@@ -101,6 +101,16 @@ def main(
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         return _failed(program, error, debug, reword)
+    except (MemoryError, RuntimeError) as error:
+        if not _is_out_of_memory(error):
+            raise
+        shortage = InputError(
+            "memory",
+            "as much as this command needs",
+            str(error).split(". ")[0] or "less",
+            "take fewer --workers, or smaller pictures or batches; on a GPU, --device cpu",
+        )
+        return _failed(program, shortage, debug, reword)
     except KeyboardInterrupt as interrupt:
         traceback.clear_frames(interrupt.__traceback__)
         how = (
@@ -110,6 +120,14 @@ def main(
         )
         print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
         return 130
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Return whether memory was exhausted, of the machine or, for torch, of a GPU."""
+    torch = sys.modules.get("torch")
+    return isinstance(error, MemoryError) or (
+        torch is not None and isinstance(error, torch.OutOfMemoryError)
+    )
 
 
 def _list_in_groups(

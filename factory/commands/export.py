@@ -14,8 +14,8 @@ EPILOG = """examples:
   python -m factory export out/demo --to records --out demo.parquet
   python -m factory export out/demo --to tars --out demo-tars --split train
 
-Run the same command again to continue: files that exist are whole and stay. Tars and records are
-replaced.
+Run the same command again to continue: files that exist are whole and stay. A table of records is
+replaced; tars need a folder without tars.
 docs/exporting.md describes the formats."""
 
 # what is no format of samples: the data set's own files, and a table of its records

@@ -77,7 +77,10 @@ def run(options: argparse.Namespace) -> int:
             f"{options.count} and {options.size}",
             "--count 24 --size 128 suits most",
         )
-    out = options.out or options.folder.with_name(options.folder.name + "-preview")
+    folder = options.folder
+    if folder.name in ("", ".."):
+        folder = folder.resolve()
+    out = options.out or folder.with_name(folder.name + "-preview")
     files.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = spread(store, options)
     if not chosen:
@@ -96,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     with files.transaction():
         files.write_image(out / "sheet.png", draw(rows, captions, options.size))
         files.write_text(
-            out / "index.html", page(options.folder.name, rows, captions, [r.id for r in chosen])
+            out / "index.html", page(folder.name, rows, captions, [r.id for r in chosen])
         )
     print(f"{out / 'index.html'}: {len(chosen)} records")
     return 0

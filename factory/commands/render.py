@@ -253,7 +253,7 @@ def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:
     if outcome.already_there:
         line += f", {outcome.already_there} were there already"
     if outcome.failed:
-        where = f"{folder}/failures*.jsonl" if "://" in folder else f"{folder}/failures.jsonl"
+        where = f"{folder}/failures*.jsonl"  # parts of a job and of a store have files of their own
         line += f"; {outcome.failed} FAILED, see {where}; the same command tries them again"
     return line
 

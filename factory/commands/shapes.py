@@ -232,6 +232,7 @@ def run_preview(options: argparse.Namespace) -> int:
 
     from PIL import Image
 
+    options.out.parent.mkdir(parents=True, exist_ok=True)  # before the pictures are rendered
     montage = contact_sheet(meshes(), len(chosen), size=options.size, azimuths=azimuths)
     write_image(options.out, montage.quantize(128, dither=Image.Dither.NONE), "PNG", optimize=True)
     return 1 if failed else 0

@@ -94,10 +94,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
-    import os
-
     from learn.data import devices
     from learn.evaluation import report, run
+    from manifests import subprocesses
     from manifests.errors import InputError
 
     options.require_cpu(arguments)
@@ -108,6 +107,6 @@ def run(arguments: argparse.Namespace) -> None:
     given = {name: value for name, value in vars(arguments).items() if name in names}
     device = arguments.device if arguments.ray is None else "cpu"
     given["device"] = str(devices.choose(device))
-    given["processes"] = arguments.processes or os.cpu_count() or 1
+    given["processes"] = arguments.processes or subprocesses.processors()
     print(report.line(run.make(run.Options(**given))))
     print(f"See {arguments.out / 'index.html'}")

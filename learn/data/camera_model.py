@@ -130,7 +130,9 @@ def drawn_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
         return mask
     if kind < 0.6:
         inner = ~maximum_filter(~mask, size=3)
-        return mask & (inner | (rng.random(mask.shape) < rng.uniform(0, 1)))
+        worn = mask & (inner | (rng.random(mask.shape) < rng.uniform(0, 1)))
+        # all of an object that is nowhere three pixels wide is border
+        return worn if worn.sum() >= LEAST_SHARE * mask.sum() else mask
     if kind < 0.8:
         return maximum_filter(mask, size=int(rng.choice([3, 5])))
     side = int(rng.integers(3, 7))

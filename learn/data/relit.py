@@ -110,9 +110,11 @@ class RelitDataset:
             )
         groups = -(-batch // data.sharing)
         if groups % part[1]:
-            raise ValueError(
-                f"batch: expected a multiple of {data.sharing * part[1]} pictures for {part[1]}"
-                f" processes, found {batch}"
+            raise InputError(
+                f"schedule.batch, {part[1]} processes",
+                f"a multiple of {data.sharing * part[1]} pictures, data.sharing for each process",
+                str(batch),
+                "change schedule.batch, or the number of processes",
             )
         self.groups = range(groups)[part[0] :: part[1]]
         self.of_group = [

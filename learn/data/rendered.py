@@ -110,9 +110,11 @@ class RenderedDataset:
                 f'render them with "size": {size}',
             )
         if batch % part[1]:
-            raise ValueError(
-                f"batch: expected a multiple of {part[1]} pictures for {part[1]} processes, found"
-                f" {batch}"
+            raise InputError(
+                f"schedule.batch, {part[1]} processes",
+                f"a multiple of {part[1]} pictures",
+                str(batch),
+                "change schedule.batch, or the number of processes",
             )
         share = batch // part[1]
         self.places = range(part[0] * share, (part[0] + 1) * share)

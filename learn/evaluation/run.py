@@ -11,7 +11,6 @@ A kill loses the pictures in progress. The same command continues, and a larger 
 
 import contextlib
 import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -259,7 +258,7 @@ def results(
         for unit in todo:
             yield bench.work(*unit)
         return
-    threads = max(1, (os.cpu_count() or 1) // processes)
+    threads = max(1, subprocesses.processors() // processes)
     # a fork of a process with running threads may hang
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as pool:

@@ -348,6 +348,30 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     assert command("verify", tmp_path / "data")[0] == 0
 
 
+def test_a_preview_of_the_folder_one_is_in_lies_beside_it(
+    command, render, small_job, tmp_path, monkeypatch
+):
+    render(small_job, tmp_path / "data", limit=1)
+    monkeypatch.chdir(tmp_path / "data")
+    assert command("preview", ".", "--size", "16")[0] == 0
+    assert (tmp_path / "data-preview" / "index.html").exists()
+
+
+def test_memory_that_is_exhausted_is_one_line(command, monkeypatch):
+    import torch
+
+    from factory.commands import preview
+
+    for error in (MemoryError(), torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")):
+
+        def run(options, error=error):
+            raise error
+
+        monkeypatch.setattr(preview, "run", run)
+        status, said = command("preview", "anywhere")
+        assert status == 1 and "memory: expected" in said and one_line(said)
+
+
 def test_a_preview_replaces_a_page_only_when_told(command, render, small_job, tmp_path):
     render(small_job, tmp_path / "data", limit=1)
     page, sheet = tmp_path / "site" / "index.html", tmp_path / "site" / "sheet.png"

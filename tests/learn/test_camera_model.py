@@ -109,6 +109,16 @@ def test_drawn_masks_are_near_the_object_and_not_all_alike() -> None:
     assert 0.7 < min(sizes) < 0.99 and 1.01 < max(sizes) < 1.4
 
 
+def test_a_mask_of_a_thin_object_is_never_worn_away() -> None:
+    bars = np.zeros((SIDE, SIDE), bool)
+    bars[4:-4, SIDE // 2 : SIDE // 2 + 2] = True
+    sizes = [
+        camera_model.drawn_mask(np.random.default_rng(seed), bars).sum() / bars.sum()
+        for seed in range(400)
+    ]
+    assert min(sizes) >= camera_model.LEAST_SHARE
+
+
 def test_a_share_of_pictures_is_taken_by_the_camera_model() -> None:
     """Others are augmented as before."""
     along, simple = (torch.ones(SIDE, SIDE),), 0

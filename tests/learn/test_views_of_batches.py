@@ -1,4 +1,4 @@
-"""How often training draws views of each category of shapes."""
+"""Which views training draws: how often those of each category, and how many for each process."""
 
 import collections
 import dataclasses
@@ -38,6 +38,11 @@ def data_split(tmp_path_factory):
     labels = {"matte": np.array(synthetic.matte().label, np.float32)}
     maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
     return DataSplit(geometry, np.arange(len(CATEGORIES)), labels, maps, "train")
+
+
+def test_a_batch_that_processes_cannot_share_is_refused_in_one_line(data_split):
+    with pytest.raises(InputError, match=r"schedule.batch, 3 processes: expected a multiple of 6"):
+        RelitDataset(data_split, with_weights({}), 8, SIZE, 5, (0, 3))
 
 
 def counted(source, batches):
