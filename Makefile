@@ -12,7 +12,7 @@ help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
 	@echo "make demo-small  the same with 16 pictures"
-	@echo "make weights     from nothing to weights of the preset general-compact: about eleven hours of processor time, six with WEIGHTS_STEPS=6000"
+	@echo "make weights     from nothing to weights of the preset general-compact: about fourteen hours of processor time, six with WEIGHTS_STEPS=6000"
 	@echo "make weights-small  the same with a sixtieth of shapes, lights and steps"
 	@echo "make site        build the documentation as a site; then open build/site/index.html"
 	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"

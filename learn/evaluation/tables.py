@@ -266,7 +266,7 @@ def all_of(
         "displayed": by_method(
             E, "The same edits by other measures", displayed, [((), DISPLAYED, "")]
         ),
-        "given": by_method(E, "Edits were a part given", given, [((), ALIGNED[:1] + GIVEN, "")]),
+        "given": by_method(E, "Edits with one part given", given, [((), ALIGNED[:1] + GIVEN, "")]),
         "refinement": refinement_table.refinement(P, E),
         "rerendered": by_method(
             P,
