@@ -255,7 +255,7 @@ def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, we
 
 def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
     # a thread each, as here: figures are compared to the last bit
-    monkeypatch.setattr(run.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(run.subprocesses, "processors", lambda: 2)
     alone, together = (
         run.make(options),
         run.make(replace(options, out=tmp_path / "two", processes=2)),
