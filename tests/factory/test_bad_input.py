@@ -358,7 +358,7 @@ def test_a_preview_of_the_folder_one_is_in_lies_beside_it(
     assert (tmp_path / "data-preview" / "index.html").exists()
     monkeypatch.chdir(tmp_path / "data" / "images")
     assert command("preview", "..", "--size", "16", "--overwrite")[0] == 0
-    assert not (tmp_path / "data" / "..-preview").exists()
+    assert not (tmp_path / "data" / "images" / "..-preview").exists()
 
 
 def test_memory_that_is_exhausted_is_one_line(command, monkeypatch):
