@@ -5,7 +5,7 @@ that determines its fit: the measurement, the recipe, the light maps and the ver
 code. A second call reads them from there; another recipe makes others.
 """
 
-import concurrent.futures
+import concurrent.futures.process
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -102,16 +102,30 @@ def _kept(file):
 
 
 def _each(names, workers):
-    """Fit the names, in this process or in a pool of forked ones; yield each when it is done."""
+    """Fit the names, in this process or in a pool of forked ones; yield each when it is done.
+
+    Raises  InputError where a process was ended, and what a fit raises; those that were not begun
+            are left out
+    """
     if workers <= 1:
         for name in names:
             yield _fit_one(name)
         return
     with concurrent.futures.ProcessPoolExecutor(workers, _fork(), end_with_parent) as pool:
-        for future in concurrent.futures.as_completed(
-            [pool.submit(_fit_one, name) for name in names]
-        ):
-            yield future.result()
+        try:
+            for future in concurrent.futures.as_completed(
+                [pool.submit(_fit_one, name) for name in names]
+            ):
+                yield future.result()
+        except concurrent.futures.process.BrokenProcessPool:
+            raise InputError(
+                "materials",
+                "processes that fit until all are done",
+                "one that was ended, perhaps for want of memory",
+                "give the same command with fewer --workers: fits that are done are kept",
+            ) from None
+        finally:  # after an error without the fits that were not begun, which may take hours
+            pool.shutdown(cancel_futures=True)
 
 
 def _fork():

@@ -112,7 +112,8 @@ def mask_beside(path: Path, folder: Path | None = None) -> Path | None:
     It is NAME.mask.png beside the picture; of a folder of masks, its NAME.mask.png or NAME.png.
     """
     path = Path(path)
-    candidates = [path.with_name(f"{path.stem}.mask.png")]
+    # "." and "/" have no name that another could replace
+    candidates = [path.with_name(f"{path.stem}.mask.png")] if path.name else []
     if folder is not None:
         candidates = [Path(folder) / f"{path.stem}{ending}" for ending in (".mask.png", ".png")]
     return next(

@@ -32,6 +32,7 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
         if (result := kind_of(path)) != "a file":
             yield path, 0, Fault(f"{where}: expected a file of lines, found {result}", file=path)
             continue
+        number = 0
         try:
             for number, text in lines_of(path):
                 yield (
@@ -39,7 +40,9 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
                     number,
                     _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number)),
                 )
-        except (InputError, OSError) as problem:
+        except InputError as problem:  # a line that is too long
+            yield path, number + 1, Fault(f"{where}: {problem}", line=(path, number + 1))
+        except OSError as problem:
             yield path, 0, Fault(f"{where}: {problem}")
 
 
@@ -62,10 +65,13 @@ def failure_faults(store: Store) -> Iterator[Fault]:
     for path in sorted(store.folder.glob("failures*.jsonl")):
         if kind_of(path) != "a file":  # folder_faults says so
             continue
+        number = 0
         try:
             for number, text in lines_of(path):
                 line = _decoded(decoder, f"{path.name}:{number}", "failure", text, (path, number))
                 if isinstance(line, Fault):
                     yield line
-        except (InputError, OSError) as problem:
+        except InputError as problem:  # a line that is too long
+            yield Fault(f"{path.name}: {problem}", line=(path, number + 1))
+        except OSError as problem:
             yield Fault(f"{path.name}: {problem}")

@@ -8,6 +8,7 @@ import subprocess
 import msgspec
 import pytest
 
+from factory.commands import export
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import Dataset
@@ -355,6 +356,9 @@ def test_a_preview_of_the_folder_one_is_in_lies_beside_it(
     monkeypatch.chdir(tmp_path / "data")
     assert command("preview", ".", "--size", "16")[0] == 0
     assert (tmp_path / "data-preview" / "index.html").exists()
+    monkeypatch.chdir(tmp_path / "data" / "images")
+    assert command("preview", "..", "--size", "16", "--overwrite")[0] == 0
+    assert not (tmp_path / "data" / "images" / "..-preview").exists()
 
 
 def test_memory_that_is_exhausted_is_one_line(command, monkeypatch):
@@ -477,3 +481,5 @@ def test_an_export_that_is_refused_has_written_nothing(tmp_path, command, monkey
         "export", store.folder, "--parquet", tmp_path / "all.parquet", "--tars", tmp_path / "tars"
     )
     assert status == 1 and "a folder without tars" in said and not written
+    said = export.EPILOG.replace("\n", " ")
+    assert "A table of records is replaced; tars need a folder without tars." in said

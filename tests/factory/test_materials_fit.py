@@ -2,13 +2,16 @@
 more closures only when needed.
 """
 
+import os
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import nnls as reference_nnls
 
-from factory.materials import joint_fit, nnls, recipe, sphere
+from factory.materials import fitting, joint_fit, nnls, recipe, sphere
 from manifests.materials import load_catalogue
 from shaders import closures, dsbrdf, envmap, errors, frames, label_model, samples, spline
 from shaders.mixture import Mixture
@@ -284,3 +287,39 @@ def test_noise_on_a_measurement_is_as_large_as_asked_for(rng):
         [np.log(Noisy(plastic, 0.01, rng)(cos_h, cos_d) / plastic(cos_h, cos_d)) for _ in range(40)]
     )
     assert np.sqrt((off**2).mean()) == pytest.approx(0.01, rel=0.1)  # 40 draws of six waves: 5 %
+
+
+@pytest.mark.parametrize(
+    ("fail", "message"),
+    [
+        (lambda: os._exit(1), "materials: expected processes that fit .* fewer --workers"),
+        (lambda: int("none"), "invalid literal"),
+    ],
+    ids=["ended", "raised"],
+)
+def test_a_fit_that_fails_leaves_out_those_that_were_not_begun(
+    tmp_path, monkeypatch, fail, message
+):
+    """A pool waits for all that it was given; a catalogue's fits take hours."""
+
+    def fitted(measured, _):
+        (tmp_path / measured).touch()
+        if measured == "1":
+            fail()
+        time.sleep(0.1)
+
+    names = [str(number) for number in range(24)]
+    monkeypatch.setattr(recipe, "fit", fitted)
+    monkeypatch.setattr(recipe, "rounded", lambda fit, _: fit)
+    monkeypatch.setattr(fitting, "entry", lambda *_: None)
+    monkeypatch.setattr(fitting, "write_entry", lambda *_: None)
+    worker = {
+        "sources": {name: SimpleNamespace(measured=name) for name in names},
+        "recipe": None,
+        "sphere": None,
+        "files": dict.fromkeys(names),
+    }
+    monkeypatch.setattr(fitting, "_WORKER", worker)
+    with pytest.raises(ValueError, match=message):
+        list(fitting._each(names, 2))
+    assert len(list(tmp_path.iterdir())) < len(names)

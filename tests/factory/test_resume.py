@@ -2,7 +2,9 @@
 Blender.
 """
 
+import glob
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from factory.commands.render import outcome_line
 from factory.execution.forecast import probed
 from factory.execution.run import RunOptions
 from manifests import lock
@@ -97,6 +100,18 @@ def test_a_shot_that_stays_bad_goes_to_failures_and_the_others_are_made(
     monkeypatch.setenv("FAKE_STUDIO", "")
     assert render(small_job, tmp_path).made == 6  # failures are tried again
     assert faults(tmp_path) == []
+
+
+@pytest.mark.parametrize("shard", [None, (2, 3)])
+def test_the_last_line_of_a_run_names_the_file_of_its_failures(
+    render, small_job, tmp_path, monkeypatch, shard
+):
+    monkeypatch.setenv("FAKE_STUDIO", "nan:disc")
+    outcome = render(small_job, tmp_path, shard=shard)
+    line = outcome_line(outcome, str(tmp_path))
+    (file,) = tmp_path.glob("failures*")
+    named = re.search(r"FAILED, see (.*?);", line)[1]
+    assert glob.glob(named) == [str(file)]
 
 
 def test_a_crashing_worker_is_replaced_and_its_shot_tried_again(

@@ -75,6 +75,18 @@ def test_preview_goes_on_past_a_broken_shape_and_fails(kettle, tmp_path, capsys)
     assert "did you mean chair" in capsys.readouterr().out
 
 
+def test_preview_makes_the_folder_before_it_renders(tmp_path, monkeypatch):
+    out, seen = tmp_path / "new" / "deep" / "sheet.png", []
+
+    def drawn(meshes, *_, **__):
+        seen.append(out.parent.is_dir())
+        return Image.new("RGB", (8, 8))
+
+    monkeypatch.setattr("factory.shapes.contact_sheet.contact_sheet", drawn)
+    assert shapes("preview", "sphere:2", "--size", 32, "--out", out) == 0
+    assert seen == [True] and out.exists()
+
+
 def test_preview_of_nothing_says_what_to_name(tmp_path, capsys):
     assert shapes("preview", "--out", tmp_path / "a.png") == 1
     assert "expected shapes or --family" in capsys.readouterr().err

@@ -407,6 +407,22 @@ def test_transfer_needs_two_pictures_of_different_names(files, capsys):
     assert status == 1 and "no such file" in line
 
 
+def test_a_folder_without_a_name_in_place_of_a_picture_is_refused_in_a_line(
+    files, capsys, monkeypatch
+):
+    monkeypatch.chdir(files)
+    (files / "masks").mkdir()
+    (files / "masks" / "photo.png").write_bytes((files / "mask.png").read_bytes())
+    status, line = message(capsys, "transfer", ".", "photo.png", "--out", "out")
+    assert status == 1 and "expected a data set (dataset.json), found none" in line
+    status, line = message(
+        capsys, "transfer", "photo.png", ".", "--mask-dir", "masks", "--out", "out"
+    )
+    assert status == 1 and "the mask of ., found no such file" in line
+    status, line = message(capsys, *edit(files, material="."))
+    assert status == 1 and "expected" in line
+
+
 def deep_png(path, values):
     """A 16-bit RGB PNG of (H, W, 3) uint16, which Pillow can read and cannot write."""
     height, width = values.shape[:2]

@@ -644,6 +644,31 @@ def test_a_line_beyond_all_measure_is_a_fault_and_takes_no_memory(store):
     assert "expected a line of at most 1048576 bytes" in "\n".join(texts(store))
 
 
+def test_repair_takes_away_a_line_beyond_all_measure(store):
+    (path,) = store.record_files()
+    whole = path.read_bytes()
+    path.write_bytes(whole + b" " * (3 << 20))
+    failures = store.folder / "failures.jsonl"
+    failures.write_bytes(b" " * (3 << 20))
+    faults = faults_of(store)
+    assert len(faults) == 2 and all(
+        fault.mendable and "verify DIR --repair takes it away" in fault.text for fault in faults
+    )
+    assert repair(store, faults) == (2, 0)
+    assert path.read_bytes() == whole and not failures.exists()
+    assert texts(store) == []
+
+
+def test_lines_and_files_after_a_line_beyond_all_measure_go_with_it(store):
+    (path,) = store.record_files()
+    first, *others = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(first + b" " * (3 << 20) + b"\n" + b"".join(others))
+    count, files = repair(store, faults_of(store))
+    assert count == 1 and files >= len(others)
+    assert path.read_bytes() == first
+    assert texts(store) == []
+
+
 def test_repair_takes_away_what_is_broken_and_nothing_else(store):
     first, *others = lines(store)
     (store.folder / first.image).unlink()
