@@ -33,6 +33,7 @@ WEAKEST = 1e-4  # weight of the strongest edge of colour: every walk arrives som
 FRAME_STRENGTH = 0.02  # of the picture's frame as background, against a click's
 DEEP = 3.0  # how much depth inside a region counts against distance from clicks
 MOST_CLICKS = 500
+MOST_STROKES = 50  # each keeps a byte for every pixel of the picture
 BACKGROUND = 0
 
 
@@ -82,12 +83,15 @@ class Selection:
         """Give the pixels that a brush covered (H, W) bool to a region, 0: to the background.
 
         Strokes count more than clicks, and later strokes more than earlier ones.
-        Raises  InputError for strokes on a picture of another size
+        Raises  InputError for strokes on a picture of another size, and for too many of them
         """
         if covered.shape != self.size:
             rule = f"strokes of the picture's size {self.size[1]} × {self.size[0]}"
             result = " × ".join(map(str, covered.shape[::-1]))
             raise InputError("the brush", rule, result, "load the photograph again")
+        if len(self.strokes) >= MOST_STROKES:
+            rule, remedy = f"at most {MOST_STROKES} uses of the brush", "use a mask file"
+            raise InputError("the brush", rule, "one more", remedy)
         self.strokes.append((np.asarray(covered, bool), region))
 
     def undo(self) -> None:

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from learn.app import choices, gallery
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
-from learn.app.selection import Selection
+from learn.app.selection import MOST_STROKES, Selection
 from learn.app.session import Session
 from learn.app.sessions import Sessions
 from learn.app.viewer import Superseded, Viewer, composed, displayed
@@ -92,6 +92,19 @@ def test_strokes_count_more_than_clicks_and_regions_have_no_gap() -> None:
     selection.paint(covered, 4)
     labels = selection.labels()
     assert (labels[:10, :10] == 2).all() and labels.max() == 2
+
+
+def test_strokes_end_at_a_number_and_go_on_after_one_is_undone() -> None:
+    selection = Selection(scene())
+    covered = np.zeros((80, 120), bool)
+    covered[:10, :10] = True
+    for _ in range(MOST_STROKES):
+        selection.paint(covered, 1)
+    with pytest.raises(InputError, match=f"the brush: expected at most {MOST_STROKES}"):
+        selection.paint(covered, 1)
+    assert len(selection.strokes) == MOST_STROKES
+    selection.undo()
+    selection.paint(covered, 1)
 
 
 @pytest.mark.parametrize("place", [(-1, 0, 1), (120, 0, 1), (0, 80, 1), (0, 0, 9)])
