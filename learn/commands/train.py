@@ -90,6 +90,7 @@ def run(arguments: argparse.Namespace) -> None:
     from learn.baselines.material_swap import SwapTraining
     from learn.data import devices, settings, sources
     from learn.training import loop, processes
+    from manifests.errors import InputError
     from manifests.provenance import provenance
 
     device = devices.choose(arguments.device)
@@ -100,6 +101,10 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.materials,
         arguments.start,
     )
+    if arguments.pictures is not None and chosen.data.source == "relit":
+        rule = 'a run whose data.source is "pictures" or "mix"'
+        remedy = "leave --pictures out, or change data.source in the run"
+        raise InputError("--pictures", rule, '"relit", which uses no pictures', remedy)
     torch.set_num_threads(arguments.threads)
     with processes.only_writer(arguments.out):
         data_splits = sources.data_splits(

@@ -129,6 +129,15 @@ def test_a_run_that_cannot_be_trained_is_refused_before_anything_is_read(
     assert "run.json" in line(capsys) and not (tmp_path / "out").exists()
 
 
+def test_pictures_for_a_run_that_uses_none_are_refused_before_any_is_read(tmp_path, capsys):
+    (tmp_path / "run.json").write_text(json.dumps(RUN | {"data": {"source": "relit"}}))
+    words = ["train", tmp_path / "run.json", "--data", tmp_path / "nowhere", "--out"]
+    words += [tmp_path / "out", "--pictures", tmp_path / "nowhere"]
+    assert main("learn", "", ("train",), list(map(str, words))) == 1
+    assert '--pictures: expected a run whose data.source is "pictures" or "mix"' in line(capsys)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("option", "value"),
     [
