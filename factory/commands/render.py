@@ -111,7 +111,11 @@ WITHOUT_JOB = {
 
 
 def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
-    single = parser.add_argument_group("options in place of a job file")
+    single = parser.add_argument_group(
+        "options in place of a job file",
+        "Files of --mesh and --light that do not lie where they are named are looked for in"
+        " --assets.",
+    )
     single.add_argument(
         "--mesh",
         action="append",
@@ -244,7 +248,22 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
             "python -m factory render --help shows examples",
         )
     defaults = {name: value for name, value in WITHOUT_JOB.items() if name not in given}
-    return jobs.from_options(argparse.Namespace(**vars(options) | defaults)), None
+    job = jobs.from_options(argparse.Namespace(**vars(options) | defaults))
+    return job if options.assets is None else _with_assets(job, options.assets), None
+
+
+def _with_assets(job: Job, folder: str) -> Job:
+    """Return the job with paths into --assets for files that do not lie where they are named."""
+    from msgspec import structs
+
+    from factory.lights.files import is_light_path
+    from factory.planning.shape_names import is_shape_path, located
+
+    return structs.replace(
+        job,
+        shapes=tuple(located(s, folder) if is_shape_path(s) else s for s in job.shapes),
+        lights=tuple(located(t, folder) if is_light_path(t) else t for t in job.lights),
+    )
 
 
 def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:

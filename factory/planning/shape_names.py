@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,7 +63,7 @@ def sources(job: Job, folder: str | Path | None) -> Iterator[Source]:
     for spec in job.shapes:
         if span := RANGE.match(spec):
             specs = _numbers(spec, span[1], int(span[2]), int(span[3]))
-        elif not _is_family(spec) and any(mark in spec for mark in "/\\."):
+        elif is_shape_path(spec):
             yield from _files(spec.removeprefix("file:"), folder)
             continue
         else:
@@ -71,6 +72,25 @@ def sources(job: Job, folder: str | Path | None) -> Iterator[Source]:
             role = splits.numbered_role(one, job.split)
             if role is None or not job.roles or role in job.roles:
                 yield Source(one)
+
+
+def is_shape_path(spec: str) -> bool:
+    """Return whether a job's shape is a path of meshes rather than a name such as "chair:17"."""
+    is_name = RANGE.match(spec) or _is_family(spec)
+    return not is_name and any(mark in spec for mark in "/\\.")
+
+
+def located(path: str, folder: str | Path) -> str:
+    """Return a path, or that path in a folder if something lies there and nothing where it leads.
+
+    path  with a member ("#NAME") and reading options ("?up=z") if there are any
+    """
+    place = path.removeprefix("file:")
+    names = [name for name in (place, MARK.split(place)[0]) if name]
+    if any(map(os.path.exists, names)):
+        return path
+    inner = any(os.path.exists(Path(folder) / name) for name in names)
+    return str(Path(folder) / place) if inner else path
 
 
 def local(path: str, folder: str | Path | None, where: str) -> Path:

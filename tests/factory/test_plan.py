@@ -2,6 +2,7 @@
 nothing, and no memory.
 """
 
+import argparse
 import re
 import tracemalloc
 from itertools import islice, pairwise
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from factory.commands import render
 from factory.commands.plan import described, split_counts
 from factory.planning import jobs
 from factory.planning.assets import Assets, Light, Material, Shape, resolve
@@ -278,6 +280,34 @@ def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_pa
     for path in ("out/x.obj", "meshes/../x.obj"):
         with pytest.raises(InputError, match="--assets"):
             local(path, tmp_path / "in", "job")
+
+
+def test_meshes_and_lights_of_options_are_also_looked_for_in_assets(
+    catalogue, tmp_path, monkeypatch, light_file
+):
+    here, assets = tmp_path / "here", tmp_path / "assets"
+    for folder in (here, assets / "inner"):
+        folder.mkdir(parents=True)
+    for place in ("inner/a.ply", "b.ply"):
+        (assets / place).write_bytes(TETRAHEDRON)
+    (here / "b.ply").write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 0 3"))
+    (assets / "lamp.exr").write_bytes(light_file.read_bytes())
+    monkeypatch.chdir(here)
+    parser = argparse.ArgumentParser()
+    render.register(parser.add_subparsers())
+    words = "render --out x --material small --light lamp.exr --light city"
+    words += " --mesh inner/a.ply?up=z --mesh b.ply --mesh cube --mesh none.ply"
+    job, folder = render.chosen_job(parser.parse_args([*words.split(), "--assets", str(assets)]))
+    assert job.shapes == (f"{assets}/inner/a.ply?up=z", "b.ply", "cube", "none.ply")
+    assert job.lights == (f"{assets}/lamp.exr", "city")
+    with pytest.raises(InputError, match=r"none\.ply"):
+        resolve(job, folder, catalogues=[catalogue])
+    whole = msgspec.structs.replace(job, shapes=job.shapes[:3])
+    assert [s.name for s in resolve(whole, folder, catalogues=[catalogue]).shapes] == [
+        "a",
+        "b",
+        "cube",
+    ]
 
 
 def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
