@@ -73,6 +73,22 @@ class CachedStore(Store):
                 self._make_room(len(data))
                 self._write(path, data)
 
+    def copy_again(self, relative: str) -> bool:
+        """Replace the copy of an object that has other bytes by now; return whether it has.
+
+        Its name stays when a picture is rendered again. Raises as `copy_here`
+        """
+        path = inside(self.folder, relative)
+        try:
+            data, held = self.remote.read(relative), path.read_bytes()
+        except FileNotFoundError:
+            return False
+        if data == held:
+            return False
+        self._make_room(len(data) - len(held))
+        self._write(path, data)
+        return True
+
     def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield the objects in folders of files that nothing names; see Store."""
         for kind, known in named.items():

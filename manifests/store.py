@@ -143,6 +143,10 @@ class Store:
     def copy_here(self, relative: str) -> None:
         """Copy a file into the folder; there is nothing to do unless it is elsewhere."""
 
+    def copy_again(self, relative: str) -> bool:
+        """Replace the copy of a file that has become another one since; return whether it has."""
+        return False
+
     def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield objects that nothing names and that have no copy in the folder: none here.
 

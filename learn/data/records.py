@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -35,6 +35,7 @@ from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
 from shaders.frames import camera_from_light, camera_from_upright, view_vectors
 
+T = TypeVar("T")
 REPAIR = "python -m factory verify DIR --repair, then render again"
 
 
@@ -188,9 +189,10 @@ class Records(torch.utils.data.Dataset):
 
         Raises InputError for a file other than the record's.
         """
-        return picture_files.read_picture(
-            self.store.fetch(record.image), record.camera.size, record.image_hash
+        _, radiance = self._read(
+            picture_files.read_picture, record.image, record.camera.size, record.image_hash
         )
+        return radiance
 
     def geometry(self, record: Record | View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (normals, depth, segments) of a record or a view.
@@ -202,8 +204,12 @@ class Records(torch.utils.data.Dataset):
 
     def _geometry(self, record: Record | View) -> picture_files.Geometry:
         """Return the geometry of a record or a view. Raises InputError."""
-        path = self.store.fetch(record.geometry)
-        geometry = picture_files.read_geometry(path, record.camera.size, record.geometry_hash)
+        path, geometry = self._read(
+            picture_files.read_geometry,
+            record.geometry,
+            record.camera.size,
+            record.geometry_hash,
+        )
         segments = geometry.segments
         if away := turned_away(geometry, record.camera):
             raise InputError(
@@ -217,6 +223,25 @@ class Records(torch.utils.data.Dataset):
                 "render it again",
             )
         return geometry
+
+    def _read(
+        self,
+        reader: Callable[[Path, tuple[int, int], str], T],
+        relative: str,
+        size: tuple[int, int],
+        file_hash: str,
+    ) -> tuple[Path, T]:
+        """Return a file's path and what a reader makes of it. Raises InputError.
+
+        An old copy of what lies on an object store is replaced first.
+        """
+        path = self.store.fetch(relative)
+        try:
+            return path, reader(path, size, file_hash)
+        except InputError:
+            if not self.store.copy_again(relative):
+                raise
+        return path, reader(path, size, file_hash)
 
     @cache  # noqa: B019 -- one data set lives as long as its program
     def material(self, name: str) -> Material:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -11,6 +12,8 @@ from learn.data.records import Records
 from learn.editing import photograph
 from learn.layer import render
 from manifests.errors import InputError
+from manifests.line_files import Lines
+from manifests.store import Store, file_hash
 from tests.support import synthetic
 
 
@@ -42,6 +45,35 @@ def test_records_and_geometry_are_read_by_a_url_as_from_the_folder(folder, tmp_p
     geometry = Geometry(f"file://{folder}", progress=False)
     assert geometry.views == Geometry(folder, progress=False).views
     assert (there.folder / "packed").is_dir()
+
+
+def test_a_copy_of_what_was_rendered_again_on_a_store_is_replaced(folder, tmp_path, monkeypatch):
+    pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
+    monkeypatch.setenv("BRDFACTORY_STORE_CACHE", str(tmp_path / "copies"))
+    url = f"file://{folder}"
+    assert len(list(Records(url))) == 4  # all files are copied
+    store = Store(folder)
+    records, (path,) = list(store.records()), store.record_files()
+    for name in {name for record in records for name in (record.image, record.geometry)}:
+        # the same pixels in another file, as another machine may write them
+        (folder / name).write_bytes((folder / name).read_bytes() + b"\0")
+    path.unlink()
+    lines = Lines(folder / "records" / "worker-09.jsonl")
+    for record in records:
+        hashes = {
+            "image_hash": file_hash(folder / record.image),
+            "geometry_hash": file_hash(folder / record.geometry),
+        }
+        lines.append(msgspec.structs.replace(record, **hashes))
+    lines.close()
+    there = Records(url)
+    for ours, theirs in zip(Records(folder), there, strict=True):
+        torch.testing.assert_close(ours.for_layer(), theirs.for_layer(), rtol=0, atol=0)
+    # what is altered on the store itself is refused as before
+    (folder / records[0].image).write_bytes((folder / records[0].image).read_bytes() + b"\0")
+    (there.folder / records[0].image).unlink()
+    with pytest.raises(InputError, match="the file was altered"):
+        there.image(there.records[[r.id for r in there.records].index(records[0].id)])
 
 
 def test_the_light_is_rolled_by_the_records_rotation(folder):
