@@ -125,9 +125,10 @@ def main(
 def _is_out_of_memory(error: Exception) -> bool:
     """Return whether memory was exhausted, of the machine or, for torch, of a GPU."""
     torch = sys.modules.get("torch")
-    return isinstance(error, MemoryError) or (
-        torch is not None and isinstance(error, torch.OutOfMemoryError)
-    )
+    if torch is not None and isinstance(error, torch.OutOfMemoryError):
+        return True
+    # torch has no class of its own for what the CPU's memory refuses
+    return isinstance(error, MemoryError) or "DefaultCPUAllocator" in str(error)
 
 
 def _list_in_groups(

@@ -44,16 +44,32 @@ def lines_of(path: str | os.PathLike) -> Iterator[tuple[int, bytes]]:
     Raises  InputError: no ordinary file, a line longer than any writer leaves; OSError if it cannot
             be read
     """
+    for number, line in bounded_lines(path):
+        if line is None:
+            raise too_long(f"{path}:{number}")
+        yield number, line
+
+
+def bounded_lines(path: str | os.PathLike) -> Iterator[tuple[int, bytes | None]]:
+    """Yield what `lines_of` does, but None for a line that is too long, and then those after it.
+
+    No more than LONGEST_LINE bytes are in memory at once.
+    Raises  InputError: no ordinary file; OSError if it cannot be read
+    """
     with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
-            if len(line) == LONGEST_LINE and not line.endswith(b"\n"):
-                raise InputError(
-                    f"{path}:{number}",
-                    f"a line of at most {LONGEST_LINE} bytes",
-                    "a longer one",
-                    REPAIR,
-                )
-            yield number, line
+            if len(line) < LONGEST_LINE or line.endswith(b"\n"):
+                yield number, line
+                continue
+            yield number, None
+            while (rest := file.readline(LONGEST_LINE)) and not rest.endswith(b"\n"):
+                pass
+
+
+def too_long(where: str) -> InputError:
+    """Return the error of a line that is longer than any writer leaves."""
+    rule = f"a line of at most {LONGEST_LINE} bytes"
+    return InputError(where, rule, "a longer one", REPAIR)
 
 
 class Lines:

@@ -5,11 +5,23 @@ factory.py or a folder learn/. Such a process therefore leaves the working folde
 told where this process's packages are.
 """
 
+from __future__ import annotations
+
 import multiprocessing
 import os
 import sys
 import threading
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from manifests.errors import InputError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 PACKAGES = Path(__file__).resolve().parents[1]
 
@@ -31,6 +43,30 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def results_of(
+    pool: Executor, work: Callable[[T], R], tasks: Iterable[T], where: str, remedy: str
+) -> Generator[tuple[T, R]]:
+    """Yield each task with its result as soon as it is done, and shut the pool down.
+
+    After an error, tasks that were not begun are left out: all together may take hours.
+
+    where, remedy  of the InputError
+    Raises         InputError where a process of the pool was killed; what the work raises
+    """
+    from concurrent.futures import as_completed
+    from concurrent.futures.process import BrokenProcessPool
+
+    try:
+        pending = {pool.submit(work, task): task for task in tasks}
+        for done in as_completed(pending):
+            yield pending[done], done.result()
+    except BrokenProcessPool:
+        rule, result = "processes that live", "one that was killed, for want of memory perhaps"
+        raise InputError(where, rule, result, remedy) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def end_with_parent() -> None:

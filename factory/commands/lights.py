@@ -125,12 +125,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run_make(options: argparse.Namespace) -> None:
     """Render the maps that the library lacks and add them to it, each as soon as it is done."""
-    import concurrent.futures.process
+    import concurrent.futures
+    import contextlib
     import multiprocessing
 
     from factory.lights import interiors, library
     from manifests import subprocesses
-    from manifests.errors import InputError
     from manifests.progress import tqdm
 
     names = {
@@ -144,25 +144,13 @@ def run_make(options: argparse.Namespace) -> None:
     pool = concurrent.futures.ProcessPoolExecutor(
         options.workers, context, subprocesses.end_with_parent
     )
-    try:
-        pending = {pool.submit(_render, seed): name for name, seed in missing.items()}
-        progress = tqdm(
-            concurrent.futures.as_completed(pending), total=len(pending), unit="map", disable=None
-        )
-        for done in progress:
-            name = pending[done]
-            L, seconds = done.result()
+    remedy = "give the same command with fewer --workers: it makes the maps that are missing"
+    made = subprocesses.results_of(pool, _render, missing.values(), str(options.library), remedy)
+    names_of = {seed: name for name, seed in missing.items()}
+    with contextlib.closing(made):  # where a map cannot be written, no further ones are rendered
+        for seed, (L, seconds) in tqdm(made, total=len(missing), unit="map", disable=None):
             total += seconds
-            library.add_made(name, L, options.library, OWN_LICENCE, interiors.SOURCE)
-    except concurrent.futures.process.BrokenProcessPool:
-        raise InputError(
-            f"{options.library}: {len(library.read_list(options.library))} maps",
-            "processes that render until all are made",
-            "one that was ended, perhaps for want of memory",
-            "give the same command with fewer --workers: it goes on with the maps that are missing",
-        ) from None
-    finally:  # after an error without the maps that were not begun, which may take hours
-        pool.shutdown(cancel_futures=True)
+            library.add_made(names_of[seed], L, options.library, OWN_LICENCE, interiors.SOURCE)
     print(f"{options.library}: {len(missing)} maps made, {len(names) - len(missing)} were there")
     if missing:
         print(f"{total / len(missing):.1f} seconds of processor time per map")

@@ -5,7 +5,7 @@ that determines its fit: the measurement, the recipe, the light maps and the ver
 code. A second call reads them from there; another recipe makes others.
 """
 
-import concurrent.futures.process
+import concurrent.futures
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,13 +19,13 @@ from factory.materials import recipe
 from factory.materials.sources import Source
 from factory.materials.sphere import Sphere
 from manifests import materials as catalogue
+from manifests import subprocesses
 from manifests.errors import InputError
 from manifests.files import write_bytes
 from manifests.inputs import require_file
 from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 from manifests.progress import tqdm
 from manifests.reading import decode
-from manifests.subprocesses import end_with_parent
 from shaders import errors
 from shaders.samples import held_out
 
@@ -111,21 +111,10 @@ def _each(names, workers):
         for name in names:
             yield _fit_one(name)
         return
-    with concurrent.futures.ProcessPoolExecutor(workers, _fork(), end_with_parent) as pool:
-        try:
-            for future in concurrent.futures.as_completed(
-                [pool.submit(_fit_one, name) for name in names]
-            ):
-                yield future.result()
-        except concurrent.futures.process.BrokenProcessPool:
-            raise InputError(
-                "materials",
-                "processes that fit until all are done",
-                "one that was ended, perhaps for want of memory",
-                "give the same command with fewer --workers: fits that are done are kept",
-            ) from None
-        finally:  # after an error without the fits that were not begun, which may take hours
-            pool.shutdown(cancel_futures=True)
+    pool = concurrent.futures.ProcessPoolExecutor(workers, _fork(), subprocesses.end_with_parent)
+    remedy = "give the same command with fewer --workers: fits that are done are kept"
+    for _, name in subprocesses.results_of(pool, _fit_one, names, "materials", remedy):
+        yield name
 
 
 def _fork():

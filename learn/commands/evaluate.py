@@ -77,7 +77,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--processes",
         type=positive,
         metavar="N",
-        help="number of processes (default: one per core)",
+        help="number of processes (default: one per CPU that this process may use)",
     )
     options.add_ray(parser)
     parser.add_argument(

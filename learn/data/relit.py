@@ -120,7 +120,9 @@ class RelitDataset:
         self.of_group = [
             len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)
         ]
-        self.chances = self._chances() if is_training and data.category_weights else None
+        self.probabilities = (
+            self._probabilities() if is_training and data.category_weights else None
+        )
         self.names = sorted(data_split.labels)
         if data.gloss_curriculum:
             self.names.sort(key=lambda name: gloss(data_split.labels[name]))
@@ -137,10 +139,12 @@ class RelitDataset:
         rng = self._generator(k, g)
         count, training = self.of_group[g], self.data_split.side == "train"
         drawable = (
-            len(self.data_split.views) if self.chances is None else np.count_nonzero(self.chances)
+            len(self.data_split.views)
+            if self.probabilities is None
+            else np.count_nonzero(self.probabilities)
         )
         views = self.data_split.views[
-            rng.choice(len(self.data_split.views), count, count > drawable, self.chances)
+            rng.choice(len(self.data_split.views), count, count > drawable, self.probabilities)
         ]
         chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
@@ -199,7 +203,7 @@ class RelitDataset:
         key = (SIDES[self.data_split.side], *key)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
-    def _chances(self) -> np.ndarray:
+    def _probabilities(self) -> np.ndarray:
         """Return the probability (views,) that a draw takes each view, as category_weights say.
 
         Raises  InputError: a category without a training view, no view with a weight above 0

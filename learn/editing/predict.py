@@ -91,18 +91,19 @@ def compute(
             "leave --mask out",
         )
     network, metadata = checkpoint.load_parts(weights, device)
-    record = photograph.of_record(image, exposure) if Path(image).is_dir() else None
-    if record is None:
+    from_data_set = photograph.of_record(image, exposure) if Path(image).is_dir() else None
+    if from_data_set is None:
         radiance, covered = photographs.read(image, mask)
         linear = photographs.holds_radiance(image)
     else:
-        radiance, covered, exposure = record.radiance, record.mask, record.exposure
+        radiance, covered = from_data_set.radiance, from_data_set.mask
+        exposure = from_data_set.exposure
         linear = True
     clipped = None if linear else photographs.saturated(radiance)
     framed = framing.framed(radiance, covered, metadata["size"], exposure, image, clipped)
     batch, predicted = predict_framed(framed, network)
-    if record is not None:
-        batch = replace(batch, elevation=record.elevation)
+    if from_data_set is not None:
+        batch = replace(batch, elevation=from_data_set.elevation)
     parts = parts_of(predicted)
     rendering = rendered_again(batch, predicted)
     if exposure is None:

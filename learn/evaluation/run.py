@@ -12,8 +12,7 @@ A kill loses the pictures in progress. The same command continues, and a larger 
 import contextlib
 import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -261,20 +260,10 @@ def results(
     threads = max(1, subprocesses.processors() // processes)
     # a fork of a process with running threads may hang
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads)) as pool:
-        try:
-            for done in as_completed([pool.submit(_work, unit) for unit in todo]):
-                yield done.result()
-        except BrokenProcessPool:
-            remedy = "run the same command again with fewer --processes: what was done stays"
-            raise InputError(
-                "evaluation",
-                "processes that live",
-                "one that was killed, for want of memory perhaps",
-                remedy,
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    pool = ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads))
+    remedy = "run the same command again with fewer --processes: what was done stays"
+    for _, finished in subprocesses.results_of(pool, _work, todo, "evaluation", remedy):
+        yield finished
 
 
 def _results_of_cluster(

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from manifests.errors import InputError
-from manifests.line_files import lines_of
+from manifests.line_files import bounded_lines, too_long
 from manifests.schema import Failure, Record, View
 from manifests.store import LINES, Store
 from manifests.verification.faults import Fault
@@ -32,21 +32,20 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
         if (result := kind_of(path)) != "a file":
             yield path, 0, Fault(f"{where}: expected a file of lines, found {result}", file=path)
             continue
-        number = 0
         try:
-            for number, text in lines_of(path):
+            for number, text in bounded_lines(path):
                 yield (
                     path,
                     number,
                     _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number)),
                 )
-        except InputError as problem:  # a line that is too long
-            yield path, number + 1, Fault(f"{where}: {problem}", line=(path, number + 1))
-        except OSError as problem:
+        except (InputError, OSError) as problem:
             yield path, 0, Fault(f"{where}: {problem}")
 
 
 def _decoded(decoder, where, what, text, line):
+    if text is None:
+        return Fault(str(too_long(where)), line=line)
     if not text.endswith(b"\n"):
         return Fault(
             f"{where}: expected a whole line, found one cut short (the next run over it"
@@ -65,13 +64,10 @@ def failure_faults(store: Store) -> Iterator[Fault]:
     for path in sorted(store.folder.glob("failures*.jsonl")):
         if kind_of(path) != "a file":  # folder_faults says so
             continue
-        number = 0
         try:
-            for number, text in lines_of(path):
+            for number, text in bounded_lines(path):
                 line = _decoded(decoder, f"{path.name}:{number}", "failure", text, (path, number))
                 if isinstance(line, Fault):
                     yield line
-        except InputError as problem:  # a line that is too long
-            yield Fault(f"{path.name}: {problem}", line=(path, number + 1))
-        except OSError as problem:
+        except (InputError, OSError) as problem:
             yield Fault(f"{path.name}: {problem}")

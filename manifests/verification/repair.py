@@ -13,7 +13,7 @@ import msgspec
 from manifests import materials
 from manifests.errors import InputError
 from manifests.files import write_lines
-from manifests.line_files import lines_of
+from manifests.line_files import bounded_lines
 from manifests.store import LINES, Store, geometry_path, image_path, light_path
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
@@ -46,16 +46,13 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
 def _drop_lines(partial, path, numbers):
     """Write a file without some of its lines; return their number, and the files they named."""
     remaining, count, named, type_ = [], 0, set(), LINES.get(path.parent.name)
-    try:
-        for number, line in lines_of(path):
-            if number not in numbers:
-                remaining.append(line)
-                continue
-            count += 1
-            if type_:
-                named |= _files_of(line, type_)
-    except InputError:  # a line that is too long: what follows it may be no line
+    for number, line in bounded_lines(path):
+        if number not in numbers and line is not None:
+            remaining.append(line)
+            continue
         count += 1
+        if type_ and line is not None:
+            named |= _files_of(line, type_)
     partial.mkdir(exist_ok=True)
     # where a killed run's drafts are swept
     write_lines(path, remaining, draft=partial / f"repair-{path.parent.name}-{path.name}")

@@ -366,7 +366,10 @@ def test_memory_that_is_exhausted_is_one_line(command, monkeypatch):
 
     from factory.commands import preview
 
-    for error in (MemoryError(), torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")):
+    with pytest.raises(RuntimeError) as refused:
+        torch.empty(1 << 60)  # a million TB
+    cuda = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate")
+    for error in (MemoryError(), cuda, refused.value):
 
         def run(options, error=error):
             raise error

@@ -109,7 +109,7 @@ def test_a_map_that_fails_keeps_those_before_it_and_begins_none_after_it(tmp_pat
     monkeypatch.setattr(lights, "_render", rendered)
     monkeypatch.setattr(futures, "ProcessPoolExecutor", pool)
     options = argparse.Namespace(first=0, count=40, library=tmp_path, workers=1)
-    with pytest.raises(InputError, match=r"2 maps: expected .* goes on"):
+    with pytest.raises(InputError, match=r"expected processes that live.* maps that are missing"):
         lights.run_make(options)
     assert list(library.read_list(tmp_path)) == ["interior-0", "interior-1"]
     assert len(begun) < 40

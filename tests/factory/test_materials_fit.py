@@ -292,7 +292,7 @@ def test_noise_on_a_measurement_is_as_large_as_asked_for(rng):
 @pytest.mark.parametrize(
     ("fail", "message"),
     [
-        (lambda: os._exit(1), "materials: expected processes that fit .* fewer --workers"),
+        (lambda: os._exit(1), "materials: expected processes that live.* fewer --workers"),
         (lambda: int("none"), "invalid literal"),
     ],
     ids=["ended", "raised"],

@@ -21,7 +21,7 @@ from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
-from manifests import exr, files
+from manifests import cli, exr, files, subprocesses
 from manifests.errors import InputError
 from manifests.line_files import Lines
 from shaders import tone
@@ -79,6 +79,33 @@ def few_pixels(monkeypatch):
 @pytest.fixture
 def options(data, weights, tmp_path):
     return run.Options(data, weights, tmp_path / "out", edits=4, refine=False, gallery=1)
+
+
+def stop_at(given):
+    raise InputError("the test", "nothing more", f"{given}", "none")
+
+
+def test_there_are_as_many_processes_as_cpus_that_this_process_may_use(
+    options, monkeypatch, capsys
+):
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setattr(subprocesses, "processors", lambda: 6)
+    monkeypatch.setattr(run, "make", lambda options: stop_at(options.processes))
+    words = ["evaluate", "--data", options.data, "--weights", options.weights, "--out", options.out]
+    assert cli.main("learn", "", ("evaluate",), list(map(str, words))) == 1
+    assert "found 6 (" in capsys.readouterr().err
+
+
+def test_processes_share_the_cpus_that_this_process_may_use(options, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setattr(subprocesses, "processors", lambda: 6)
+    monkeypatch.setattr(
+        run,
+        "ProcessPoolExecutor",
+        lambda processes, context, begin, arguments: stop_at((processes, arguments[1])),
+    )
+    with pytest.raises(InputError, match=r"found \(2, 3\)"):
+        run.make(replace(options, processes=2))
 
 
 def test_pairs_differ_in_nothing_but_the_material(data):
