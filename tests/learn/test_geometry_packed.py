@@ -2,6 +2,8 @@
 stale.
 """
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from msgspec import structs
@@ -133,3 +135,55 @@ def test_a_copy_of_a_held_out_map_does_not_light_training(rng):
     assert set(without_duplicates(maps, ())) == {"a", "b", "c"}
     with pytest.raises(InputError, match=r"'b' again|'another b' again"):
         without_duplicates(maps, ("b", "another b"))
+
+
+def test_packing_holds_a_few_views_in_memory_however_many_there_are(tmp_path, rng):
+    store = synthetic.write_dataset(
+        tmp_path, [synthetic.matte()], rng, size=160, seeds=1, rotations=(0,)
+    )
+    record = next(store.records())
+    Geometry(store.folder, progress=False)  # loads what is loaded once
+    peaks = []
+    for viewpoints in (range(1, 2), range(2, 24)):
+        for viewpoint in viewpoints:
+            append(store, synthetic.view_of(store, record, viewpoint=viewpoint))
+        tracemalloc.start()
+        Geometry(store.folder, progress=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    arrays_of_22_views = 22 * 160 * 160 * 5  # bytes
+    assert peaks[1] - peaks[0] < arrays_of_22_views / 4
+
+
+def test_a_view_that_is_left_out_leaves_the_others_as_they_are(store):
+    """The cache is written for as many views as there are, and says afterwards how many it has."""
+    record = next(store.records())
+    for viewpoint in (3, 7):
+        append(store, synthetic.view_of(store, record, viewpoint=viewpoint))
+    bad, good = sorted(store.views(), key=lambda view: view.viewpoint)
+    (store.folder / bad.geometry).write_bytes(b"damaged")
+    geometry = Geometry(store.folder, progress=False, skip_bad=True, depth=True)
+    again = Geometry(store.folder, progress=False, skip_bad=True, depth=True)
+    assert [view.viewpoint for view in geometry.views] == [record.viewpoint, 7]
+    assert list(geometry.skipped) == [bad.geometry_hash]
+    for packed in (geometry, again):
+        for index, view in enumerate((record, good)):
+            _, depth, segments = Records(store.folder).geometry(view)
+            np.testing.assert_array_equal(packed.segments(index), segments)
+            np.testing.assert_allclose(packed.depth(index), depth, atol=1 / 16384)
+
+
+def test_a_disk_that_fills_up_leaves_the_geometry_in_memory(store, monkeypatch, capsys):
+    append(store, synthetic.view_of(store, next(store.records()), viewpoint=3))
+    whole = Geometry(store.folder, progress=False)
+    expected = [whole.normals(index) for index in range(2)]
+    append(store, synthetic.view_of(store, next(store.records()), viewpoint=5))
+    monkeypatch.setattr(
+        "learn.data.geometry_cache._checksum",
+        lambda path: (_ for _ in ()).throw(OSError("no space left")),
+    )
+    geometry = Geometry(store.folder, progress=False)
+    assert "stays in memory" in capsys.readouterr().err
+    assert len(geometry) == 3
+    for index in range(2):
+        np.testing.assert_array_equal(geometry.normals(index), expected[index])
