@@ -66,7 +66,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="ID",
         help=(
             "if PHOTO is a data set's folder, the record to edit (default: the first one that is"
-            " held out)"
+            " held out and has none of the target materials)"
         ),
     )
     parser.add_argument(

@@ -107,7 +107,13 @@ def run(
     names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     opened = photograph.opened(
-        path, masks, regions, edit_options.balance, edit_options.exposure, record
+        path,
+        masks,
+        regions,
+        edit_options.balance,
+        edit_options.exposure,
+        record,
+        targets=[name for text in materials for name in text.split("+")],
     )
     labels = requested_labels(opened, materials, network, metadata["size"], edit_options)
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:

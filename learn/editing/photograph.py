@@ -134,14 +134,16 @@ def opened(
     exposure: float | None = None,
     record: str | None = None,
     remedy: str = photographs.MASK_REMEDY,
+    targets: Sequence[str] = (),
 ) -> Photograph:
     """Return the Photograph at `path`: a picture, or a record of a dataset's folder.
 
     masks    files; each of several is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
-    record   id of a dataset's record, or its beginning; None: the first one that is held out
+    record   id of a dataset's record, or its beginning; None: as `of_record` chooses
     remedy   that the error for a picture without a mask names
+    targets  names of the target materials, which such a choice avoids
     Raises   InputError
     """
     path, regions = example(path, masks, regions)
@@ -153,7 +155,7 @@ def opened(
             regions,
             balance,
         )
-        return of_record(path, exposure, record)
+        return of_record(path, exposure, record, targets)
     if record is not None:
         raise InputError(
             f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
@@ -320,11 +322,16 @@ def _balance(requested, radiance, coverage, background):
 
 
 def of_record(
-    folder: Path, exposure: float | None = None, requested: str | None = None
+    folder: Path,
+    exposure: float | None = None,
+    requested: str | None = None,
+    targets: Sequence[str] = (),
 ) -> Photograph:
     """Return a record's picture; its light has unit mean luminance, so its exposure is 1.
 
-    requested  id of the record, or its beginning; None: the first one that is held out
+    requested  id of the record, or its beginning; None: the first one that is held out and has no
+               target material; if there is none, the first one that is held out, or the first
+    targets    names of materials, of which an edit into one that the object has would show nothing
     Raises     InputError: no such record, or one by a perspective or rolled camera
     """
     records = Records(folder)
@@ -333,7 +340,9 @@ def of_record(
             folder, "records", "none", "render some: python -m factory render JOB --out DIR"
         )
     if requested is None:
-        record = next((r for r in records.records if r.split == "test"), records.records[0])
+        candidates = [r for r in records.records if r.split == "test"] or records.records
+        others = (r for r in candidates if not set(targets) & set(r.materials))
+        record = next(others, candidates[0])
     else:
         record = next((r for r in records.records if r.id.startswith(requested)), None)
         if record is None:

@@ -219,6 +219,20 @@ def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
         assert np.degrees(taken.batch.elevation) == pytest.approx(degrees)
 
 
+def test_a_record_that_has_a_target_material_already_is_edited_only_if_there_is_no_other(
+    tmp_path, rng
+):
+    materials = [matte("a", 0.2), matte("b", 0.6)]
+    write_dataset(
+        tmp_path, materials, rng, size=32, seeds=1, rotations=(0,), method="quadrature", side="test"
+    )
+    first = photograph.opened(tmp_path).record.materials[0]
+    (other,) = {"a", "b"} - {first}
+    assert photograph.opened(tmp_path, targets=[first, "c"]).record.materials == (other,)
+    assert photograph.opened(tmp_path, targets=[other]).record.materials == (first,)
+    assert photograph.opened(tmp_path, targets=["a", "b"]).record.materials == (first,)
+
+
 def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     write_dataset(
         tmp_path,
