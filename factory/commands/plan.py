@@ -182,7 +182,7 @@ def split_counts(plan: Plan) -> dict[str, int]:
     for shape in plan.assets.shapes:
         for choice in plan.choices(shape):
             split = (
-                shape.side
+                plan.split_of_draws(shape)
                 if isinstance(choice, int)
                 else split_of(shape.side, [m.side for m in choice])
             )

@@ -112,9 +112,19 @@ class Plan:
         A choice is a tuple with one material per segment, or the number of a draw of materials.
         """
         if self.job.segment_materials:
-            return range(self.job.segment_materials)
+            is_kept = self.job.mixed or self.split_of_draws(shape) != "mixed"
+            return range(self.job.segment_materials if is_kept else 0)
         allowed = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
         return [(m,) * shape.segments for m in allowed]
+
+    def split_of_draws(self, shape: Shape) -> Split:
+        """Return the split of all draws of materials for a shape."""
+        return split_of(shape.side, [m.side for m in self._pool(shape)])
+
+    def _pool(self, shape: Shape) -> list[Material]:
+        """Return what materials are drawn from: those of the shape's side, or all without such."""
+        materials = self.assets.materials
+        return [m for m in materials if m.side == shape.side] or list(materials)
 
     def __iter__(self) -> Iterator[Shot]:
         """Yield every shot, in the order in which rendering them is fastest."""
@@ -183,9 +193,7 @@ class Plan:
 
         They are of the shape's side if there are any, and different if there are enough.
         """
-        pool = [m for m in self.assets.materials if m.side == shape.side] or list(
-            self.assets.materials
-        )
+        pool = self._pool(shape)
         key = (0x5E6, ids.hash_word(shape.hash), ids.hash_word(light.hash), occurrence, draw)
         rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=key))
         return tuple(

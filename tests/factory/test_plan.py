@@ -5,6 +5,7 @@ nothing, and no memory.
 import argparse
 import re
 import tracemalloc
+from collections import Counter
 from itertools import islice, pairwise
 
 import msgspec
@@ -318,6 +319,19 @@ def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
         "test",
         "mixed",
     }
+
+
+def test_draws_of_materials_keep_to_mixed_and_are_counted_by_their_split(stub, job):
+    job = msgspec.structs.replace(
+        job, shapes=("chair:0-19",), materials=("merl/paper-train",), segment_materials=2
+    )
+    whole, pure = stub(job), stub(msgspec.structs.replace(job, mixed=False))
+    for plan in (whole, pure):
+        counts = Counter(shot.split for shot in plan)
+        assert split_counts(plan) == counts and counts.total() == len(plan)
+    assert {shot.split for shot in whole} == {"train", "mixed"}
+    assert {shot.split for shot in pure} == {"train"}
+    assert list(pure) == [shot for shot in whole if shot.split == "train"]
 
 
 def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):
