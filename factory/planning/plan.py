@@ -12,7 +12,7 @@ order  shape, light, light resolution, tier, materials, rotation, view: what is 
        in Cycles changes least often.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -23,6 +23,7 @@ import numpy as np
 
 from factory.planning.assets import Assets, Light, Material, Shape
 from manifests import ids
+from manifests.errors import InputError
 from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed
 from manifests.schema import Draw, Failure, Job, LightResolution, Record, Split, Tier, View
 from manifests.splits import split_of
@@ -72,6 +73,21 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     def repeated_in(self, line: type[Record | View | Failure]) -> dict[str, Any]:
         """Return the fields {name: value} that a line of this kind has in common with its shot."""
         return {name: getattr(self, name) for name in REPEATED if name in line.__struct_fields__}
+
+
+def require_shots(shots: int, shapes: Iterable[Shape]) -> None:
+    """Raise InputError for a job all of whose shots are left out because `mixed` is false.
+
+    shapes  all shapes of the job
+    """
+    if not shots:
+        sides = " and ".join(sorted({shape.side for shape in shapes}))
+        raise InputError(
+            "job: mixed",
+            "shapes and materials of one split, because it is false",
+            f"shapes of {sides} alone, and no material of it",
+            "name other shapes or materials, or leave mixed out",
+        )
 
 
 @dataclass(frozen=True)

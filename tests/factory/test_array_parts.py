@@ -412,6 +412,24 @@ def test_a_part_without_a_shape_of_the_jobs_roles_says_so_and_ends_well(stream, 
     assert said == ["part 1 of 2 has no shapes with a role among test"]
 
 
+@pytest.mark.parametrize("by", ["shapes", "shots"])
+def test_a_job_without_a_shot_ends_with_one_line(stream, render, job, tmp_path, by):
+    paths = written(tmp_path / "meshes", 8)
+    stream(job, tmp_path / "whole")
+    shapes = Store(tmp_path / "whole").dataset().shapes
+    chosen = tuple(str(path) for path in paths if shapes[path.stem].side == "train")
+    job = msgspec.structs.replace(
+        job, shapes=chosen, materials=("small/test",), pictures=True, mixed=False
+    )
+    with pytest.raises(InputError) as caught:
+        (stream if by == "shapes" else render)(job, tmp_path / "data")
+    assert str(caught.value) == (
+        "job: mixed: expected shapes and materials of one split, because it is false, found shapes"
+        " of train alone, and no material of it (name other shapes or materials, or leave mixed"
+        " out)"
+    )
+
+
 def test_the_total_of_a_part_is_its_own(stream, job, tmp_path):
     written(tmp_path / "meshes", 7)
     totals = []
