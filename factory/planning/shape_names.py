@@ -148,6 +148,7 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
     place  a path, with a member ("#NAME") and reading options ("?up=z") if there are any
     """
     from factory.shapes.libraries import find
+    from factory.shapes.library import note_of
 
     target = local(place, folder, "job: shapes")
     # a '#' or '?' in the name of an existing file is part of the name
@@ -157,4 +158,6 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
         for entry in find(target):
             yield Source(entry.place, entry.name, entry.category, entry.licence or "unstated")
     else:
-        yield Source(f"{target}{rest}", licence="unstated")
+        note = None if rest.startswith("#") else note_of(target)
+        category, licence = (note.category, note.licence) if note else (None, "")
+        yield Source(f"{target}{rest}", category=category, licence=licence or "unstated")
