@@ -155,8 +155,16 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
     rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
     target = local(place.removesuffix(rest), folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):
+        if rest.startswith("#"):
+            raise InputError(
+                f"job: shapes '{place}'",
+                "a mesh of a .sh3f library after '#'",
+                "a folder",
+                "name the mesh's own file",
+            )
         for entry in find(target):
-            yield Source(entry.place, entry.name, entry.category, entry.licence or "unstated")
+            licence = entry.licence or "unstated"
+            yield Source(f"{entry.place}{rest}", entry.name, entry.category, licence)
     else:
         note = None if rest.startswith("#") else note_of(target)
         category, licence = (note.category, note.licence) if note else (None, "")

@@ -367,6 +367,25 @@ def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_shar
         resolve(both, tmp_path, catalogues=[catalogue])
 
 
+def test_reading_options_of_a_folder_hold_for_each_of_its_meshes(small_job, catalogue, tmp_path):
+    job = msgspec.structs.replace(small_job, lights=("city",))
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.ply").write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 1 2"))
+
+    def hash_of(spec):
+        replaced = msgspec.structs.replace(job, shapes=(spec,))
+        (shape,) = resolve(replaced, tmp_path, catalogues=[catalogue]).shapes
+        return shape.hash
+
+    turned = hash_of("meshes/a.ply?up=y&front=z")
+    assert hash_of("./meshes?up=y&front=z") == hash_of("meshes/?up=y&front=z") == turned
+    assert hash_of("meshes/") == hash_of("meshes/a.ply") != turned
+    with pytest.raises(InputError, match="expected options among"):
+        hash_of("meshes/?upp=y")
+    with pytest.raises(InputError, match=r"meshes/#a'.*a mesh of a \.sh3f library"):
+        hash_of("meshes/#a")
+
+
 def test_two_light_maps_never_share_a_name(small_job, catalogue, tmp_path, light_file):
     for folder in ("a", "b", "c"):
         (tmp_path / folder).mkdir()
