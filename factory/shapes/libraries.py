@@ -51,9 +51,7 @@ def find(folder: str | Path) -> list[Entry]:
     folder = Path(folder)
     if folder.is_file():
         return (
-            _inside(folder)
-            if folder.suffix.lower() == ".sh3f"
-            else [_of_file(folder, folder.stem)]
+            _inside(folder) if folder.suffix.lower() == ".sh3f" else [_of_file(folder, folder.stem)]
         )
     if not folder.is_dir():
         require_file(folder, "a folder of meshes, or a mesh file")
