@@ -14,7 +14,7 @@ import pytest
 from factory.commands.status import counted
 from factory.execution import parts
 from factory.execution.reservations import FILE, Reservations
-from factory.planning import reading
+from factory.planning import facts, reading
 from factory.planning.assets import opened
 from factory.planning.facts import facts_of
 from factory.planning.shape_names import Source
@@ -35,7 +35,10 @@ def job(small_job, tmp_path):
 
 @pytest.fixture
 def read(monkeypatch):
-    """The names of the files that this process reads, which are few enough to be read here."""
+    """The names of the files that this process reads, which are few enough to be read here.
+
+    Nothing is remembered between runs: files always count as changed a moment ago.
+    """
     names = []
 
     def noted(source):
@@ -43,6 +46,7 @@ def read(monkeypatch):
         return facts_of(source)
 
     monkeypatch.setattr(reading, "HERE", 1e9)
+    monkeypatch.setattr(facts, "RECENT", 1e9)
     monkeypatch.setattr(reading, "facts_of", noted)
     return names
 
