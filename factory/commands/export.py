@@ -109,6 +109,12 @@ def run(options: argparse.Namespace) -> int:
             )
         line = f"{options.out}: {result.samples} samples, {result.made} files written"
         print(line + (f", {result.already_there} were there" if result.already_there else ""))
+        if result.left_out:
+            said = (
+                f"{options.folder}: {result.left_out} views without pictures are left out, because"
+                " there are pictures; render them into a folder of their own to export them"
+            )
+            print(f"factory: {said}", file=sys.stderr)
     if tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
             count = to_tars(store, tars, options.split, options.each, bar.update)

@@ -84,6 +84,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the plan; return 0."""
     from factory.execution.run import planned
     from factory.planning import jobs
+    from factory.planning.plan import require_shots
     from manifests.errors import InputError
 
     if options.presets or options.schema:
@@ -99,6 +100,7 @@ def run(options: argparse.Namespace) -> int:
     plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
         print(f"factory: {note}", file=sys.stderr)
+    require_shots(len(plan), plan.assets.shapes)
     for line in described(plan):
         print(line)
     if options.probe:
@@ -182,7 +184,7 @@ def split_counts(plan: Plan) -> dict[str, int]:
     for shape in plan.assets.shapes:
         for choice in plan.choices(shape):
             split = (
-                shape.side
+                plan.split_of_draws(shape)
                 if isinstance(choice, int)
                 else split_of(shape.side, [m.side for m in choice])
             )

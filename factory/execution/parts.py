@@ -26,7 +26,7 @@ from factory.planning.assets import (
     without_shapes,
 )
 from factory.planning.facts import Facts
-from factory.planning.plan import Plan, Shot
+from factory.planning.plan import Plan, Shot, require_shots
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
 from manifests import lock
@@ -92,7 +92,7 @@ def parts_by_shots(
 ) -> Iterator[Part | None]:
     """Yield one Part after all shapes have been read and registered.
 
-    Raises  InputError: a bad mesh, or what `register` raises
+    Raises  InputError: a bad mesh, no shots, or what `register` raises
     """
     if plan.assets.unread:
         notes = len(plan.assets.notes)
@@ -100,6 +100,7 @@ def parts_by_shots(
         plan = replace(plan, assets=assets)
         for note in assets.notes[notes:]:
             watch("note", note)
+    require_shots(len(plan), plan.assets.shapes)
     with lock.changing(store.folder):
         register(store, plan, len(plan))
     first, end = bounds(len(plan), shard)
@@ -125,7 +126,7 @@ def parts_by_shapes(
     """Yield Parts with shapes that have been read and registered; None: the next is not known yet.
 
     reading  of the sources of `own`
-    Raises   InputError: a bad mesh, two meshes of one name, or what `register` raises
+    Raises   InputError: a bad mesh, two meshes of one name, no shots, or what `register` raises
     """
     arrivals, shares_of = Arrivals(plan.job), {share.source: share for share in own}
     reservations = Reservations(store.folder, plan.job, plan.assets.unread, shard is not None)
@@ -134,6 +135,7 @@ def parts_by_shapes(
             register(store, _with(plan, []), 0)
     shots, count, due, is_registered = 0, 0, 0.0, shard is not None
     waiting: list[Shape] = []
+    everything: list[Shape] = []
     while reading.unread or waiting:
         arrived = [arrivals.take(source, facts) for source, facts in reading.ready()]
         waiting += [shape for shape in arrived if shape is not None]
@@ -159,11 +161,14 @@ def parts_by_shapes(
             continue
         made = [_share_of(plan, shape, shares_of[shape.source]) for shape in kept]
         shots, count = shots + sum(number for number, _ in made), count + len(kept)
+        everything += kept
         watch("total", shots + shots * reading.unread // count)
         yield Part(kept, chain.from_iterable(each for _, each in made))
     watch("total", shots)
     if arrivals.is_empty and shard is None:
         raise without_shapes(plan.job)
+    if shard is None:
+        require_shots(shots, everything)
     if arrivals.is_empty and shard is not None:
         roles = ", ".join(plan.job.roles)
         watch("note", f"part {shard[0]} of {shard[1]} has no shapes with a role among {roles}")

@@ -88,7 +88,10 @@ def wheel_maps() -> dict[str, Path]:
 
 
 def library_maps(folder: str | Path) -> dict[str, Path]:
-    """Return {name: path} of the .hdr, .exr and .npz files in a folder, without its subfolders."""
+    """Return {name: path} of the .hdr, .exr and .npz files in a folder, without its subfolders.
+
+    Raises  InputError: no such folder, two files of one name
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
@@ -97,11 +100,18 @@ def library_maps(folder: str | Path) -> dict[str, Path]:
             "nothing there" if not folder.exists() else "a file",
             "check the path",
         )
-    return {
-        path.stem: path
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in files.SUFFIXES
-    }
+    result: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in files.SUFFIXES:
+            continue
+        if (first := result.setdefault(path.stem, path)) != path:
+            raise InputError(
+                folder,
+                "one map under a name",
+                f"{first.name} and {path.name}",
+                "rename or remove one of the files",
+            )
+    return result
 
 
 def _from_file(path, name, licence, source):

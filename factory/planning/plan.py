@@ -12,7 +12,7 @@ order  shape, light, light resolution, tier, materials, rotation, view: what is 
        in Cycles changes least often.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -23,6 +23,7 @@ import numpy as np
 
 from factory.planning.assets import Assets, Light, Material, Shape
 from manifests import ids
+from manifests.errors import InputError
 from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed
 from manifests.schema import Draw, Failure, Job, LightResolution, Record, Split, Tier, View
 from manifests.splits import split_of
@@ -74,6 +75,21 @@ class Shot(msgspec.Struct, frozen=True, kw_only=True, gc=False):
         return {name: getattr(self, name) for name in REPEATED if name in line.__struct_fields__}
 
 
+def require_shots(shots: int, shapes: Iterable[Shape]) -> None:
+    """Raise InputError for a job all of whose shots are left out because `mixed` is false.
+
+    shapes  all shapes of the job
+    """
+    if not shots:
+        sides = " and ".join(sorted({shape.side for shape in shapes}))
+        raise InputError(
+            "job: mixed",
+            "shapes and materials of one split, because it is false",
+            f"shapes of {sides} alone, and no material of it",
+            "name other shapes or materials, or leave mixed out",
+        )
+
+
 @dataclass(frozen=True)
 class Plan:
     """A job with its assets; iterating over it yields its shots.
@@ -112,9 +128,19 @@ class Plan:
         A choice is a tuple with one material per segment, or the number of a draw of materials.
         """
         if self.job.segment_materials:
-            return range(self.job.segment_materials)
+            is_kept = self.job.mixed or self.split_of_draws(shape) != "mixed"
+            return range(self.job.segment_materials if is_kept else 0)
         allowed = [m for m in self.assets.materials if self.job.mixed or m.side == shape.side]
         return [(m,) * shape.segments for m in allowed]
+
+    def split_of_draws(self, shape: Shape) -> Split:
+        """Return the split of all draws of materials for a shape."""
+        return split_of(shape.side, [m.side for m in self._pool(shape)])
+
+    def _pool(self, shape: Shape) -> list[Material]:
+        """Return what materials are drawn from: those of the shape's side, or all without such."""
+        materials = self.assets.materials
+        return [m for m in materials if m.side == shape.side] or list(materials)
 
     def __iter__(self) -> Iterator[Shot]:
         """Yield every shot, in the order in which rendering them is fastest."""
@@ -183,9 +209,7 @@ class Plan:
 
         They are of the shape's side if there are any, and different if there are enough.
         """
-        pool = [m for m in self.assets.materials if m.side == shape.side] or list(
-            self.assets.materials
-        )
+        pool = self._pool(shape)
         key = (0x5E6, ids.hash_word(shape.hash), ids.hash_word(light.hash), occurrence, draw)
         rng = np.random.default_rng(np.random.SeedSequence(self.job.seed, spawn_key=key))
         return tuple(

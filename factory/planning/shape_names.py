@@ -148,13 +148,24 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
     place  a path, with a member ("#NAME") and reading options ("?up=z") if there are any
     """
     from factory.shapes.libraries import find
+    from factory.shapes.library import note_of
 
     target = local(place, folder, "job: shapes")
     # a '#' or '?' in the name of an existing file is part of the name
     rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
     target = local(place.removesuffix(rest), folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):
+        if rest.startswith("#"):
+            raise InputError(
+                f"job: shapes '{place}'",
+                "a mesh of a .sh3f library after '#'",
+                "a folder",
+                "name the mesh's own file",
+            )
         for entry in find(target):
-            yield Source(entry.place, entry.name, entry.category, entry.licence or "unstated")
+            licence = entry.licence or "unstated"
+            yield Source(f"{entry.place}{rest}", entry.name, entry.category, licence)
     else:
-        yield Source(f"{target}{rest}", licence="unstated")
+        note = None if rest.startswith("#") else note_of(target)
+        category, licence = (note.category, note.licence) if note else (None, "")
+        yield Source(f"{target}{rest}", category=category, licence=licence or "unstated")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from factory.shapes.files import FORMATS
+from factory.shapes.library import note_of
 from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
 from manifests.archives import DAMAGE, opened_zip
 from manifests.errors import InputError, closest
@@ -50,9 +51,7 @@ def find(folder: str | Path) -> list[Entry]:
     folder = Path(folder)
     if folder.is_file():
         return (
-            _inside(folder)
-            if folder.suffix.lower() == ".sh3f"
-            else [Entry(str(folder), folder.stem, category_of(folder))]
+            _inside(folder) if folder.suffix.lower() == ".sh3f" else [_of_file(folder, folder.stem)]
         )
     if not folder.is_dir():
         require_file(folder, "a folder of meshes, or a mesh file")
@@ -61,7 +60,7 @@ def find(folder: str | Path) -> list[Entry]:
         if path.suffix.lower() == ".sh3f" and path.is_file():
             results += _inside(path)
         elif path.suffix.lower() in FORMATS and path.is_file():
-            results.append(Entry(str(path), _name(path, folder), category_of(path)))
+            results.append(_of_file(path, _name(path, folder)))
     if not results:
         raise InputError(
             folder,
@@ -70,6 +69,14 @@ def find(folder: str | Path) -> list[Entry]:
             "name another folder",
         )
     return results
+
+
+def _of_file(path, name):
+    """Return the Entry of a mesh file, with what `shapes add` noted of it."""
+    note = note_of(path)
+    if note is None:
+        return Entry(str(path), name, category_of(path))
+    return Entry(str(path), name, note.category, note.licence)
 
 
 def _name(path, folder):

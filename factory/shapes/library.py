@@ -2,12 +2,15 @@
 
 LIBRARY/chair/mine.obj    y up, front +z, as other programs expect; a material "segment-1",
                           "segment-2", … for each region
-LIBRARY/chair/mine.json   name, category, hash, source, licence, report
+LIBRARY/chair/mine.json   name, category, hash, source, licence, report; jobs take category and
+                          licence from it
 """
 
 import json
 import re
 from pathlib import Path
+
+import msgspec
 
 from factory.shapes.mesh import Mesh
 from manifests.errors import InputError
@@ -16,6 +19,27 @@ from manifests.inputs import require_file
 
 LARGEST_NOTE = 1 << 20  # bytes; a note has some hundreds
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+
+
+class Note(msgspec.Struct, frozen=True):
+    """What the metadata beside a mesh say of it; hash: of the mesh when it was added."""
+
+    name: str
+    category: str
+    hash: str
+    licence: str
+
+
+def note_of(path: str | Path) -> Note | None:
+    """Return what `add` noted of a mesh's file; None if no note of its name lies beside it."""
+    beside = Path(path).with_suffix(".json")
+    try:
+        if not beside.is_file() or beside.stat().st_size > LARGEST_NOTE:
+            return None
+        note = msgspec.json.decode(beside.read_bytes(), type=Note)
+    except (OSError, ValueError, RecursionError):  # another program's file
+        return None
+    return note if note.name == beside.stem and NAME.fullmatch(note.category) else None
 
 
 def add(mesh: Mesh, library: str | Path, *, source: str | Path, licence: str) -> Path:

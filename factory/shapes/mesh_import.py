@@ -47,7 +47,8 @@ def open_mesh(
     up, front          "+x", "-x", … "z": the file's axes that point up and to the front; None: y
                        and z for OBJ and GLB, z and x for others
     crease_deg         faces that meet at less than this angle look smooth
-    segments           "one", or "materials": a segment for each of an OBJ's materials
+    segments           "one", or "materials": a segment for each of an OBJ's materials; other
+                       formats are refused
     category, name     None: from the file's and the folders' names
     maximum_triangles  more are refused before memory is taken
     Raises             InputError
@@ -154,6 +155,13 @@ def _segments(raw, kept, requested, place):
             "'one' or 'materials'",
             f"'{requested}'",
             closest(requested, ("one", "materials")),
+        )
+    if raw.material is None and requested == "materials":
+        raise InputError(
+            f"{place}: segments",
+            "an OBJ file, since no materials of others are read",
+            "a file of another format",
+            "save it as OBJ with usemtl lines, or leave segments out",
         )
     if raw.material is None:
         return None, ("body",), None

@@ -34,11 +34,15 @@ class Part(NamedTuple):
 
 
 class Result(NamedTuple):
-    """How many files were made and were there before, and the number of samples in all of them."""
+    """How many files were made and were there before, and the number of samples in all of them.
+
+    left_out  number of views that are not among the samples because the data set has pictures
+    """
 
     made: int
     already_there: int
     samples: int
+    left_out: int
 
 
 def export(
@@ -97,7 +101,7 @@ def export(
             with replacing(path) as file:
                 write(file, _read(samples, part.lines, watch), samples)
         write_text(folder / CARD, data_card(samples, form, each, author))
-    return Result(**counts, samples=len(samples.lines))
+    return Result(**counts, samples=len(samples.lines), left_out=samples.left_out)
 
 
 def parts(samples: Samples, form: Format, each: int) -> Iterator[Part]:

@@ -67,6 +67,8 @@ class Samples:
 
     Records are exported where there are any, otherwise the views of a data set without pictures.
 
+    left_out  number of views that are not exported because there are records
+
     Raises  InputError if the data set or the split is empty
     """
 
@@ -81,6 +83,8 @@ class Samples:
             )
         self.lines = sorted(lines, key=lambda line: line.id)
         self.pictures = isinstance(self.lines[0], Record)
+        views = store.views(_chooser(split)) if self.pictures else ()
+        self.left_out = sum(1 for _ in views)
         self._labels = (
             {
                 name: np.asarray(material.label, np.float32).reshape(-1)

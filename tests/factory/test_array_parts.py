@@ -14,7 +14,7 @@ import pytest
 from factory.commands.status import counted
 from factory.execution import parts
 from factory.execution.reservations import FILE, Reservations
-from factory.planning import reading
+from factory.planning import facts, reading
 from factory.planning.assets import opened
 from factory.planning.facts import facts_of
 from factory.planning.shape_names import Source
@@ -35,7 +35,10 @@ def job(small_job, tmp_path):
 
 @pytest.fixture
 def read(monkeypatch):
-    """The names of the files that this process reads, which are few enough to be read here."""
+    """The names of the files that this process reads, which are few enough to be read here.
+
+    Nothing is remembered between runs: files always count as changed a moment ago.
+    """
     names = []
 
     def noted(source):
@@ -43,6 +46,7 @@ def read(monkeypatch):
         return facts_of(source)
 
     monkeypatch.setattr(reading, "HERE", 1e9)
+    monkeypatch.setattr(facts, "RECENT", 1e9)
     monkeypatch.setattr(reading, "facts_of", noted)
     return names
 
@@ -410,6 +414,24 @@ def test_a_part_without_a_shape_of_the_jobs_roles_says_so_and_ends_well(stream, 
     assert made == [0, 2]
     said = [value for event, value in notes if event == "note"]
     assert said == ["part 1 of 2 has no shapes with a role among test"]
+
+
+@pytest.mark.parametrize("by", ["shapes", "shots"])
+def test_a_job_without_a_shot_ends_with_one_line(stream, render, job, tmp_path, by):
+    paths = written(tmp_path / "meshes", 8)
+    stream(job, tmp_path / "whole")
+    shapes = Store(tmp_path / "whole").dataset().shapes
+    chosen = tuple(str(path) for path in paths if shapes[path.stem].side == "train")
+    job = msgspec.structs.replace(
+        job, shapes=chosen, materials=("small/test",), pictures=True, mixed=False
+    )
+    with pytest.raises(InputError) as caught:
+        (stream if by == "shapes" else render)(job, tmp_path / "data")
+    assert str(caught.value) == (
+        "job: mixed: expected shapes and materials of one split, because it is false, found shapes"
+        " of train alone, and no material of it (name other shapes or materials, or leave mixed"
+        " out)"
+    )
 
 
 def test_the_total_of_a_part_is_its_own(stream, job, tmp_path):

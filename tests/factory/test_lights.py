@@ -492,3 +492,18 @@ def test_help_needs_no_heavy_import():
         " & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_two_files_of_one_name_in_a_library_are_refused(tmp_path):
+    ramp = np.linspace(2.0, 0.1, 8 * 16, dtype=np.float32).reshape(8, 16, 1)
+    for name, factor in (("lamp.npz", 1.0), ("lamp.NPZ", 2.0), ("other.npz", 3.0)):
+        with open(tmp_path / name, "wb") as file:
+            np.savez(file, L=factor * ramp[:, ::-1] * np.ones(3, np.float32))
+    with pytest.raises(InputError) as caught:
+        load("lamp", tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path}: expected one map under a name, found lamp.NPZ and lamp.npz"
+        " (rename or remove one of the files)"
+    )
+    (tmp_path / "lamp.NPZ").rename(tmp_path / "lamp-2.NPZ")
+    assert {load(name, tmp_path).name for name in ("lamp", "lamp-2")} == {"lamp", "lamp-2"}

@@ -43,6 +43,17 @@ def glb(scene, binary=b""):
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
+def test_segments_of_materials_are_refused_where_none_are_read(tmp_path):
+    path = written(tmp_path / "a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    with pytest.raises(InputError) as caught:
+        open_mesh(f"{path}?segments=materials")
+    assert str(caught.value) == (
+        f"{path}?segments=materials: segments: expected an OBJ file, since no materials of others"
+        " are read, found a file of another format (save it as OBJ with usemtl lines, or leave"
+        " segments out)"
+    )
+
+
 def test_missing_file_names_the_nearest(tmp_path):
     written(tmp_path / "kettle.obj", TRIANGLE)
     refused(

@@ -5,6 +5,7 @@ nothing, and no memory.
 import argparse
 import re
 import tracemalloc
+from collections import Counter
 from itertools import islice, pairwise
 
 import msgspec
@@ -320,6 +321,19 @@ def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
     }
 
 
+def test_draws_of_materials_keep_to_mixed_and_are_counted_by_their_split(stub, job):
+    job = msgspec.structs.replace(
+        job, shapes=("chair:0-19",), materials=("merl/paper-train",), segment_materials=2
+    )
+    whole, pure = stub(job), stub(msgspec.structs.replace(job, mixed=False))
+    for plan in (whole, pure):
+        counts = Counter(shot.split for shot in plan)
+        assert split_counts(plan) == counts and counts.total() == len(plan)
+    assert {shot.split for shot in whole} == {"train", "mixed"}
+    assert {shot.split for shot in pure} == {"train"}
+    assert list(pure) == [shot for shot in whole if shot.split == "train"]
+
+
 def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.ply").write_bytes(TETRAHEDRON)
@@ -351,6 +365,25 @@ def test_a_folder_of_meshes_is_named_by_where_they_lie_and_two_meshes_never_shar
     both = msgspec.structs.replace(job, shapes=("chairs/one/model.ply", "chairs/two/model.ply"))
     with pytest.raises(InputError, match="expected one mesh under a name"):
         resolve(both, tmp_path, catalogues=[catalogue])
+
+
+def test_reading_options_of_a_folder_hold_for_each_of_its_meshes(small_job, catalogue, tmp_path):
+    job = msgspec.structs.replace(small_job, lights=("city",))
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.ply").write_bytes(TETRAHEDRON.replace(b"0 0 2", b"0 1 2"))
+
+    def hash_of(spec):
+        replaced = msgspec.structs.replace(job, shapes=(spec,))
+        (shape,) = resolve(replaced, tmp_path, catalogues=[catalogue]).shapes
+        return shape.hash
+
+    turned = hash_of("meshes/a.ply?up=y&front=z")
+    assert hash_of("./meshes?up=y&front=z") == hash_of("meshes/?up=y&front=z") == turned
+    assert hash_of("meshes/") == hash_of("meshes/a.ply") != turned
+    with pytest.raises(InputError, match="expected options among"):
+        hash_of("meshes/?upp=y")
+    with pytest.raises(InputError, match=r"meshes/#a'.*a mesh of a \.sh3f library"):
+        hash_of("meshes/#a")
 
 
 def test_two_light_maps_never_share_a_name(small_job, catalogue, tmp_path, light_file):

@@ -5,8 +5,10 @@ import json
 import pytest
 from PIL import Image
 
+from factory.planning.assets import resolve
 from factory.shapes.catalogue import load
 from manifests.cli import main
+from manifests.schema import Job
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -114,6 +116,32 @@ def test_add_copies_a_cleaned_mesh_with_its_licence(kettle, tmp_path, capsys):
         and note["source"] == "kettle.obj"
     )
     assert sorted(p.name for p in (library / "object").iterdir()) == ["kettle.json", "kettle.obj"]
+
+
+@pytest.mark.parametrize("named", ["", "object", "object/armchair.obj", "object/armchair.obj?up=y"])
+def test_a_job_knows_category_and_licence_of_a_mesh_in_a_library(kettle, tmp_path, named, capsys):
+    library, file = tmp_path / "mine", kettle.with_name("armchair.obj")
+    file.write_bytes(kettle.read_bytes())
+    arguments = ("--library", library, "--licence", "CC-BY-4.0 Ada", "--category", "object")
+    assert shapes("add", file, *arguments) == 0
+    job = Job(shapes=(f"mine/{named}",), materials=("brass",), lights=("softboxes-1",))
+    (shape,) = resolve(job, tmp_path).shapes
+    assert (shape.category, shape.licence) == ("object", "CC-BY-4.0 Ada")
+    capsys.readouterr()
+    assert shapes("list", library) == 0
+    assert "[CC-BY-4.0 Ada]" in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    "other", ["{", "[]", "{}", '{"name": "b", "category": "sofa", "licence": "CC0"}']
+)
+def test_other_json_beside_a_mesh_says_nothing_of_it(kettle, tmp_path, other):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.obj").write_bytes(kettle.read_bytes())
+    (tmp_path / "meshes" / "a.json").write_text(other)
+    job = Job(shapes=("meshes/",), materials=("brass",), lights=("softboxes-1",))
+    (shape,) = resolve(job, tmp_path).shapes
+    assert (shape.category, shape.licence) == ("object", "unstated")
 
 
 def test_a_mesh_of_the_library_that_was_damaged_since_is_written_again(kettle, tmp_path):

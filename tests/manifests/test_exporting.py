@@ -281,6 +281,20 @@ def test_views_without_pictures_are_exported(whole, form, tmp_path):
         assert "picture" not in row and row["segment_count"] == 1 and row["coverage"] > 0
 
 
+def test_views_beside_pictures_are_left_out_and_counted(whole, tmp_path, capsys):
+    from brdfactory.command_line import run
+
+    data = shutil.copytree(whole(), tmp_path / "data")
+    words = ["export", str(data), "--to", "webdataset", "--out"]
+    assert run([*words, str(tmp_path / "before")]) == 0
+    assert "left out" not in capsys.readouterr().err
+    shutil.copytree(whole(pictures=False) / "views", data / "views")
+    assert run([*words, str(tmp_path / "after")]) == 0
+    said = capsys.readouterr()
+    assert "8 samples" in said.out
+    assert "4 views without pictures are left out, because there are pictures" in said.err
+
+
 def test_a_half_made_export_continues_to_the_same_bytes(whole, form, tmp_path, monkeypatch):
     store = Store(whole())
     export(store, tmp_path / "whole", form, each=2)
