@@ -20,6 +20,7 @@ docs/exporting.md describes the formats."""
 
 # what is no format of samples: the data set's own files, and a table of its records
 OWN = ("tars", "records")
+EACH = 1000
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -48,7 +49,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--out", type=Path, metavar="PATH", help="the folder to write to; of records, the file"
     )
     parser.add_argument(
-        "--by", default="", metavar="NAME", help="who rendered it, for the data card"
+        "--by", metavar="NAME", help="who rendered it, for the data card of formats that have one"
     )
     for name, form in (("--parquet", "records"), ("--tars", "tars")):
         parser.add_argument(
@@ -62,9 +63,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--each",
         type=positive,
-        default=1000,
         metavar="N",
-        help="number of samples per file, of hdf5 per folder (default 1000)",
+        help=f"number of samples per file, of hdf5 per folder (default {EACH})",
     )
     parser.set_defaults(run=run)
 
@@ -94,6 +94,8 @@ def run(options: argparse.Namespace) -> int:
         tars = options.out
     elif options.to == "records":
         records = options.out
+    _require_uses(options, bool(tars), bool(records))
+    each = options.each or EACH
     if options.to in FORMATS:
         from manifests.exporting.folders import export
 
@@ -103,8 +105,8 @@ def run(options: argparse.Namespace) -> int:
                 options.out,
                 options.to,
                 options.split,
-                options.each,
-                options.by,
+                each,
+                options.by or "",
                 bar.update,
             )
         line = f"{options.out}: {result.samples} samples, {result.made} files written"
@@ -117,8 +119,22 @@ def run(options: argparse.Namespace) -> int:
             print(f"factory: {said}", file=sys.stderr)
     if tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
-            count = to_tars(store, tars, options.split, options.each, bar.update)
+            count = to_tars(store, tars, options.split, each, bar.update)
         print(f"{tars}: {count} tars")
     if records:
         print(f"{records}: {to_parquet(store, records, options.split)} records")
     return 0
+
+
+def _require_uses(options: argparse.Namespace, tars: bool, records: bool) -> None:
+    """Raise InputError for an option that what is written would not depend on."""
+    from manifests.errors import InputError
+
+    formats = options.to in FORMATS
+    for name, given, is_used, where in (
+        ("--by", options.by, formats, f"one of {', '.join(FORMATS)}, which have a data card"),
+        ("--each", options.each, formats or tars, "a format of several files"),
+    ):
+        if given is not None and not is_used:
+            chosen = " and ".join(["tars"] * tars + ["records"] * records)
+            raise InputError(name, where, chosen, f"leave {name} out")

@@ -36,6 +36,13 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
         set_, _, part = name.partition("/")
         result = _part(sets[set_], part) if set_ in sets else [known[name]] if name in known else []
         if not result:
+            if "(" in name:
+                raise InputError(
+                    f"material '{name}'",
+                    "a name or a set in the catalogue, since Cycles needs nodes that were fitted",
+                    "a description, which only brdfactory edit takes",
+                    "python -m factory materials add fits a measured material: docs/own-assets.md",
+                )
             every = [*known, *sets, *(f"{s}/{p}" for s in sets for p in PARTS)]
             raise InputError(
                 f"material '{name}'",

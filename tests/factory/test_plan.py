@@ -262,6 +262,7 @@ def test_the_viewpoints_are_24_steps_of_15_degrees():
         ({"lights": ("ctiy",)}, "city"),
         ({"materials": ("mate",)}, "did you mean matte"),
         ({"materials": ("small/brass",)}, "none of that name"),
+        ({"materials": ("lambert(#c0c0c0)",)}, "a description, which only brdfactory edit takes"),
     ],
 )
 def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(

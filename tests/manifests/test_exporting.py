@@ -404,3 +404,17 @@ def test_the_command_needs_both_of_its_options_and_says_what_it_did(whole, tmp_p
     assert contents[0] and contents[0] == contents[1]
     words = ["export", data, "--to", "tars", "--out", "x", "--parquet", "y"]
     assert run(words) == 1 and "expected one of --to" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("form", "option", "value"), [("tars", "--by", "A. Name"), ("records", "--each", "5")]
+)
+def test_an_option_that_a_format_does_not_use_is_refused(
+    whole, tmp_path, capsys, form, option, value
+):
+    from brdfactory.command_line import run
+
+    words = ["export", str(whole()), "--to", form, "--out", str(tmp_path / "out")]
+    assert run([*words, option, value]) == 1
+    assert f"{option}: expected" in (message := capsys.readouterr().err) and form in message
+    assert not (tmp_path / "out").exists()
