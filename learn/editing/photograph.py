@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
 
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
@@ -25,6 +25,8 @@ from shaders.tone import LUMINANCE
 # curve is 1 − 6e-8
 GREY = 1e-3
 RIM = 3  # pixels without a label that hand-drawn regions may leave along the mask's edge
+# sum of masks above which they lie over one another: those that meet sum to 1, rounded
+OVERLAPPING = 1.02
 SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
 STRONGEST_BALANCE = 8.0
 
@@ -274,14 +276,21 @@ def _require_none(path, rule, masks, regions, balance):
 
 
 def _several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Coverage and regions from one mask per region; where two overlap the later one counts."""
+    """Coverage and regions from one mask per region; where two overlap the later one counts.
+
+    Where soft masks meet, their shares of a pixel add up: no background is between them. Where one
+    lies over another, and along an edge that they have in common, the larger share counts.
+    """
     each = np.stack([photographs.read_mask(mask, size) for mask in masks])
-    labels = np.zeros(size, np.uint8)
+    total = each.sum(0)
+    meeting = maximum_filter(total, 2 * RIM + 1) <= OVERLAPPING
+    coverage = np.where(meeting, total.clip(0, 1), each.max(0))
+    labels = np.where(coverage >= 0.5, each.argmax(0) + 1, 0).astype(np.uint8)
     for number, one in enumerate(each, 1):
         labels[one >= 0.5] = number
     for number, mask in enumerate(masks, 1):
         _require_pixels(labels, number, mask)
-    return each.max(0), labels
+    return coverage, labels
 
 
 def _require_pixels(labels, count, where):

@@ -202,6 +202,24 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
     assert (result.regions[:, :20] == 1).all() and (result.regions[:, 20:] == 2).all()
 
 
+@pytest.mark.parametrize("below", [False, True])
+def test_between_soft_masks_that_meet_is_no_background(tmp_path, below):
+    """A seat and legs as painting programs cut them; or a whole chair, and the legs over it."""
+    Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
+    first, second = np.zeros((2, 30, 40), np.uint8)
+    first[5:25, 5:20] = second[5:25, 21:35] = 255
+    first[5:25, 20] = second[5:25, 20] = 128
+    first[25, 5:20] = second[25, 21:35] = 128  # the soft edge of both
+    if below:
+        first[5:25, 5:35], first[25, 5:35] = 255, 128
+    for name, mask in (("a", first), ("b", second)):
+        Image.fromarray(mask).save(tmp_path / f"{name}.png")
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    np.testing.assert_allclose(result.coverage[5:25, 5:35], 1, atol=0.01)
+    np.testing.assert_allclose(result.coverage[25, 22:35], 128 / 255, atol=0.01)
+    assert result.mask[5:25, 5:35].all()
+
+
 def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
     write_dataset(
         tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature"
