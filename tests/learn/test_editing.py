@@ -87,6 +87,32 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
 
 
+@pytest.mark.parametrize("opacity_beside", [0.0, 1.0])
+def test_nothing_is_mixed_in_from_where_the_photograph_is_transparent(opacity_beside):
+    """A cut-out with a mask of its own: what is behind its edge has a colour that no one sees."""
+    label = label_of("blue-rubber")
+    coverage = np.zeros((SIZE, SIZE), np.float32)
+    coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
+    hidden = np.where(coverage[..., None] > 0, 0.3, np.array([0, 9.0, 0])).astype(np.float32)
+    result = photograph.Photograph(
+        "square",
+        hidden,
+        coverage,
+        (coverage >= 0.5).astype(np.int64),
+        np.ones(3, np.float32),
+        1.0,
+        alpha=np.maximum(coverage, opacity_beside),
+    )
+    painter = Compositor(decomposition.decompose(result, Knowing(label), NETWORK))
+    edited = painter.edited([label[0]])
+    edge, within = edited[45, 70], edited[45, 69]
+    if opacity_beside:
+        np.testing.assert_allclose(edge, 0.5 * within + [0, 4.5, 0], atol=0.05)
+    else:
+        np.testing.assert_allclose(edge, within, atol=0.05)
+    np.testing.assert_array_equal(edited[:, 72:], hidden[:, 72:])
+
+
 def test_a_region_that_is_kept_stays_and_the_other_changes():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
