@@ -173,10 +173,11 @@ def opened(
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
         coverage = without_unlabelled(coverage, labels)
-    before_background = bool(masks) or regions is not None
+    cut_out = not masks and regions is None
+    soft = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
     return _assembled(
-        path, radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+        path, radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
     )
 
 
@@ -214,9 +215,10 @@ def from_arrays(
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), f"{name}: regions")
         coverage = without_unlabelled(coverage, labels)
-    before_background = mask is not None or regions is not None
+    cut_out = mask is None and regions is None
+    soft = mask is None and bool((alpha < 0.5).any())
     return _assembled(
-        Path(name), radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+        Path(name), radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
     )
 
 
@@ -228,15 +230,19 @@ def _assembled(
     alpha: np.ndarray,
     balance: str | Sequence[float],
     exposure: float | None,
-    before_background: bool,
+    cut_out: bool,
+    soft: bool,
     linear: bool,
 ) -> Photograph:
-    """Return a Photograph of what was read, its mask softened and its colours balanced."""
-    if (np.minimum(coverage, 1 - coverage) < GREY).all():
+    """Return a Photograph of what was read, its mask softened and its colours balanced.
+
+    soft  whether the coverage is the picture's own transparency, which stays as it is
+    """
+    if not soft and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
-    factors = _balance(balance, radiance, coverage, before_background)
+    factors = _balance(balance, radiance, coverage, not cut_out)
     framing.exposure_of(radiance * factors, labels > 0, exposure, path)
-    own = alpha if before_background and (alpha < 1).any() else None
+    own = alpha if not cut_out and (alpha < 1).any() else None
     return Photograph(
         path.stem,
         radiance,
@@ -244,7 +250,7 @@ def _assembled(
         labels,
         factors,
         exposure,
-        cut_out=not before_background,
+        cut_out=cut_out,
         linear=linear,
         alpha=own,
     )

@@ -215,6 +215,25 @@ def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
     np.testing.assert_allclose(grey.coverage[15, 18:22], [0, 0, 100 / 255, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize("with_regions", [False, True])
+def test_transparency_is_not_softened(tmp_path, with_regions):
+    """A cut-out of black and white transparency: its edit has the same, and so has what is kept."""
+    alpha = np.zeros((30, 40), np.uint8)
+    alpha[5:25, 10:30] = 255
+    picture = np.full((30, 40, 3), 90, np.uint8)
+    Image.fromarray(np.dstack([picture, alpha])).save(tmp_path / "p.png")
+    Image.fromarray(alpha // 255).save(tmp_path / "r.png")
+    from_file = photograph.opened(
+        tmp_path / "p.png", regions=tmp_path / "r.png" if with_regions else None
+    )
+    from_array = photograph.from_arrays(
+        np.dstack([picture, alpha]), regions=alpha // 255 if with_regions else None
+    )
+    for result in (from_file, from_array):
+        np.testing.assert_array_equal(result.coverage, alpha / 255)
+        np.testing.assert_array_equal(result.opacity, alpha / 255)
+
+
 @pytest.mark.parametrize("first_ends", [20, 30])
 def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_holds(
     tmp_path, first_ends
