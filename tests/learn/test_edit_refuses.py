@@ -278,6 +278,25 @@ def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files,
     assert status == 1 and "--record" in line and "dataset" in line
 
 
+def test_options_that_would_have_no_effect_are_refused(files, capsys):
+    regions = np.zeros(SIZE, np.uint8)
+    regions[10:20, 20:40], regions[20:34, 20:40] = 1, 2
+    Image.fromarray(regions).save(files / "regions.png")
+    for options, words in (
+        (("--mask", "alpha"), "--mask alpha"),
+        (("--mask", files / "mask.png", "--regions", files / "regions.png"), "--regions"),
+    ):
+        status, line = message(capsys, *edit(files, *options))
+        assert status == 1 and words in line
+    status, line = message(
+        capsys,
+        *("transfer", files / "photo.png", files / "other.png", "--light-rotation", "90"),
+        *("--out", files / "out"),
+    )
+    assert status == 1 and "--light-rotation" in line and "--light" in line
+    assert not (files / "out").exists()
+
+
 def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):
     photographs.write_exr(files / "photo.exr", np.full((*SIZE, 3), 0.3, np.float32))
     (files / "out").mkdir()
