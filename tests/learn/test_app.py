@@ -379,6 +379,25 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     assert text.endswith(f"--weights {Path('known.safetensors').resolve()}")
 
 
+def test_the_mask_that_is_written_is_the_one_that_was_given(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    """One with a line of a pixel, which a second softening would shorten."""
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    given = np.where(disk(), 255, 0).astype(np.uint8)
+    given[40, 5:32] = 255
+    Image.fromarray(given).save(tmp_path / "mask.png")
+    session.give_mask(tmp_path / "mask.png")
+    decompose(session, refine=False)
+    session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
+    opened = session.decomposed()[0].decomposition.photograph
+    assert session._write_masks(tmp_path, opened) == ["mask.png"]
+    again = photograph.opened(tmp_path / "sent.png", [tmp_path / "mask.png"])
+    np.testing.assert_array_equal(again.coverage, opened.coverage)
+    np.testing.assert_array_equal(again.regions, opened.regions)
+
+
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
