@@ -142,7 +142,8 @@ def read_mask(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
 def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
     """Return regions (H, W) uint8: 0 background, 1 … S by rising value.
 
-    Each grey, colour or palette entry except 0 is a region. Raises InputError.
+    Each grey, colour or palette entry is a region, except for 0 and what is transparent. Raises
+    InputError.
     """
     path = Path(path)
     if holds_radiance(path):
@@ -162,10 +163,27 @@ def _label_values(picture):
     """(H, W) whole numbers of a Pillow image: greys and palette entries as they are, of colours one
     number each.
     """
-    if picture.mode in ("P", "L", "1") or picture.mode.startswith("I"):
+    if picture.mode in ("L", "1") or picture.mode.startswith("I"):
         return np.asarray(picture)
+    if picture.mode == "P":
+        return _palette_values(picture)
     r, g, b, alpha = np.moveaxis(np.asarray(picture.convert("RGBA"), np.uint32), -1, 0)
     return np.where(alpha > 127, r << 16 | g << 8 | b, 0)
+
+
+def _palette_values(picture):
+    """(H, W) palette entries of a Pillow image, 0 where it is background.
+
+    That is what is transparent; and entry 0, unless its colour is another and something else is
+    black or transparent, which is background then.
+    """
+    index = np.asarray(picture).astype(np.int32)
+    colors = np.asarray(picture.convert("RGBA"))
+    transparent = colors[..., 3] <= 127
+    empty = transparent | (colors[..., :3] == 0).all(-1)
+    if empty.any() and not empty[index == 0].any():
+        return np.where(empty, 0, index + 1)
+    return np.where(transparent, 0, index)
 
 
 def _require_size(path, found, expected, what):

@@ -211,6 +211,18 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), result)
 
 
+@pytest.mark.parametrize("transparent", [False, True])
+def test_what_is_black_or_transparent_in_a_palette_is_no_region(files, transparent):
+    """Programs that make palettes put colours into them in any order."""
+    index = np.ones(SIZE, np.uint8)
+    index[10:20, 20:40], index[20:34, 20:40] = 0, 2
+    picture = Image.fromarray(index, "P")
+    picture.putpalette([250, 0, 0, *((9, 9, 9) if transparent else (0, 0, 0)), 0, 0, 250])
+    picture.save(files / "regions.png", **({"transparency": 1} if transparent else {}))
+    labels = photographs.read_labels(files / "regions.png", SIZE)
+    np.testing.assert_array_equal(labels, np.array([1, 0, 2], np.uint8)[index])
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [("edit", "--overwrite replaces it"), ("evaluate-network", "the same command continues")],
