@@ -57,6 +57,8 @@ class Picture:
     def save(self, path: str | Path) -> Path:
         """Write a PNG, or an EXR of the radiance, by the path's ending; return the path.
 
+        An EXR has the picture's opacity as its alpha, by which its colours are multiplied.
+
         Raises  InputError for another ending; OSError
         """
         path = Path(path)
@@ -69,7 +71,7 @@ class Picture:
         if kind == ".exr":
             from learn.data import photographs
 
-            photographs.write_exr(path, self.linear)
+            photographs.write_picture(path, self.linear, self.opacity)
         else:
             files.write_image(path, self.display, "PNG")
         return path

@@ -19,7 +19,7 @@ from learn.app import background_decomposition, choices, overlay
 from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
-from learn.app.viewer import Viewer
+from learn.app.viewer import Viewer, opacity_of
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
 from learn.figures import montage
@@ -257,7 +257,8 @@ class Session:
         result = folder / "edited.png"
         photographs.require_finite(result, linear)
         files.write_image(result, display, "PNG")
-        photographs.write_exr(folder / "edited.exr", linear)
+        opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
+        photographs.write_picture(folder / "edited.exr", linear, opacity)
         network = self.network
         _, metadata = network.loaded()
         decomposed = viewer.decomposition

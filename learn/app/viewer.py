@@ -260,11 +260,15 @@ def displayed(
 
 def with_opacity(shown: np.ndarray, photograph: Photograph, hide_background: bool) -> np.ndarray:
     """Return display values (H, W, 3) as uint8, with a fourth channel where they have opacity."""
-    if hide_background:
-        shown = np.concatenate([shown, 255.0 * photograph.coverage[..., None]], -1)
-    else:
-        shown = drawing.with_alpha(shown, photograph)
+    opacity = opacity_of(photograph, hide_background)
+    if opacity is not None:
+        shown = np.concatenate([shown, 255.0 * opacity[..., None]], -1)
     return shown if shown.dtype == np.uint8 else montage.eight_bit(shown)
+
+
+def opacity_of(photograph: Photograph, hide_background: bool) -> np.ndarray | None:
+    """Return the opacity (H, W) in [0, 1] of an edit, None where it is opaque."""
+    return photograph.coverage if hide_background else photograph.opacity
 
 
 class Covered(NamedTuple):

@@ -200,7 +200,10 @@ def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray,
     Raises       InputError
     """
     if holds_radiance(path):
-        return read_exr(path)
+        radiance, alpha = read_exr(path)
+        # an EXR's colours are multiplied by its alpha; where that is 0, they are light of their own
+        straight = radiance / np.where(alpha > 0, alpha, 1)[..., None]
+        return np.minimum(straight, LARGEST_RADIANCE), alpha
     values = _decoded(path, _display_values, most_pixels)
     if values.ndim == 2:
         low, high = values.min(), values.max()
@@ -294,7 +297,7 @@ def _linear(values):
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return radiance (H, W, 3) float32, 0 or more, and alpha (H, W) of an EXR.
+    """Return radiance (H, W, 3) float32, 0 or more, and alpha (H, W) of an EXR, as they are stored.
 
     Raises  InputError: channels missing or of several sizes, values that are not finite
     """
@@ -345,6 +348,20 @@ def write_exr(path: str | Path, array: np.ndarray, names: Sequence[str] = PICTUR
     for plane in planes.values():
         require_finite(path, plane)
     exr.write(path, planes)
+
+
+def write_picture(path: str | Path, radiance: np.ndarray, opacity: np.ndarray | None) -> None:
+    """Write an EXR of a picture (H, W, 3) that `read_pixels` reads back.
+
+    opacity  (H, W) in [0, 1], by which colours are multiplied in the file; None: no alpha
+    Raises   InputError for values not finite
+    """
+    if opacity is None:
+        write_exr(path, radiance)
+        return
+    colors = radiance * np.where(opacity > 0, opacity, 1)[..., None]
+    channels = np.concatenate([colors, opacity[..., None]], -1)
+    write_exr(path, channels, (*PICTURE_CHANNELS, "A"))
 
 
 def require_finite(path: str | Path, values: np.ndarray) -> None:

@@ -114,6 +114,17 @@ def test_what_a_decomposition_tells(pictures):
     assert abs(relit.linear - parts.relight("city").linear).max() > 0.01
 
 
+def test_an_exr_has_the_pictures_transparency(parts, tmp_path):
+    from learn.data import photographs
+
+    relit = parts.relight("city", "red-fabric")
+    radiance, alpha = photographs.read_pixels(relit.save(tmp_path / "relit.exr"))
+    np.testing.assert_array_equal(alpha, relit.opacity)
+    np.testing.assert_allclose(radiance, relit.linear, rtol=1e-5)
+    _, opaque = photographs.read_pixels(parts.rendering.save(tmp_path / "whole.exr"))
+    assert (opaque == 1).all()
+
+
 def test_rendering_of_own_normals_under_lights_by_name():
     n = np.zeros((8, 8, 3), np.float32)
     n[2:6, 2:6, 2] = 1

@@ -373,8 +373,12 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     assert {"edit.json", "mask.png"} <= set(names)
     with Image.open(paths[0]) as picture:
         assert picture.size == (120, 80)
-    linear, _ = photographs.read_exr(paths[1])
-    assert linear.shape == (80, 120, 3)
+    linear, alpha = photographs.read_exr(paths[1])
+    assert linear.shape == (80, 120, 3) and (alpha == 1).all()
+    session.choose(lambda edit: replace(edit, hide_background=True))
+    hidden, _ = session.downloads()
+    _, alpha = photographs.read_exr(hidden[1])
+    assert alpha[0, 0] == 0 and alpha[40, 45] == 1
     assert text.startswith("brdfactory edit sent.png --mask mask.png --no-refine --material green")
     assert text.endswith(f"--weights {Path('known.safetensors').resolve()}")
 
