@@ -70,7 +70,7 @@ class Session:
         """Stop what runs, and delete the session's files."""
         self.stop.set()
         self.number += 1
-        self.viewer = self.selection = self.coverage = None
+        self.viewer = self.selection = self.coverage = self.soft_mask = None
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def load(self, sent: Path) -> str:
@@ -108,7 +108,7 @@ class Session:
         self.number += 1
         self.stop.set()
         self.path, self.name, self.linear = path, name, photographs.holds_radiance(path)
-        self.viewer = self.edit = self.coverage = None
+        self.viewer = self.edit = self.coverage = self.soft_mask = None
         self.has_mask = False
         exposure = 1.0
         if self.linear:
