@@ -12,6 +12,7 @@ import torch
 from brdfactory import rendering
 from brdfactory.materials import Material, material
 from learn.commands.options import EDITING_WEIGHTS, weights_file
+from learn.data import devices
 from learn.data.devices import array
 from learn.editing import decomposition as decomposing
 from learn.editing import drawing, photograph
@@ -27,7 +28,7 @@ from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-Drawn = str | np.ndarray | Material
+Drawn = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
 KEPT = 0.25  # of the fine shading, as `learn edit --detail`
 
@@ -56,6 +57,8 @@ class Picture:
     def save(self, path: str | Path) -> Path:
         """Write a PNG, or an EXR of the radiance, by the path's ending; return the path.
 
+        An EXR has the picture's opacity as its alpha, by which its colours are multiplied.
+
         Raises  InputError for another ending; OSError
         """
         path = Path(path)
@@ -68,7 +71,7 @@ class Picture:
         if kind == ".exr":
             from learn.data import photographs
 
-            photographs.write_exr(path, self.linear)
+            photographs.write_picture(path, self.linear, self.opacity)
         else:
             files.write_image(path, self.display, "PNG")
         return path
@@ -149,18 +152,24 @@ class Decomposition:
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
 
-    def relight(self, light: str | np.ndarray, *materials: Drawn | None) -> Picture:
+    def relight(self, light: str | Path | np.ndarray, *materials: Drawn | None) -> Picture:
         """Return the object alone (its background is transparent) under another light.
 
         light      as `brdfactory.light` takes or returns it
         materials  as of `paint`; none: its own
         Raises     InputError
         """
-        L = rendering.light(light) if isinstance(light, str) else np.asarray(light, np.float32)
+        if isinstance(light, str | Path):
+            L = rendering.light(light)
+        else:
+            L = np.asarray(light, np.float32)
         if L.shape != (64, 128, 3):
             raise InputError(
                 "relight: light", "an array (64, 128, 3)", f"{L.shape}", "use bf.light"
             )
+        if not (np.isfinite(L) & (L >= 0)).all():
+            rule, result = "radiance that is finite and not negative", "other values"
+            raise InputError("relight: light", rule, result, "use bf.light")
         own = self.computed.label
         requested = list(materials) or [None]
         requested = requested * len(own) if len(requested) == 1 else requested
@@ -219,15 +228,16 @@ def decompose(
     exposure       factor from the photograph's radiance to the network's; None: estimated
     white_balance  "none", "grey", or three factors
     weights        a file, or the name of weights that come with the program
-    device         of the network and the layer
+    device         of the network and the layer: "auto", "cpu", "cuda", or a torch.device
     Raises         InputError
     """
-    from learn.commands.editing_options import check, check_exposure
+    from learn.commands.editing_options import balance_of, check, check_exposure
 
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
-    opened = _opened(photo, mask, regions, white_balance, exposure)
-    network, size = _network(str(weights_file(str(weights))), str(device))
+    chosen = _device(device)
+    opened = _opened(photo, mask, regions, balance_of(white_balance), exposure)
+    network, size = _network(str(weights_file(str(weights))), str(chosen))
     settings = PHOTOGRAPHS if refine else None
     return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
 
@@ -235,7 +245,7 @@ def decompose(
 def edit(
     photo: PictureSource,
     mask: PictureSource | None = None,
-    material: Drawn | Sequence[Drawn | None] = "brass",
+    material: Drawn | Sequence[Drawn | None] | None = "brass",
     **options: Unpack[Options],
 ) -> EditedPicture:
     """Return a photograph with its object in another material.
@@ -244,7 +254,7 @@ def edit(
     material              one, or a list with one for each region; as `Decomposition.paint` has them
     Raises                InputError
     """
-    one = isinstance(material, str | np.ndarray | Material)
+    one = material is None or isinstance(material, str | Path | np.ndarray | Material)
     drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]
     return decompose(photo, mask, **options).paint(*drawn)
 
@@ -272,6 +282,20 @@ def _opened(
     if isinstance(picture, Path):
         picture = photograph.example(picture, [], None)[0]
     return photograph.from_arrays(picture, covered, parted, balance, exposure)
+
+
+def _device(given: str | torch.device) -> torch.device:
+    """Return the device of a name or of a torch.device. Raises InputError if there is none."""
+    if str(given) in devices.CHOICES:
+        return devices.choose(str(given))
+    try:
+        result = torch.device(given)
+    except RuntimeError:
+        remedy = "leave it out: the CPU computes"
+        raise InputError("device", "auto, cpu or cuda", str(given), remedy) from None
+    if result.type == "cuda":
+        devices.choose("cuda")
+    return result
 
 
 @lru_cache(maxsize=2)

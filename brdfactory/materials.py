@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.editing import targets
+from learn.editing import material_file, targets
 from manifests.errors import InputError
 from shaders.dsbrdf import SIZE
 
@@ -57,6 +57,7 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
         if label.shape != (SIZE,) or not np.isfinite(label).all():
             rule, result = f"a label ({SIZE},) of finite numbers", f"shape {label.shape}"
             raise InputError("material", rule, result, "bf.material('brass').label is one")
+        label = material_file.require_label(label, "material")
         return Material(name or "label", ((1.0, label),))
 
     def refuse(path: Path) -> np.ndarray:
@@ -72,7 +73,9 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
 
 
 def blend(
-    first: str | np.ndarray | Material, second: str | np.ndarray | Material, share: float = 0.5
+    first: str | Path | np.ndarray | Material,
+    second: str | Path | np.ndarray | Material,
+    share: float = 0.5,
 ) -> Material:
     """Return a blend that has the share `share` of the second material, from 0 to 1.
 

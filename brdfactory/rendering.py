@@ -1,5 +1,7 @@
 """Pictures of normals under a light, with numpy arrays; `RenderLayer` takes tensors."""
 
+from pathlib import Path
+
 import numpy as np
 
 from brdfactory.materials import Material, material
@@ -13,7 +15,7 @@ PICTURE = "bf.decompose(photo, mask).light is the light of a picture"
 MOST_PIXELS = 64_000_000
 
 
-def light(text: str, rotation_deg: float = 0.0) -> np.ndarray:
+def light(text: str | Path, rotation_deg: float = 0.0) -> np.ndarray:
     """Return a light (64, 128, 3) float32 of unit mean luminance, light frame.
 
     text          a measured map's name ("city", "courtyard", …), a map FILE.exr or FILE.npz#NAME,
@@ -21,6 +23,9 @@ def light(text: str, rotation_deg: float = 0.0) -> np.ndarray:
     rotation_deg  about the vertical, rounded to the map's columns of 2.8°
     Raises        InputError: an unknown name, an unusable map
     """
+    text = str(text)
+    if not np.isfinite(rotation_deg):
+        raise InputError("light: rotation_deg", "a number of degrees", f"{rotation_deg}", "give 0")
     known = measured_lights.credits()
     names = {name: name for name in known}
     names |= {name.removeprefix("blender_"): name for name in known if name.startswith("blender_")}

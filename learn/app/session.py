@@ -19,7 +19,7 @@ from learn.app import background_decomposition, choices, overlay
 from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
-from learn.app.viewer import Viewer
+from learn.app.viewer import Viewer, opacity_of
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
 from learn.figures import montage
@@ -40,9 +40,11 @@ NOT_DECOMPOSED = ("the page", "a decomposed photograph", "none", "press Decompos
 class Session:
     """One user's photograph, mask, decomposition and choices.
 
-    folder  of this session alone
-    before  the file of the photograph as the view shows it
-    number  counts choices: a picture of an earlier one is not shown any more
+    folder     of this session alone
+    soft_mask  of what was decomposed: coverage (H, W) from a file, before it is softened, or None
+    by_hand    whether clicks or strokes had a part in what was decomposed
+    before     the file of the photograph as the view shows it
+    number     counts choices: a picture of an earlier one is not shown any more
     """
 
     folder: Path
@@ -53,6 +55,8 @@ class Session:
     refined: bool = False
     has_mask: bool = False
     coverage: np.ndarray | None = None
+    soft_mask: np.ndarray | None = None
+    by_hand: bool = False
     selection: Selection | None = None
     viewer: Viewer | None = None
     edit: Edit | None = None
@@ -66,7 +70,7 @@ class Session:
         """Stop what runs, and delete the session's files."""
         self.stop.set()
         self.number += 1
-        self.viewer = self.selection = self.coverage = None
+        self.viewer = self.selection = self.coverage = self.soft_mask = None
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def load(self, sent: Path) -> str:
@@ -104,7 +108,7 @@ class Session:
         self.number += 1
         self.stop.set()
         self.path, self.name, self.linear = path, name, photographs.holds_radiance(path)
-        self.viewer = self.edit = self.coverage = None
+        self.viewer = self.edit = self.coverage = self.soft_mask = None
         self.has_mask = False
         exposure = 1.0
         if self.linear:
@@ -158,12 +162,9 @@ class Session:
         if not labels.any():
             rule = "an object: a click on it, a mask file, strokes of the brush, or transparency"
             raise InputError("the mask", rule, "none", "click on the object in the picture")
-        covered = self.coverage
-        if covered is not None:  # soft edges of a file, where clicks left the object as it is
-            changed = (labels > 0) != (covered >= 0.5)
-            covered = np.where(changed, (labels > 0).astype(np.float32), covered)
+        covered, changed = self._soft_mask(labels)
         cut_out = covered is not None and not self.has_mask and labels.max() == 1
-        if cut_out and not changed.any():
+        if cut_out and not changed:
             return photograph.from_arrays(self.path, name=self.name)
         regions = labels if labels.max() > 1 else None
         mask = covered if covered is not None else None
@@ -171,12 +172,25 @@ class Session:
             mask = labels > 0
         return photograph.from_arrays(self.path, mask, regions, name=self.name)
 
+    def _soft_mask(self, labels: np.ndarray) -> tuple[np.ndarray | None, bool]:
+        """Return the coverage (H, W) of a file, and whether clicks or strokes changed it.
+
+        It has the file's soft edges where they left the object as it is. None without a file.
+        """
+        if self.coverage is None:
+            return None, False
+        changed = (labels > 0) != (self.coverage >= 0.5)
+        covered = np.where(changed, (labels > 0).astype(np.float32), self.coverage)
+        return covered, bool(changed.any())
+
     def decompose(self, refine: bool = True) -> Iterator[Progress]:
         """Decompose the photograph and yield the progress.
 
         Raises  InputError; Stopped
         """
-        opened = self.marked()
+        opened, selection = self.marked(), self.opened()
+        soft_mask, _ = self._soft_mask(selection.labels())
+        by_hand = bool(selection.clicks or selection.strokes)
         self.stop = stop = threading.Event()
         self.number += 1
         decomposed = yield from background_decomposition.decompose(
@@ -187,6 +201,7 @@ class Session:
         if stop.is_set():
             raise Stopped
         self.viewer, self.refined = viewer, refine
+        self.soft_mask, self.by_hand = soft_mask, by_hand
         self.edit = Edit(tuple(Painted() for _ in range(opened.count)))
 
     def decomposed(self) -> tuple[Viewer, Edit]:
@@ -242,7 +257,8 @@ class Session:
         result = folder / "edited.png"
         photographs.require_finite(result, linear)
         files.write_image(result, display, "PNG")
-        photographs.write_exr(folder / "edited.exr", linear)
+        opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
+        photographs.write_picture(folder / "edited.exr", linear, opacity)
         network = self.network
         _, metadata = network.loaded()
         decomposed = viewer.decomposition
@@ -265,20 +281,16 @@ class Session:
 
     def _write_masks(self, folder: Path, opened: photograph.Photograph) -> list[str]:
         """Write what the command line needs of the mask; return the files' names."""
-        if self.name.startswith("example:") and not self._was_marked():
+        if self.name.startswith("example:") and not self.by_hand:
             return []
         names = []
-        if not opened.cut_out and (self.coverage is not None or opened.count == 1):
-            coverage = np.rint(255 * opened.coverage).astype(np.uint8)
-            if self.coverage is None:  # softened by the program, each time that it is read
-                coverage = np.where(opened.mask, 255, 0).astype(np.uint8)
+        if not opened.cut_out and (self.soft_mask is not None or opened.count == 1):
+            # as it was before the program softened it, which it does each time that it is read
+            given = opened.mask if self.soft_mask is None else self.soft_mask
+            coverage = np.rint(255 * given.astype(np.float32)).astype(np.uint8)
             files.write_image(folder / "mask.png", coverage, "PNG")
             names.append("mask.png")
         if opened.count > 1:
             files.write_image(folder / "regions.png", opened.regions, "PNG")
             names.append("regions.png")
         return names
-
-    def _was_marked(self) -> bool:
-        selection = self.opened()
-        return bool(selection.clicks or selection.strokes)

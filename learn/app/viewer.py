@@ -192,7 +192,8 @@ class Viewer:
         """
         if self._covered is None:
             self._covered = covered_pixels(self.small, self.exposure)
-        covered, inside = self._covered, self._covered.coverage
+        covered = self._covered
+        inside = np.ones_like(covered.share) if edit.hide_background else covered.share
         values = object_.reshape(-1, 3)[covered.at]
         if edit.light.unchanged:
             values = values * covered.detail
@@ -247,7 +248,7 @@ def composed(compositor: Compositor, object_: np.ndarray, edit: Edit) -> np.ndar
             object_ = object_ * compositor.fine_shading() ** compositor.detail
         kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
         unchanged = np.isin(compositor.filled, kept)
-    return compositor.put_back(object_.astype(np.float32), unchanged)
+    return compositor.put_back(object_.astype(np.float32), unchanged, edit.hide_background)
 
 
 def displayed(
@@ -259,11 +260,15 @@ def displayed(
 
 def with_opacity(shown: np.ndarray, photograph: Photograph, hide_background: bool) -> np.ndarray:
     """Return display values (H, W, 3) as uint8, with a fourth channel where they have opacity."""
-    if hide_background:
-        shown = np.concatenate([shown, 255.0 * photograph.coverage[..., None]], -1)
-    else:
-        shown = drawing.with_alpha(shown, photograph)
+    opacity = opacity_of(photograph, hide_background)
+    if opacity is not None:
+        shown = np.concatenate([shown, 255.0 * opacity[..., None]], -1)
     return shown if shown.dtype == np.uint8 else montage.eight_bit(shown)
+
+
+def opacity_of(photograph: Photograph, hide_background: bool) -> np.ndarray | None:
+    """Return the opacity (H, W) in [0, 1] of an edit, None where it is opaque."""
+    return photograph.coverage if hide_background else photograph.opacity
 
 
 class Covered(NamedTuple):
@@ -271,7 +276,7 @@ class Covered(NamedTuple):
 
     at             flat indices in the object's square
     rows, columns  in the photograph
-    coverage       (N, 1) of a pixel, 1 everywhere for a cut-out picture
+    share          (N, 1) of the object in a pixel's colour, as Compositor.share has it
     regions        numbers of their regions, 1 the first
     detail         (N, 3) factors of the fine shading
     photograph     (N, 3) its radiance times the display's exposure
@@ -282,7 +287,7 @@ class Covered(NamedTuple):
     at: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
-    coverage: np.ndarray
+    share: np.ndarray
     regions: np.ndarray
     detail: np.ndarray
     photograph: np.ndarray
@@ -300,13 +305,11 @@ def covered_pixels(compositor: Compositor, exposure: float) -> Covered:
     within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
     at = np.flatnonzero(within & (compositor.coverage > 0))
     rows, columns = row.ravel()[at], column.ravel()[at]
-    inside = compositor.coverage.ravel()[at, None]
+    inside = compositor.share().ravel()[at, None]
     factor = np.float32(exposure)
     seen = photograph.radiance[rows, columns] * factor
     behind = seen
-    if photograph.cut_out:
-        inside = np.ones_like(inside)
-    else:
+    if not photograph.cut_out:
         soft = inside < 1 - CLEAR
         behind = np.where(soft, compositor.background().reshape(-1, 3)[at] * factor, seen)
     detail = (

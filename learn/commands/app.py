@@ -112,7 +112,7 @@ def _require_address(host: str) -> None:
 def _repeat(arguments: argparse.Namespace) -> None:
     """Repeat an edit: write edited.png and edited.exr."""
     from learn.app import choices
-    from learn.app.viewer import Viewer
+    from learn.app.viewer import Viewer, opacity_of
     from learn.data import devices, photographs
     from learn.editing import decomposition, photograph
     from learn.networks import weights as checkpoint
@@ -150,5 +150,6 @@ def _repeat(arguments: argparse.Namespace) -> None:
     photographs.require_finite(arguments.photo, linear)
     arguments.out.mkdir(parents=True, exist_ok=True)
     files.write_image(arguments.out / "edited.png", display, "PNG")
-    photographs.write_exr(arguments.out / "edited.exr", linear)
+    opacity = opacity_of(opened, edit.hide_background)
+    photographs.write_picture(arguments.out / "edited.exr", linear, opacity)
     print(f"See {arguments.out / 'edited.png'}")

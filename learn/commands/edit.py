@@ -7,6 +7,9 @@ from pathlib import Path
 
 from learn.commands import editing_options, options
 from manifests import other_threads
+from manifests.errors import InputError
+
+ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -88,7 +91,8 @@ def run(arguments: argparse.Namespace) -> None:
     other_threads.let_waiting_threads_sleep()
     from learn.editing import edit
 
-    masks = [Path(mask) for mask in arguments.mask if mask != "alpha"]
+    masks = [Path(mask) for mask in arguments.mask if mask != ALPHA]
+    _require_one_way(arguments)
     edit_options = editing_options.edit_options(arguments)
     report = edit.run(
         arguments.photo,
@@ -109,3 +113,16 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"See {arguments.out / 'sheet.png'}")
     if arguments.interactive:
         print(f"Open {arguments.out / 'interactive.html'} in a browser")
+
+
+def _require_one_way(arguments: argparse.Namespace) -> None:
+    """Raise InputError for masks of which one, or whose being regions, would have no effect."""
+    if len(arguments.mask) < 2:
+        return
+    if ALPHA in arguments.mask:
+        rule = "no other mask beside the photograph's transparency"
+        raise InputError("--mask alpha", rule, f"{len(arguments.mask)} masks", "leave it out")
+    if arguments.regions is not None:
+        rule = "one mask at most, as this file has the regions"
+        remedy = "give one of --regions and several masks"
+        raise InputError("--regions", rule, f"{len(arguments.mask)} masks", remedy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from learn.commands import options
@@ -98,22 +99,25 @@ def check(name: str, holds: bool, rule: str, value: float) -> None:
         raise InputError(name, rule, f"{value:g}", "see --help")
 
 
-def balance_of(text: str) -> str | tuple[float, ...]:
-    """Return "none", "grey", or three positive factors. Raises InputError."""
+def balance_of(given: str | Sequence[float]) -> str | tuple[float, ...]:
+    """Return "none", "grey", or three positive factors, of a text or of three numbers.
+
+    Raises InputError.
+    """
     from manifests.errors import InputError
 
-    if text in ("none", "grey"):
-        return text
+    if isinstance(given, str) and given in ("none", "grey"):
+        return given
     try:
-        factors = tuple(float(part) for part in text.split(","))
+        factors = tuple(float(x) for x in (given.split(",") if isinstance(given, str) else given))
         if len(factors) == 3 and all(1 / LARGEST_FACTOR <= f <= LARGEST_FACTOR for f in factors):
             return factors
-    except ValueError:
+    except (TypeError, ValueError):
         pass
     raise InputError(
         "--white-balance",
         f"none, grey, or three factors from {1 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}, as"
         " 1.2,1,0.8",
-        text,
+        str(given),
         "see --help",
     )

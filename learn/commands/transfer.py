@@ -7,6 +7,7 @@ from pathlib import Path
 
 from learn.commands import editing_options, options
 from manifests import other_threads
+from manifests.errors import InputError
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -86,6 +87,10 @@ def run(arguments: argparse.Namespace) -> None:
         "degrees from -360 to 360",
         arguments.light_rotation,
     )
+    if arguments.light_rotation and not arguments.light:
+        raise InputError(
+            "--light-rotation", "--light with it", "none", "give the light that it rotates"
+        )
     paths = transfer.listed(arguments.pictures, arguments.list)
     transfer.run(
         paths,

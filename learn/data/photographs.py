@@ -142,7 +142,8 @@ def read_mask(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
 def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
     """Return regions (H, W) uint8: 0 background, 1 … S by rising value.
 
-    Each grey, colour or palette entry except 0 is a region. Raises InputError.
+    Each grey, colour or palette entry is a region, except for 0 and what is transparent. Raises
+    InputError.
     """
     path = Path(path)
     if holds_radiance(path):
@@ -162,10 +163,27 @@ def _label_values(picture):
     """(H, W) whole numbers of a Pillow image: greys and palette entries as they are, of colours one
     number each.
     """
-    if picture.mode in ("P", "L", "1") or picture.mode.startswith("I"):
+    if picture.mode in ("L", "1") or picture.mode.startswith("I"):
         return np.asarray(picture)
+    if picture.mode == "P":
+        return _palette_values(picture)
     r, g, b, alpha = np.moveaxis(np.asarray(picture.convert("RGBA"), np.uint32), -1, 0)
     return np.where(alpha > 127, r << 16 | g << 8 | b, 0)
+
+
+def _palette_values(picture):
+    """(H, W) palette entries of a Pillow image, 0 where it is background.
+
+    That is what is transparent; and entry 0, unless its colour is another and something else is
+    black or transparent, which is background then.
+    """
+    index = np.asarray(picture).astype(np.int32)
+    colors = np.asarray(picture.convert("RGBA"))
+    transparent = colors[..., 3] <= 127
+    empty = transparent | (colors[..., :3] == 0).all(-1)
+    if empty.any() and not empty[index == 0].any():
+        return np.where(empty, 0, index + 1)
+    return np.where(transparent, 0, index)
 
 
 def _require_size(path, found, expected, what):
@@ -182,7 +200,10 @@ def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray,
     Raises       InputError
     """
     if holds_radiance(path):
-        return read_exr(path)
+        radiance, alpha = read_exr(path)
+        # an EXR's colours are multiplied by its alpha; where that is 0, they are light of their own
+        straight = radiance / np.where(alpha > 0, alpha, 1)[..., None]
+        return np.minimum(straight, LARGEST_RADIANCE), alpha
     values = _decoded(path, _display_values, most_pixels)
     if values.ndim == 2:
         low, high = values.min(), values.max()
@@ -276,7 +297,7 @@ def _linear(values):
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return radiance (H, W, 3) float32, 0 or more, and alpha (H, W) of an EXR.
+    """Return radiance (H, W, 3) float32, 0 or more, and alpha (H, W) of an EXR, as they are stored.
 
     Raises  InputError: channels missing or of several sizes, values that are not finite
     """
@@ -327,6 +348,20 @@ def write_exr(path: str | Path, array: np.ndarray, names: Sequence[str] = PICTUR
     for plane in planes.values():
         require_finite(path, plane)
     exr.write(path, planes)
+
+
+def write_picture(path: str | Path, radiance: np.ndarray, opacity: np.ndarray | None) -> None:
+    """Write an EXR of a picture (H, W, 3) that `read_pixels` reads back.
+
+    opacity  (H, W) in [0, 1], by which colours are multiplied in the file; None: no alpha
+    Raises   InputError for values not finite
+    """
+    if opacity is None:
+        write_exr(path, radiance)
+        return
+    colors = radiance * np.where(opacity > 0, opacity, 1)[..., None]
+    channels = np.concatenate([colors, opacity[..., None]], -1)
+    write_exr(path, channels, (*PICTURE_CHANNELS, "A"))
 
 
 def require_finite(path: str | Path, values: np.ndarray) -> None:

@@ -1,9 +1,10 @@
 """Compositing: a photograph with its object rendered again in other materials.
 
-    edited = coverage · O / (exposure · balance) + (1 − coverage) · background
+    edited = share · O / (exposure · balance) + (1 − share) · background
 
 where O is the layer's picture of normals, light and target material. The background behind the
-object's soft edge is taken from the nearest pixel that the object does not touch. Normals come at
+object's soft edge is taken from the nearest pixel that the object does not touch. The object's
+share of a pixel's colour is its coverage; before a transparent background it is 1. Normals come at
 the network's size, are continued beyond the mask by their nearest neighbour, upsampled bilinearly
 and scaled to unit length; the layer renders them on a grid as fine as the photograph, between
 COARSEST and FINEST.
@@ -57,6 +58,7 @@ class Compositor:
         self._own_radiance: np.ndarray | None = None
         self._fine_shading: np.ndarray | None = None
         self._background: np.ndarray | None = None
+        self._share: np.ndarray | None = None
 
     def radiance(self, label: np.ndarray | torch.Tensor) -> np.ndarray:
         """Return linear radiance (side, side, 3) of the object in the photograph's own exposure.
@@ -124,25 +126,45 @@ class Compositor:
         """Return the photograph (H, W, 3), linear, with its object rendered from its own parts."""
         return self.put_back(self.own_radiance())
 
-    def put_back(self, object_: np.ndarray, unchanged: np.ndarray | None = None) -> np.ndarray:
+    def put_back(
+        self, object_: np.ndarray, unchanged: np.ndarray | None = None, alone: bool = False
+    ) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with an object before its background.
 
         object_    (side, side, 3) linear radiance
         unchanged  (side, side) bool: pixels that stay as they are; None: no pixel
+        alone      whether the background will be transparent
         """
         photograph = self.decomposition.photograph
-        inside = self.coverage if unchanged is None else self.coverage * ~unchanged
+        inside = self.share(alone)
+        if unchanged is not None:
+            inside = inside * ~unchanged
         cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
-        if photograph.cut_out:
-            mixed = np.where((inside > 0)[..., None], object_, cut)
-        else:
-            soft = (inside > 0) & (inside < 1 - CLEAR)
-            mixed = inside[..., None] * object_ + (1 - inside)[..., None] * np.where(
-                soft[..., None], self.background(), cut
-            )
+        soft = (inside > 0) & (inside < 1 - CLEAR)
+        behind = np.where(soft[..., None], self.background(), cut) if soft.any() else cut
+        mixed = inside[..., None] * object_ + (1 - inside)[..., None] * behind
         return framing.put_back(
             photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
         )
+
+    def share(self, alone: bool = False) -> np.ndarray:
+        """Return the object's share (side, side) in the colour of each pixel that it covers.
+
+        Of a pixel that is transparent but for the object, all colour is the object's.
+
+        alone  whether the background will be transparent everywhere
+        """
+        photograph = self.decomposition.photograph
+        if alone or photograph.cut_out:
+            return (self.coverage > 0).astype(np.float32)
+        if self._share is None:
+            self._share = self.coverage
+            if photograph.alpha is not None:
+                alpha = framing.placed(photograph.alpha, self.decomposition.framed.box)
+                behind = (1 - self.coverage) * nearest(alpha, self.coverage < CLEAR)
+                whole = np.where(self.coverage > 0, self.coverage + behind, 1)
+                self._share = (self.coverage / whole).astype(np.float32)
+        return self._share
 
     def background(self) -> np.ndarray:
         """Return radiance (side, side, 3) behind the object: the nearest that is beside it."""

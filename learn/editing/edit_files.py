@@ -107,7 +107,7 @@ def write(
             picture = tone.display(edit.picture, exposure)
             save(out / f"{name}.png", drawing.with_alpha(picture, opened))
             if opened.linear:
-                photographs.write_exr(out / f"{name}.exr", edit.picture)
+                photographs.write_picture(out / f"{name}.exr", edit.picture, opened.opacity)
         save(
             out / "sheet.png",
             montage.contact_sheet(drawing.rows(result, exposure, own, maps), drawing.TILE),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
 
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
@@ -25,6 +25,8 @@ from shaders.tone import LUMINANCE
 # curve is 1 − 6e-8
 GREY = 1e-3
 RIM = 3  # pixels without a label that hand-drawn regions may leave along the mask's edge
+# sum of masks above which they lie over one another: those that meet sum to 1, rounded
+OVERLAPPING = 1.02
 SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
 STRONGEST_BALANCE = 8.0
 
@@ -173,10 +175,11 @@ def opened(
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), regions)
         coverage = without_unlabelled(coverage, labels)
-    before_background = bool(masks) or regions is not None
+    cut_out = not masks and regions is None
+    soft = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
     return _assembled(
-        path, radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+        path, radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
     )
 
 
@@ -214,9 +217,10 @@ def from_arrays(
         labels = whole * (coverage >= 0.5)
         _require_pixels(labels, whole.max(), f"{name}: regions")
         coverage = without_unlabelled(coverage, labels)
-    before_background = mask is not None or regions is not None
+    cut_out = mask is None and regions is None
+    soft = mask is None and bool((alpha < 0.5).any())
     return _assembled(
-        Path(name), radiance, coverage, labels, alpha, balance, exposure, before_background, linear
+        Path(name), radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
     )
 
 
@@ -228,15 +232,19 @@ def _assembled(
     alpha: np.ndarray,
     balance: str | Sequence[float],
     exposure: float | None,
-    before_background: bool,
+    cut_out: bool,
+    soft: bool,
     linear: bool,
 ) -> Photograph:
-    """Return a Photograph of what was read, its mask softened and its colours balanced."""
-    if (np.minimum(coverage, 1 - coverage) < GREY).all():
+    """Return a Photograph of what was read, its mask softened and its colours balanced.
+
+    soft  whether the coverage is the picture's own transparency, which stays as it is
+    """
+    if not soft and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
-    factors = _balance(balance, radiance, coverage, before_background)
+    factors = _balance(balance, radiance, coverage, not cut_out)
     framing.exposure_of(radiance * factors, labels > 0, exposure, path)
-    own = alpha if before_background and (alpha < 1).any() else None
+    own = alpha if not cut_out and (alpha < 1).any() else None
     return Photograph(
         path.stem,
         radiance,
@@ -244,7 +252,7 @@ def _assembled(
         labels,
         factors,
         exposure,
-        cut_out=not before_background,
+        cut_out=cut_out,
         linear=linear,
         alpha=own,
     )
@@ -276,14 +284,21 @@ def _require_none(path, rule, masks, regions, balance):
 
 
 def _several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Coverage and regions from one mask per region; where two overlap the later one counts."""
+    """Coverage and regions from one mask per region; where two overlap the later one counts.
+
+    Where soft masks meet, their shares of a pixel add up: no background is between them. Where one
+    lies over another, and along an edge that they have in common, the larger share counts.
+    """
     each = np.stack([photographs.read_mask(mask, size) for mask in masks])
-    labels = np.zeros(size, np.uint8)
+    total = each.sum(0)
+    meeting = maximum_filter(total, 2 * RIM + 1) <= OVERLAPPING
+    coverage = np.where(meeting, total.clip(0, 1), each.max(0))
+    labels = np.where(coverage >= 0.5, each.argmax(0) + 1, 0).astype(np.uint8)
     for number, one in enumerate(each, 1):
         labels[one >= 0.5] = number
     for number, mask in enumerate(masks, 1):
         _require_pixels(labels, number, mask)
-    return each.max(0), labels
+    return coverage, labels
 
 
 def _require_pixels(labels, count, where):

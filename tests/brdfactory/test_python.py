@@ -2,6 +2,7 @@
 arrays; blends are exact; nothing heavy is imported before it is needed.
 """
 
+import json
 import subprocess
 import sys
 
@@ -69,6 +70,26 @@ def test_arrays_and_files_in_any_mixture_give_the_same_picture(pictures):
     assert abs(results[0].astype(int) - arrays["photo"])[arrays["regions"] == 1].mean() > 10
 
 
+def test_paths_balances_and_devices_are_taken_in_all_their_forms(pictures, parts, tmp_path):
+    _, arrays = pictures
+    path = tmp_path / "material.json"
+    label = bf.material("red-fabric").label
+    path.write_text(json.dumps({"label": label.tolist()}))
+    photo, mask = arrays["photo"], arrays["mask"]
+    options = {"refine": False, "device": "auto" if not torch.cuda.is_available() else "cpu"}
+    expected = parts.paint(label).display
+    assert np.array_equal(bf.edit(photo, mask, path, **options).display, expected)
+    kept = bf.edit(photo, mask, None, **options).display
+    assert np.array_equal(kept, photo)
+    factors = (1.2, 1.0, 0.8)
+    balanced = [
+        bf.edit(photo, mask, label, white_balance=given, **options).display
+        for given in (factors, np.array(factors), "1.2,1.0,0.8")
+    ]
+    assert not np.array_equal(balanced[0], expected)
+    assert np.array_equal(balanced[0], balanced[1]) and np.array_equal(balanced[0], balanced[2])
+
+
 def test_a_blends_picture_is_the_weighted_sum(parts):
     first, second = parts.paint("brass").linear, parts.paint("red-fabric").linear
     blended = parts.paint(bf.blend("brass", "red-fabric", 0.25))
@@ -91,6 +112,17 @@ def test_what_a_decomposition_tells(pictures):
     relit = parts.relight("city", "brass")
     assert relit.display.shape[-1] == 4 and relit.display[0, 0, 3] == 0
     assert abs(relit.linear - parts.relight("city").linear).max() > 0.01
+
+
+def test_an_exr_has_the_pictures_transparency(parts, tmp_path):
+    from learn.data import photographs
+
+    relit = parts.relight("city", "red-fabric")
+    radiance, alpha = photographs.read_pixels(relit.save(tmp_path / "relit.exr"))
+    np.testing.assert_array_equal(alpha, relit.opacity)
+    np.testing.assert_allclose(radiance, relit.linear, rtol=1e-5)
+    _, opaque = photographs.read_pixels(parts.rendering.save(tmp_path / "whole.exr"))
+    assert (opaque == 1).all()
 
 
 def test_rendering_of_own_normals_under_lights_by_name():
@@ -123,6 +155,14 @@ def test_rendering_of_own_normals_under_lights_by_name():
         (lambda f, a: bf.edit(f / "no.png"), "no such file"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], detail=2), "from 0 to 1"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], exposure=-1), "above 0"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance="gray"), "found gray"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=(1, 1)), "three factors"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=(0, 1, 1)), "from 0.01"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=None), "found None"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], device="gpu"), "auto, cpu or cuda"),
+        (lambda f, a: bf.material(np.full(108, 90.0)), "natural logarithms"),
+        (lambda f, a: bf.light("city", rotation_deg=float("nan")), "a number of degrees"),
+        (lambda f, a: bf.light(f / "no.exr"), "no such file"),
         (lambda f, a: bf.render(np.ones((4, 4)), bf.light("city")), "height, width, 3"),
         (lambda f, a: bf.render(np.ones((4, 4, 3)), bf.light("city")), "unit"),
         (lambda f, a: bf.load_job("demos"), "did you mean demo"),
@@ -141,6 +181,9 @@ def test_mistakes_with_a_decomposition(parts, tmp_path):
         parts.paint("brass", "red-fabric")
     with pytest.raises(bf.InputError, match=r"\(64, 128, 3\)"):
         parts.relight(np.ones((4, 8, 3)))
+    for value in (np.nan, -1.0):
+        with pytest.raises(bf.InputError, match="finite and not negative"):
+            parts.relight(np.full((64, 128, 3), value))
     with pytest.raises(bf.InputError, match=r"\.png or \.exr, found \.gif"):
         parts.paint("brass").save(tmp_path / "x.gif")
     with pytest.raises(bf.InputError, match="a blend of 2"):

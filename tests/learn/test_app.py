@@ -186,16 +186,19 @@ def test_a_turned_light_changes_the_object_and_not_the_background() -> None:
     assert cut.shape[-1] == 4 and not cut[..., 3][outside].any()
 
 
-@pytest.mark.parametrize("cut_out", [False, True])
+@pytest.mark.parametrize("transparent", ["nowhere", "around", "left"])
 @pytest.mark.parametrize("turned", [0.0, 40.0])
 @pytest.mark.parametrize("hidden", [False, True])
 def test_the_quick_composition_is_that_of_the_full_one(
-    cut_out: bool, turned: float, hidden: bool
+    transparent: str, turned: float, hidden: bool
 ) -> None:
     result = decomposed()
     opened = result.photograph
     coverage = gaussian_filter(opened.coverage, 1.0)
-    opened = replace(opened, coverage=coverage, cut_out=cut_out)
+    opened = replace(opened, coverage=coverage, cut_out=transparent == "around")
+    if transparent == "left":
+        beside = np.arange(SIDE) < SIDE // 2
+        opened = replace(opened, alpha=np.where(beside, coverage, 1).astype(np.float32))
     viewer = Viewer(replace(result, photograph=opened))
     light = choices.LightChoice(rotation_deg=turned)
     edit = Edit((Painted(chosen("brass")), Painted()), light, hide_background=hidden)
@@ -204,6 +207,18 @@ def test_the_quick_composition_is_that_of_the_full_one(
     linear = composed(viewer.small, radiance / viewer.exposure, edit)
     expected = displayed(linear, viewer.exposure, opened, hidden)
     np.testing.assert_array_equal(viewer._composed(radiance, edit), expected)
+
+
+def test_a_hidden_background_is_not_mixed_into_the_objects_edge() -> None:
+    result = decomposed()
+    coverage = gaussian_filter(result.photograph.coverage, 1.0)
+    viewer = Viewer(replace(result, photograph=replace(result.photograph, coverage=coverage)))
+    cut = replace(viewer.decomposition.photograph, cut_out=True)
+    both = (Painted(chosen("white-fabric")), Painted(chosen("white-fabric")))
+    alone = viewer.full(Edit(both, hide_background=True))
+    expected = Viewer(replace(result, photograph=cut)).full(Edit(both))
+    for picture, right in zip(alone, expected, strict=True):
+        np.testing.assert_array_equal(picture, right)
 
 
 def test_a_positive_rotation_turns_the_light_as_rotations_of_jobs_do() -> None:
@@ -358,10 +373,33 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     assert {"edit.json", "mask.png"} <= set(names)
     with Image.open(paths[0]) as picture:
         assert picture.size == (120, 80)
-    linear, _ = photographs.read_exr(paths[1])
-    assert linear.shape == (80, 120, 3)
+    linear, alpha = photographs.read_exr(paths[1])
+    assert linear.shape == (80, 120, 3) and (alpha == 1).all()
+    session.choose(lambda edit: replace(edit, hide_background=True))
+    hidden, _ = session.downloads()
+    _, alpha = photographs.read_exr(hidden[1])
+    assert alpha[0, 0] == 0 and alpha[40, 45] == 1
     assert text.startswith("brdfactory edit sent.png --mask mask.png --no-refine --material green")
     assert text.endswith(f"--weights {Path('known.safetensors').resolve()}")
+
+
+def test_the_mask_that_is_written_is_the_one_that_was_given(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    """One with a line of a pixel, which a second softening would shorten."""
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    given = np.where(disk(), 255, 0).astype(np.uint8)
+    given[40, 5:32] = 255
+    Image.fromarray(given).save(tmp_path / "mask.png")
+    session.give_mask(tmp_path / "mask.png")
+    decompose(session, refine=False)
+    session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
+    opened = session.decomposed()[0].decomposition.photograph
+    assert session._write_masks(tmp_path, opened) == ["mask.png"]
+    again = photograph.opened(tmp_path / "sent.png", [tmp_path / "mask.png"])
+    np.testing.assert_array_equal(again.coverage, opened.coverage)
+    np.testing.assert_array_equal(again.regions, opened.regions)
 
 
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:

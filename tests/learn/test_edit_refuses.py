@@ -211,6 +211,18 @@ def test_coloured_regions_are_told_apart_and_turned_as_the_file_says(files):
     np.testing.assert_array_equal(photographs.read_labels(files / "turned.png", SIZE), result)
 
 
+@pytest.mark.parametrize("transparent", [False, True])
+def test_what_is_black_or_transparent_in_a_palette_is_no_region(files, transparent):
+    """Programs that make palettes put colours into them in any order."""
+    index = np.ones(SIZE, np.uint8)
+    index[10:20, 20:40], index[20:34, 20:40] = 0, 2
+    picture = Image.fromarray(index, "P")
+    picture.putpalette([250, 0, 0, *((9, 9, 9) if transparent else (0, 0, 0)), 0, 0, 250])
+    picture.save(files / "regions.png", **({"transparency": 1} if transparent else {}))
+    labels = photographs.read_labels(files / "regions.png", SIZE)
+    np.testing.assert_array_equal(labels, np.array([1, 0, 2], np.uint8)[index])
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [("edit", "--overwrite replaces it"), ("evaluate-network", "the same command continues")],
@@ -276,6 +288,25 @@ def test_what_a_dataset_does_not_need_and_a_photograph_has_not_is_refused(files,
         assert status == 1 and option in line and "dataset" in line
     status, line = message(capsys, *edit(files, "--record", "1"))
     assert status == 1 and "--record" in line and "dataset" in line
+
+
+def test_options_that_would_have_no_effect_are_refused(files, capsys):
+    regions = np.zeros(SIZE, np.uint8)
+    regions[10:20, 20:40], regions[20:34, 20:40] = 1, 2
+    Image.fromarray(regions).save(files / "regions.png")
+    for options, words in (
+        (("--mask", "alpha"), "--mask alpha"),
+        (("--mask", files / "mask.png", "--regions", files / "regions.png"), "--regions"),
+    ):
+        status, line = message(capsys, *edit(files, *options))
+        assert status == 1 and words in line
+    status, line = message(
+        capsys,
+        *("transfer", files / "photo.png", files / "other.png", "--light-rotation", "90"),
+        *("--out", files / "out"),
+    )
+    assert status == 1 and "--light-rotation" in line and "--light" in line
+    assert not (files / "out").exists()
 
 
 def test_an_exr_edit_of_somebodys_own_is_not_overwritten(files, capsys, disc):

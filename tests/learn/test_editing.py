@@ -87,6 +87,32 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
 
 
+@pytest.mark.parametrize("opacity_beside", [0.0, 1.0])
+def test_nothing_is_mixed_in_from_where_the_photograph_is_transparent(opacity_beside):
+    """A cut-out with a mask of its own: what is behind its edge has a colour that no one sees."""
+    label = label_of("blue-rubber")
+    coverage = np.zeros((SIZE, SIZE), np.float32)
+    coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
+    hidden = np.where(coverage[..., None] > 0, 0.3, np.array([0, 9.0, 0])).astype(np.float32)
+    result = photograph.Photograph(
+        "square",
+        hidden,
+        coverage,
+        (coverage >= 0.5).astype(np.int64),
+        np.ones(3, np.float32),
+        1.0,
+        alpha=np.maximum(coverage, opacity_beside),
+    )
+    painter = Compositor(decomposition.decompose(result, Knowing(label), NETWORK))
+    edited = painter.edited([label[0]])
+    edge, within = edited[45, 70], edited[45, 69]
+    if opacity_beside:
+        np.testing.assert_allclose(edge, 0.5 * within + [0, 4.5, 0], atol=0.05)
+    else:
+        np.testing.assert_allclose(edge, within, atol=0.05)
+    np.testing.assert_array_equal(edited[:, 72:], hidden[:, 72:])
+
+
 def test_a_region_that_is_kept_stays_and_the_other_changes():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
@@ -189,6 +215,25 @@ def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
     np.testing.assert_allclose(grey.coverage[15, 18:22], [0, 0, 100 / 255, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize("with_regions", [False, True])
+def test_transparency_is_not_softened(tmp_path, with_regions):
+    """A cut-out of black and white transparency: its edit has the same, and so has what is kept."""
+    alpha = np.zeros((30, 40), np.uint8)
+    alpha[5:25, 10:30] = 255
+    picture = np.full((30, 40, 3), 90, np.uint8)
+    Image.fromarray(np.dstack([picture, alpha])).save(tmp_path / "p.png")
+    Image.fromarray(alpha // 255).save(tmp_path / "r.png")
+    from_file = photograph.opened(
+        tmp_path / "p.png", regions=tmp_path / "r.png" if with_regions else None
+    )
+    from_array = photograph.from_arrays(
+        np.dstack([picture, alpha]), regions=alpha // 255 if with_regions else None
+    )
+    for result in (from_file, from_array):
+        np.testing.assert_array_equal(result.coverage, alpha / 255)
+        np.testing.assert_array_equal(result.opacity, alpha / 255)
+
+
 @pytest.mark.parametrize("first_ends", [20, 30])
 def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_holds(
     tmp_path, first_ends
@@ -200,6 +245,24 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
         mask.save(tmp_path / f"{name}.png")
     result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
     assert (result.regions[:, :20] == 1).all() and (result.regions[:, 20:] == 2).all()
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_between_soft_masks_that_meet_is_no_background(tmp_path, below):
+    """A seat and legs as painting programs cut them; or a whole chair, and the legs over it."""
+    Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
+    first, second = np.zeros((2, 30, 40), np.uint8)
+    first[5:25, 5:20] = second[5:25, 21:35] = 255
+    first[5:25, 20] = second[5:25, 20] = 128
+    first[25, 5:20] = second[25, 21:35] = 128  # the soft edge of both
+    if below:
+        first[5:25, 5:35], first[25, 5:35] = 255, 128
+    for name, mask in (("a", first), ("b", second)):
+        Image.fromarray(mask).save(tmp_path / f"{name}.png")
+    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    np.testing.assert_allclose(result.coverage[5:25, 5:35], 1, atol=0.01)
+    np.testing.assert_allclose(result.coverage[25, 22:35], 128 / 255, atol=0.01)
+    assert result.mask[5:25, 5:35].all()
 
 
 def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):

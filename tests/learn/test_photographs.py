@@ -174,6 +174,23 @@ def test_transparency_beyond_its_range_is_held_in_it(exr_file):
     assert result.coverage.min() >= 0 and result.coverage.max() <= 1
 
 
+def test_radiance_of_an_exr_is_multiplied_by_its_alpha_in_the_file_alone(exr_file, tmp_path):
+    """As OpenEXR, Blender and Nuke have it; light where nothing is covered is a glow of its own."""
+    alpha = np.where(np.arange(SIZE[1]) < 30, 0.5, 1.0).astype(np.float32)
+    alpha = np.broadcast_to(alpha, SIZE).copy()
+    alpha[:, 0] = 0
+    path = exr_file(A=alpha)
+    stored, _ = photographs.read_exr(path)
+    radiance, opacity = photographs.read_pixels(path)
+    np.testing.assert_allclose(radiance[:, 1:30], 2 * stored[:, 1:30])
+    np.testing.assert_array_equal(radiance[:, 30:], stored[:, 30:])
+    np.testing.assert_array_equal(radiance[:, 0], stored[:, 0])
+    photographs.write_picture(tmp_path / "again.exr", radiance, opacity)
+    again, again_alpha = photographs.read_exr(tmp_path / "again.exr")
+    np.testing.assert_allclose(again, stored, rtol=1e-6)
+    np.testing.assert_array_equal(again_alpha, alpha)
+
+
 def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, mask_file):
     black = bytes_of(ball) * (bytes_of(ball)[..., :1] > 51)
     (tmp_path / "photo.png").write_bytes(encoded(black))
