@@ -53,6 +53,9 @@ REFINED_COLUMNS = (
     column("before", "predicted L2 ↓", 0, True),
     column("after", "refined L2 ↓", 0, True),
     column("ratio", "ratio ↓", 2, True),
+    column("aligned_before", "one factor free: predicted ↓", 0, True),
+    column("aligned_after", "refined ↓", 0, True),
+    column("aligned_ratio", "ratio ↓", 2, True),
     column("normals_before", "normals, predicted ° ↓", 1, True),
     column("normals_after", "refined ° ↓", 1, True),
     column("light_before", "irradiance error, predicted ↓", 3, True),
@@ -202,20 +205,25 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
             for kind, after in (("predicted", "before"), ("refined", "after")):
                 for key, name in (
                     ("edit_l2", after),
+                    ("edit_l2_aligned", f"aligned_{after}"),
                     ("normals_mean_deg", f"normals_{after}"),
                     ("irradiance", f"light_{after}"),
                 ):
                     row[name] = figures.interval(_figure(kind, key))
-            before, end = (
-                figures.values(_figure(kind, "edit_l2")) for kind in ("predicted", "refined")
-            )
-            row["ratio"] = (
-                bootstrap.relative(before, end, figures.weights)
-                if figures.enough
-                else float(end.mean() / before.mean())
-            )
+            for key, name in (("edit_l2", "ratio"), ("edit_l2_aligned", "aligned_ratio")):
+                before, end = (
+                    figures.values(_figure(kind, key)) for kind in ("predicted", "refined")
+                )
+                row[name] = (
+                    bootstrap.relative(before, end, figures.weights)
+                    if figures.enough
+                    else float(end.mean() / before.mean())
+                )
             rows.append({"name": f"{group}: {rung.name}", "cells": row})
-    note = "The same edits from the network's prediction and after refinement."
+    note = (
+        "The same edits from the network's prediction and after refinement. *One factor free*: L2"
+        " after the factor on the edit's radiance that makes it least."
+    )
     return table("Refinement on the ladder", note, REFINED_COLUMNS, rows)
 
 

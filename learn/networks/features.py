@@ -20,6 +20,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from learn.data import devices
 from learn.networks import tensor_file
 from manifests.errors import InputError
 
@@ -72,15 +73,17 @@ class Features(nn.Module):
             self.convolutions.append(layer)
         # mypy knows no `to` with a memory format
         self.requires_grad_(False).eval().to(  # type: ignore[call-overload]
-            torch.bfloat16, memory_format=torch.channels_last
+            memory_format=torch.channels_last
         )
-        for name, values in (("mean", mean), ("deviation", deviation)):  # last: these stay float32
+        for name, values in (("mean", mean), ("deviation", deviation)):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """Return [(B, C, h, w) bfloat16] at the layers FEATURE_LAYERS."""
+        """Return [(B, C, h, w)] at the layers FEATURE_LAYERS, in the device's reduced type."""
+        kind = devices.reduced_type(x.device)
+        self.convolutions.to(kind)
         x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))
-        x = x.bfloat16().contiguous(memory_format=torch.channels_last)
+        x = x.to(kind).contiguous(memory_format=torch.channels_last)
         layers = iter(self.convolutions)
         result: list[torch.Tensor] = []
         for block in WIDTHS:

@@ -110,10 +110,24 @@ def test_the_backend_of_processes_and_the_kind_of_autocast_follow_the_device():
         "gloo",
         "nccl",
     )
+    for is_enabled in (True, False):
+        with devices.mixed_precision(cpu, is_enabled):
+            expected = devices.reduced_type(cpu) if is_enabled else torch.float32
+            assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == expected
+
+
+@pytest.mark.parametrize(
+    ("has_kernels", "expected"), [(True, torch.bfloat16), (False, torch.float32)]
+)
+def test_networks_compute_in_float32_where_the_processor_is_slow_in_bfloat16(
+    monkeypatch, has_kernels, expected
+):
+    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: has_kernels)
+    cpu = torch.device("cpu")
+    assert devices.reduced_type(cpu) == expected
+    assert devices.reduced_type(torch.device("cuda", 0)) == torch.bfloat16
     with devices.mixed_precision(cpu, True):
-        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.bfloat16
-    with devices.mixed_precision(cpu, False):
-        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.float32
+        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == expected
 
 
 def test_mixed_precision_names_the_kind_of_its_device(monkeypatch):

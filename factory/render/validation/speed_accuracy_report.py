@@ -7,6 +7,7 @@ rows  dictionaries of one scene and setting each, with family, setting, seconds 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from manifests.files import write_bytes
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
 LIMIT = "limit on the error"
 PEER_NAME = "BlenderProc"
+PEER_DEFAULTS = "defaults"  # of its settings
 OURS = ("path tracing", "denoised", "ratio", LIMIT)
 BIASED = ("denoised", "ratio")
 
@@ -131,8 +133,11 @@ def report(result: dict[str, Any]) -> str:
             f" | {each['error_worst']:.3g} |{_bias_cells(each) if biased else ''}"
             f" {each['seconds']:.3f} | {speed} | {best} |"
         )
-    if result["tier"] == "direct":
-        lines += against_path_tracing(result["rows"])
+    tiers = list(dict.fromkeys(row["tier"] for row in result["rows"]))
+    if len(tiers) > 1 and any(row["family"] == PEER_NAME for row in result["rows"]):
+        lines += by_tier(result["rows"], tiers)
+    if direct := [row for row in result["rows"] if row["tier"] == "direct"]:
+        lines += against_path_tracing(direct)
     return "\n".join(lines) + "\n"
 
 
@@ -144,6 +149,30 @@ def _bias_cells(figures: dict[str, Any]) -> str:
 def _scenes(figures: dict[str, Any], result: dict[str, Any]) -> str:
     """Return on how many scenes a setting was measured, where it was not on all."""
     return "" if figures["scenes"] == result["scenes"] else f", on {figures['scenes']} of them"
+
+
+def by_tier(rows: list[dict[str, Any]], tiers: Sequence[str]) -> list[str]:
+    """Return lines on the speed beside BlenderProc's defaults at their error, tier by tier."""
+    lines = [
+        "",
+        "At the error of BlenderProc's defaults:",
+        "",
+        "| tier | scenes | error: mean | speed of a limit: mean | worst | of our best: mean | worst |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for tier in tiers:
+        here = [row for row in rows if row["tier"] == tier]
+        (each,) = (
+            each
+            for each in summary(here)
+            if (each["family"], each["setting"]) == (PEER_NAME, PEER_DEFAULTS)
+        )
+        lines.append(
+            f"| {tier} | {each['scenes']} | {each['error_mean']:.2f}"
+            f" | {each['speed_mean']:.1f} | {each['speed_worst']:.1f}"
+            f" | {each['best_mean']:.1f} | {each['best_worst']:.1f} |"
+        )
+    return lines
 
 
 def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
