@@ -18,8 +18,11 @@ from shaders.mixture import Mixture
 LIMIT = "limit on the error"
 
 
-def row(family, setting, error, seconds, scene=0):
+def row(family, setting, error, seconds, scene=0, tier="full"):
     return {
+        "shape": "cube",
+        "material": "brass",
+        "tier": tier,
         "family": family,
         "setting": setting,
         "error": error,
@@ -68,6 +71,23 @@ def test_the_page_and_the_chart_have_every_setting(tmp_path):
     assert page.count(LIMIT) >= 3 and "1024 samples" in page
     speed_accuracy_report.chart(figures, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_page_compares_tier_by_tier_and_the_closed_form_with_path_tracing():
+    """Two scenes: at full transport the peer takes twice a limit's time, in direct light four."""
+    direct = [dict(each, scene=1, tier="direct") for each in LIMITS]
+    direct += [row("BlenderProc", "defaults", 4.0, 32.0, 1, "direct")]
+    direct += [row("ratio", "4 samples", 0.1, 1.0, 1, "direct")]
+    direct += [row("path tracing", "64 samples", 1.0, 2.0, 1, "direct")]
+    rows = [*LIMITS, row("BlenderProc", "defaults", 4.0, 16.0), *direct]
+    result = {key: 2 for key in ("scenes", "size", "reference")} | {"tier": "tiers in turn"}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    figures = speed_accuracy_report.summary(rows)
+    page = speed_accuracy_report.report({"figures": figures, "rows": rows, **result})
+    assert "| full | 1 | 4.00 | 2.0 | 2.0 | 2.0 | 2.0 |" in page
+    # the fastest of ours is the closed form, 1 s for whatever error
+    assert "| direct | 1 | 4.00 | 4.0 | 4.0 | 32.0 | 32.0 |" in page
+    assert "| geometric mean, worst | | | 20, 20 |" in page
 
 
 def test_the_page_has_the_bias_where_it_was_measured():

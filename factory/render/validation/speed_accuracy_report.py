@@ -157,7 +157,8 @@ def by_tier(rows: list[dict[str, Any]], tiers: Sequence[str]) -> list[str]:
         "",
         "At the error of BlenderProc's defaults:",
         "",
-        "| tier | scenes | error: mean | speed of a limit: mean | worst | of our best: mean | worst |",
+        "| tier | scenes | error: mean | speed of a limit: mean | worst |"
+        " of our best: mean | worst |",
         "|---|---|---|---|---|---|---|",
     ]
     for tier in tiers:
