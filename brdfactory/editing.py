@@ -237,7 +237,9 @@ def decompose(
     check_exposure(exposure)
     chosen = _device(device)
     opened = _opened(photo, mask, regions, balance_of(white_balance), exposure)
-    network, size = _network(str(weights_file(str(weights))), str(chosen))
+    file = weights_file(str(weights))
+    modified = file.stat().st_mtime_ns if file.exists() else 0
+    network, size = _network(str(file), modified, str(chosen))
     settings = PHOTOGRAPHS if refine else None
     return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
 
@@ -299,8 +301,11 @@ def _device(given: str | torch.device) -> torch.device:
 
 
 @lru_cache(maxsize=2)
-def _network(path: str, device: str) -> tuple[Coded, int]:
-    """Return a network and its pictures' size; the last two stay in memory."""
+def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
+    """Return a network and its pictures' size; the last two stay in memory.
+
+    modified  when the file was modified: weights that were trained again are read again
+    """
     network, metadata = checkpoint.load_parts(path, device)
     return network, metadata["size"]
 

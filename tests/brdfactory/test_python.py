@@ -3,6 +3,7 @@ arrays; blends are exact; nothing heavy is imported before it is needed.
 """
 
 import json
+import os
 import subprocess
 import sys
 
@@ -222,6 +223,24 @@ def test_a_job_is_rendered_and_continued(tmp_path):
         "failed": 0,
     }
     assert len(bf.Records(tmp_path)) == 2
+
+
+def test_weights_that_were_trained_again_are_read_again(pictures, tmp_path, monkeypatch):
+    from brdfactory import editing
+
+    folder, _ = pictures
+    read = []
+    monkeypatch.setattr(
+        editing.checkpoint, "load_parts", lambda *given: (read.append(given), {"size": 64})
+    )
+    monkeypatch.setattr(editing.decomposing, "decompose", lambda *given: given)
+    monkeypatch.setattr(editing, "Decomposition", lambda *given: given)
+    weights = tmp_path / "weights.safetensors"
+    for modified, count in ((1, 1), (1, 1), (2, 2)):
+        weights.write_bytes(b"")
+        os.utime(weights, ns=(modified, modified))
+        bf.decompose(folder / "photo.png", folder / "mask.png", refine=False, weights=weights)
+        assert len(read) == count
 
 
 WITHOUT = """
