@@ -44,7 +44,10 @@ def run(options: argparse.Namespace) -> int:
         return 0
     made = report["records"] + report["views"]
     what = "pictures and views" if report["views"] else "pictures"
-    print(f"{options.folder}: {made} of {report['planned']} {what}, {report['failed']} failed")
+    # jobs of one folder can share pictures, which are rendered once
+    most = "at most " if len(report["jobs"]) > 1 and made < report["planned"] else ""
+    planned = f"{most}{report['planned']}"
+    print(f"{options.folder}: {made} of {planned} {what}, {report['failed']} failed")
     for job in report["jobs"]:
         print(f"  job {job['name']}: {job['shots']} {job['of']}, begun {job['begun']}")
     if report["views"]:
@@ -121,6 +124,7 @@ def counted(folder: str) -> dict[str, Any]:
         done.add(view.id)
         seconds += view.seconds
     failures = {f.id: f for f in store.failures() if f.id not in done}
+    # what several jobs share counts for each of them in "planned"
     return {
         "records": len(done) - views.total(),
         "views": views.total(),

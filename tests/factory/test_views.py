@@ -8,6 +8,7 @@ import pytest
 from factory.commands.plan import described
 from factory.commands.status import counted
 from manifests import ids
+from manifests.cli import main
 from manifests.errors import InputError
 from manifests.picture_files import read_geometry
 from manifests.schema import CameraRanges, Draw, View
@@ -103,6 +104,18 @@ def test_pictures_of_the_same_views_share_their_geometry_files(
     assert faults(tmp_path) == []
     report = counted(tmp_path)
     assert (report["records"], report["views"], report["planned"]) == (12, 4, 16)
+
+
+def test_status_says_that_jobs_of_one_folder_may_share_pictures(
+    render, views_job, tmp_path, capsys
+):
+    fewer = msgspec.structs.replace(views_job, views=views_job.views[:1])
+    planned = [render(job, tmp_path).made for job in (fewer, views_job)]
+    assert main("factory", "", ("status",), ["status", str(tmp_path)]) == 0
+    line = capsys.readouterr().out.splitlines()[0]
+    assert line.endswith(
+        f"{sum(planned)} of at most {sum(planned) + planned[0]} pictures and views, 0 failed"
+    )
 
 
 def test_drawn_views_are_a_shapes_own_whatever_else_the_job_names(plan_of, views_job):
