@@ -201,9 +201,9 @@ def test_defaults_are_those_that_the_documentation_tells(root):
     assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
     assert f"spherical harmonics up to degree {s.degree}," in report
     assert f"each held within {s.trust_region:g} of where its pass began" in report
-    assert f"L-BFGS moves {', '.join(s.order)}, one after the other, then all at once" in report
-    assert f"under the whole map, at {100 * s.tolerance:g} %" in report
-    assert s.outer_iterations == 2 and "gone through twice" in report
+    assert f"| 1 | {', then '.join(s.order)}, each alone |" in report
+    assert f"under the whole map, rendered to {100 * s.tolerance:g} %" in report
+    assert s.outer_iterations == 2 and "in one pass and evaluations in two" in report
 
 
 def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
@@ -212,11 +212,17 @@ def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
     assert (first.pixels, last.pixels) == (
         0,
         0,
-    ) and "at all pixels under 32 × 64 lights, then all at once under all of them" in report
+    ) and "steps of L-BFGS, at all pixels of the object" in report
+    for line in (
+        "each alone | reduced to 32 × 64 |",
+        "| 2 | all three at once | reduced to 32 × 64 |",
+        "| 3 | all three at once | whole, 64 × 128 |",
+    ):
+        assert line in report
     assert (first.light, last.light) == ((32, 64), (64, 128))
     assert first.rounds == 1 and first.iterations and first.joint_iterations
     assert last.rounds == 0 and last.joint_iterations
     assert all(
-        level.method == "auto" and f"keeps {100 * level.tolerance:g} %" in report
+        level.method == "auto" and f"keeps an error of {100 * level.tolerance:g} %" in report
         for level in (first, last)
     )
