@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> None:
     from learn.editing import edit
 
     masks = [Path(mask) for mask in arguments.mask if mask != ALPHA]
-    _require_one_way(arguments)
+    _require_masks_with_effect(arguments)
     edit_options = editing_options.edit_options(arguments)
     report = edit.run(
         arguments.photo,
@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"Open {arguments.out / 'interactive.html'} in a browser")
 
 
-def _require_one_way(arguments: argparse.Namespace) -> None:
+def _require_masks_with_effect(arguments: argparse.Namespace) -> None:
     """Raise InputError for masks of which one, or whose being regions, would have no effect."""
     if len(arguments.mask) < 2:
         return

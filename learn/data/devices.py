@@ -58,11 +58,17 @@ def array(tensor: torch.Tensor) -> np.ndarray:
 def reduced_type(device: torch.device) -> torch.dtype:
     """Return the type in which networks on this device learn fastest.
 
-    bfloat16, except on CPUs for which oneDNN has no kernels in it, x86 without AVX-512 for example:
-    there convolutions take ten times as long as in float32.
+    bfloat16, except on CPUs for which torch has no fast kernels in it, x86 without AVX-512 for
+    example: there convolutions take ten times as long as in float32 (docs/log.md).
     """
-    is_slow = device.type == "cpu" and not torch.ops.mkldnn._is_mkldnn_bf16_supported()
-    return torch.float32 if is_slow else torch.bfloat16
+    if device.type != "cpu" or _has_bfloat16_kernels():
+        return torch.bfloat16
+    return torch.float32
+
+
+def _has_bfloat16_kernels() -> bool:
+    # builds without oneDNN, as for macOS, do not have the operator either
+    return torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
 
 def mixed_precision(device: torch.device, enabled: bool) -> torch.autocast:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from learn.data import pairs
-from learn.editing import decomposition, edit_files, interactive, photograph, targets
+from learn.editing import decomposition, edit_files, interactive, photograph, region_masks, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import Photograph
@@ -113,7 +113,7 @@ def run(
         edit_options.balance,
         edit_options.exposure,
         record,
-        targets=[name for text in materials for name in text.split("+")],
+        targets=[name for text in materials for name in targets.parts_of(text)],
     )
     labels = requested_labels(opened, materials, network, metadata["size"], edit_options)
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:
@@ -199,7 +199,7 @@ def material_of(
     balance, that a user gave are the photograph's own: this picture's exposure is estimated, and
     its colours are left as they are.
     """
-    beside = photograph.mask_beside(path)
+    beside = region_masks.beside(path)
     balance = "grey" if edit_options.balance == "grey" else "none"
     opened = photograph.opened(
         path,

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter
 
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
+from learn.editing import region_masks
 from manifests.errors import InputError, closest
 from manifests.schema import Record
 from shaders.frames import ELEVATION
@@ -24,9 +25,6 @@ from shaders.tone import LUMINANCE
 # coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
 # curve is 1 − 6e-8
 GREY = 1e-3
-RIM = 3  # pixels without a label that hand-drawn regions may leave along the mask's edge
-# sum of masks above which they lie over one another: those that meet sum to 1, rounded
-OVERLAPPING = 1.02
 SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
 STRONGEST_BALANCE = 8.0
 
@@ -108,26 +106,6 @@ def example(
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def mask_beside(path: Path, folder: Path | None = None) -> Path | None:
-    """Return the mask file of a picture, None where there is none.
-
-    It is NAME.mask.png beside the picture; of a folder of masks, its NAME.mask.png or NAME.png.
-    """
-    path = Path(path)
-    # "." and "/" have no name that another could replace
-    candidates = [path.with_name(f"{path.stem}.mask.png")] if path.name else []
-    if folder is not None:
-        candidates = [Path(folder) / f"{path.stem}{ending}" for ending in (".mask.png", ".png")]
-    return next(
-        (
-            file
-            for file in candidates
-            if file.is_file() and not (path.is_file() and file.samefile(path))
-        ),
-        None,
-    )
-
-
 def opened(
     path: str | Path,
     masks: Sequence[Path] = (),
@@ -169,17 +147,17 @@ def opened(
         labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
-        coverage, labels = _several(masks, radiance.shape[:2])
+        coverage, labels = region_masks.several(masks, radiance.shape[:2])
     if regions is not None:
         whole = photographs.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
-        _require_pixels(labels, whole.max(), regions)
-        coverage = without_unlabelled(coverage, labels)
+        region_masks.require_pixels(labels, whole.max(), regions)
+        coverage = region_masks.without_unlabelled(coverage, labels)
     cut_out = not masks and regions is None
-    soft = not masks and bool((alpha < 0.5).any())
+    is_transparency = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
     return _assembled(
-        path, radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
+        path, radiance, coverage, labels, alpha, balance, exposure, cut_out, is_transparency, linear
     )
 
 
@@ -215,12 +193,21 @@ def from_arrays(
     labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     if whole is not None:
         labels = whole * (coverage >= 0.5)
-        _require_pixels(labels, whole.max(), f"{name}: regions")
-        coverage = without_unlabelled(coverage, labels)
+        region_masks.require_pixels(labels, whole.max(), f"{name}: regions")
+        coverage = region_masks.without_unlabelled(coverage, labels)
     cut_out = mask is None and regions is None
-    soft = mask is None and bool((alpha < 0.5).any())
+    is_transparency = mask is None and bool((alpha < 0.5).any())
     return _assembled(
-        Path(name), radiance, coverage, labels, alpha, balance, exposure, cut_out, soft, linear
+        Path(name),
+        radiance,
+        coverage,
+        labels,
+        alpha,
+        balance,
+        exposure,
+        cut_out,
+        is_transparency,
+        linear,
     )
 
 
@@ -233,14 +220,14 @@ def _assembled(
     balance: str | Sequence[float],
     exposure: float | None,
     cut_out: bool,
-    soft: bool,
+    is_transparency: bool,
     linear: bool,
 ) -> Photograph:
     """Return a Photograph of what was read, its mask softened and its colours balanced.
 
-    soft  whether the coverage is the picture's own transparency, which stays as it is
+    is_transparency  whether the coverage is the picture's own transparency, which is not softened
     """
-    if not soft and (np.minimum(coverage, 1 - coverage) < GREY).all():
+    if not is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     factors = _balance(balance, radiance, coverage, not cut_out)
     framing.exposure_of(radiance * factors, labels > 0, exposure, path)
@@ -258,21 +245,6 @@ def _assembled(
     )
 
 
-def without_unlabelled(coverage: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return coverage with 0 where the object is in no region, except for a rim of RIM pixels.
-
-    coverage (H, W) in [0, 1]; labels (H, W) 1 … S, 0 in no region
-    """
-    inside = coverage >= 0.5
-    outside = inside & (labels == 0)
-    if outside.any():
-        outside &= distance_transform_edt(labels == 0) > RIM
-        # a soft edge belongs to what it is the edge of
-        index = distance_transform_edt(~inside, return_distances=False, return_indices=True)
-        coverage = np.where(outside[tuple(index)], 0, coverage).astype(np.float32)
-    return coverage
-
-
 def _require_none(path, rule, masks, regions, balance):
     given = {
         "--mask": bool(masks),
@@ -281,36 +253,6 @@ def _require_none(path, rule, masks, regions, balance):
     }
     for option in (name for name, there in given.items() if there):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
-
-
-def _several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Coverage and regions from one mask per region; where two overlap the later one counts.
-
-    Where soft masks meet, their shares of a pixel add up: no background is between them. Where one
-    lies over another, and along an edge that they have in common, the larger share counts.
-    """
-    each = np.stack([photographs.read_mask(mask, size) for mask in masks])
-    total = each.sum(0)
-    meeting = maximum_filter(total, 2 * RIM + 1) <= OVERLAPPING
-    coverage = np.where(meeting, total.clip(0, 1), each.max(0))
-    labels = np.where(coverage >= 0.5, each.argmax(0) + 1, 0).astype(np.uint8)
-    for number, one in enumerate(each, 1):
-        labels[one >= 0.5] = number
-    for number, mask in enumerate(masks, 1):
-        _require_pixels(labels, number, mask)
-    return coverage, labels
-
-
-def _require_pixels(labels, count, where):
-    for number in range(1, int(count) + 1):
-        if (result := int((labels == number).sum())) < photographs.LEAST_PIXELS:
-            rule = f"{photographs.LEAST_PIXELS} pixels or more in region {number}"
-            raise InputError(
-                where,
-                rule,
-                str(result),
-                "regions must lie inside the mask, and not under one another",
-            )
 
 
 def _balance(requested, radiance, coverage, background):

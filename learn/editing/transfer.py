@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from learn.data.devices import array
-from learn.editing import decomposition, desired_light, drawing, photograph, targets
+from learn.editing import decomposition, desired_light, drawing, photograph, region_masks, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.edit import EditOptions
@@ -240,7 +240,7 @@ def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> P
 
 def masks(path: Path, folder: Path | None) -> list[Path]:
     """Return the mask file of a picture, in a list; an empty one where its transparency serves."""
-    beside = photograph.mask_beside(path, folder)
+    beside = region_masks.beside(path, folder)
     if folder is not None and beside is None:
         raise InputError(
             Path(folder) / f"{Path(path).stem}.png",

@@ -117,12 +117,18 @@ def test_the_backend_of_processes_and_the_kind_of_autocast_follow_the_device():
 
 
 @pytest.mark.parametrize(
-    ("has_kernels", "expected"), [(True, torch.bfloat16), (False, torch.float32)]
+    ("has_onednn", "has_kernels", "expected"),
+    [(True, True, torch.bfloat16), (True, False, torch.float32), (False, None, torch.float32)],
 )
 def test_networks_compute_in_float32_where_the_processor_is_slow_in_bfloat16(
-    monkeypatch, has_kernels, expected
+    monkeypatch, has_onednn, has_kernels, expected
 ):
-    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: has_kernels)
+    def supported():
+        assert has_onednn  # other builds lack the operator
+        return has_kernels
+
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: has_onednn)
+    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", supported)
     cpu = torch.device("cpu")
     assert devices.reduced_type(cpu) == expected
     assert devices.reduced_type(torch.device("cuda", 0)) == torch.bfloat16

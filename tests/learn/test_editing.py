@@ -15,7 +15,16 @@ from PIL import Image
 
 from learn.__main__ import COMMANDS
 from learn.data.records import Records
-from learn.editing import compositor, decomposition, drawing, edit, photograph, targets, transfer
+from learn.editing import (
+    compositor,
+    decomposition,
+    drawing,
+    edit,
+    photograph,
+    region_masks,
+    targets,
+    transfer,
+)
 from learn.editing.compositor import Compositor
 from learn.figures import spheres
 from learn.layer.display_method import method_for
@@ -460,9 +469,9 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
 def test_a_folder_of_masks_gives_each_picture_its_mask_and_never_itself(tmp_path):
     for name in ("a.png", "a.mask.png", "b.png", "c.jpg", "c.png"):
         (tmp_path / name).write_bytes(b"")
-    assert photograph.mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
-    assert photograph.mask_beside(tmp_path / "b.png", tmp_path) is None
-    assert photograph.mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
+    assert region_masks.beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
+    assert region_masks.beside(tmp_path / "b.png", tmp_path) is None
+    assert region_masks.beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):

@@ -191,8 +191,7 @@ def test_truth_in_the_tables_say_so(options, monkeypatch):
     assert edits["ours"]["l2"][0] < HALF_FLOATS and displayed["ours"]["ssim"][0] > 0.999
     assert edits["ours"]["l2"] == edits["the layer alone"]["l2"]
     for trivial in ("input unchanged", "mean material, true normals and light"):
-        # by how much depends on which edits were drawn: of ids that hash rounded logarithms
-        assert edits[trivial]["l2"][0] > 50 * HALF_FLOATS
+        assert edits[trivial]["l2"][0] > 20
     parts = {
         key: {row["name"]: row["cells"] for row in tables[key]["rows"]}["ours"]
         for key in ("normals", "material", "light", "rerendered")

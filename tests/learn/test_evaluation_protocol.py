@@ -43,28 +43,22 @@ QUICK = replace(
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Two matte spheres under one light: two pictures, each the truth of the other's edit.
-
-    The bright one is drawn first. Draws follow ids, and these hash logarithms that processors round
-    differently, so that a turn of the light is sought at which it is.
+    """Two matte spheres under one light: two pictures, each the truth of the other's edit; at this
+    turn the bright one is first.
     """
+    folder = tmp_path_factory.mktemp("data")
     entries = [matte("dark", 0.1), matte("bright", 0.8)]
-    for turn in range(64):
-        folder = tmp_path_factory.mktemp("data")
-        write_dataset(
-            folder,
-            entries,
-            np.random.default_rng(1),
-            size=SIZE,
-            seeds=1,
-            noise=0.0,
-            rotations=(turn,),
-            method="quadrature",
-        )
-        first = pairs.chosen(Records(folder).records, 1, 0)[0]
-        if first.source.materials == ("bright",):
-            return folder
-    raise AssertionError("no turn at which the bright picture is first")
+    write_dataset(
+        folder,
+        entries,
+        np.random.default_rng(1),
+        size=SIZE,
+        seeds=1,
+        noise=0.0,
+        rotations=(2,),
+        method="quadrature",
+    )
+    return folder
 
 
 def untrained(kind, path, seed):

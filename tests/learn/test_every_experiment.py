@@ -137,7 +137,7 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         lambda r: (
             list(r["hours"].values()) == [2]
             and len({row["method"] for row in r["rows"]}) == len(r["rows"]) / 2 == 7
-            # the third outer iteration may change nothing
+            # a further outer iteration that lowers no energy is not kept
             and len({row["edit_l2"] for row in r["rows"] if "3 outer" not in row["method"]}) == 12
             and all(row["edit_l2_aligned"] <= row["edit_l2"] for row in r["rows"])
         ),
