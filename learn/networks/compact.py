@@ -24,10 +24,24 @@ CELLS = 32  # of the reflectance map, along a side
 LIGHT_WIDTHS = (96, 64, 48, 32)  # at 4×8, 8×16, 16×32, 32×64; its 12 outputs are 64×128 texels of 3
 
 
+class Convolution(nn.Conv2d):
+    """A 3 × 3 convolution with zeros around, without a bias."""
+
+    def __init__(self, before: int, after: int, stride: int = 1):
+        super().__init__(before, after, 3, stride, 1, bias=False)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return features (B, after, …) of x (B, before, h, w)."""
+        if x.shape[-1] == 1:
+            # oneDNN leaves the weights' gradient in bfloat16 uninitialised (torch 2.13, stride 2)
+            return F.conv2d(F.pad(x, (1, 1)), self.weight, None, self.stride, (1, 0))
+        return super().forward(x)
+
+
 def convolution(before: int, after: int, stride: int = 1) -> nn.Sequential:
     """Return a 3 × 3 convolution from `before` to `after` channels with normalisation and ReLU."""
     return nn.Sequential(
-        nn.Conv2d(before, after, 3, stride, 1, bias=False),
+        Convolution(before, after, stride),
         nn.BatchNorm2d(after),
         nn.ReLU(inplace=True),
     )
