@@ -91,7 +91,6 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         "title": decomposed.photograph.name,
         "detail": edit_options.detail,
         "largestDetail": LARGEST_DETAIL,
-        "cutOut": decomposed.photograph.cut_out,
         "regions": decomposed.photograph.count,
         "steps": reflectance_store.STEPS,
         "bend": reflectance_store.BEND,
@@ -142,6 +141,8 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
 def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
     """Add the photograph, coverage, regions, fine shading and normals.
 
+    A photograph with transparency adds its opacity, and the object's share of each pixel's colour.
+
     Return their header, and the unit normals (N, 3) that the page looks up.
     """
     decomposed = compositor.decomposition
@@ -157,11 +158,10 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
     frame = np.zeros((height, width), np.float32)
     coverage = framing.put_back(frame, compositor.coverage, box)
     regions = framing.put_back(frame.astype(np.uint8), compositor.filled, box)
+    share = compositor.share()
     cut = framing.placed(opened.radiance, box)
-    soft = (compositor.coverage > 0) & (compositor.coverage < 1 - CLEAR)
-    if not opened.cut_out:
-        behind = np.where(soft[..., None], nearest(cut, compositor.coverage < CLEAR), cut)
-        cut = behind.astype(np.float32)
+    soft = (share > 0) & (share < 1 - CLEAR)
+    cut = np.where(soft[..., None], compositor.background(), cut).astype(np.float32)
     behind = small(tone.display(framing.put_back(opened.radiance, cut, box), exposure))
     photo = small(tone.display(opened.radiance, exposure))
     fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
@@ -176,7 +176,8 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         small(fine),
     ]
     if opened.opacity is not None:
-        planes.append(small(255 * opened.opacity[..., None]))
+        share = framing.put_back(frame, share, box)
+        planes += [small(255 * opened.opacity[..., None]), small(255 * share[..., None])]
     n = array(decomposed.parts.n[0].movedim(0, -1))
     filled = nearest(n, decomposed.framed.mask)
     normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)

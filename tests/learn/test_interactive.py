@@ -48,8 +48,11 @@ class KnowingLight(Knowing):
         return predicted._replace(light=torch.from_numpy(light).movedim(-1, 0)[None].contiguous())
 
 
-def result_of(cut_out=False):
-    """A ball of two regions with a soft edge before a gradient, and one edit of it."""
+def result_of(cut_out=False, alpha=None):
+    """A ball of two regions with a soft edge before a gradient, and one edit of it.
+
+    alpha  (SIDE, SIDE) of the photograph, which then hides a glaring colour where it is 0
+    """
     rng = np.random.default_rng(0)
     _, inside = ball(SIDE, RADIUS)
     regions = inside.astype(np.int64)
@@ -58,9 +61,11 @@ def result_of(cut_out=False):
     regions[coverage < 0.5] = 0
     ground = np.linspace(0.1, 0.4, SIDE, dtype=np.float32)[:, None, None] * [1.0, 0.8, 0.6]
     seen = np.where(inside[..., None], rng.uniform(0.2, 0.5, (SIDE, SIDE, 1)), ground)
+    if alpha is not None:
+        seen = np.where(alpha[..., None] > 0, seen, [1.0, 0.0, 1.0])
     picture = tone.linear_from_srgb(np.rint(tone.display(seen, 1.0)) / 255).astype(np.float32)
     opened = photograph.Photograph(
-        "ball", picture, coverage, regions, np.ones(3, np.float32), 1.5, cut_out
+        "ball", picture, coverage, regions, np.ones(3, np.float32), 1.5, cut_out, alpha=alpha
     )
     label = label_of("blue-rubber")
     decomposed = decomposition.decompose(opened, KnowingLight(label), 64)
@@ -334,6 +339,31 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
             corner = ground[:5, :5, :3].reshape(-1, 3).astype(int)
             assert len(np.unique(corner, axis=0)) == 1
             assert distance(ground[..., :3], truth, opened.coverage == 1) < LIMIT
+            assert window.console() == []
+
+
+@needs_browser
+@pytest.mark.long
+def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp_path):
+    """The mask's soft edge lies before colours that the photograph hides by its transparency."""
+    monkeypatch.setattr(interactive, "load_catalogue", dict)
+    monkeypatch.setattr(interactive, "MEASURED", {})
+    alpha = ball(SIDE, RADIUS + 3)[1].astype(np.float32)
+    alpha[SIDE // 2 :] = 1
+    result = result_of(alpha=alpha)
+    path = tmp_path / interactive.NAME
+    path.write_text(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)), "utf-8")
+    compositor = Compositor(result.decomposition, 1e-2, 0.25)
+    own = result.decomposition.label
+    truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)
+    coverage = result.decomposition.photograph.coverage
+    edge = (coverage > 0.05) & (coverage < 0.95)
+    show = choice(SimpleNamespace(text=path.read_text("utf-8")), "own material 1", "own material 2")
+    for address in ("", "#canvas"):
+        with browser.Browser() as window:
+            window.open(path, address)
+            window.wait("document.documentElement.dataset.ready")
+            assert distance(pixels(window, show), truth, edge) < LIMIT
             assert window.console() == []
 
 

@@ -34,7 +34,7 @@ let at = 0;
 for (const channels of H.planes) {
   planes.push(summed(data.subarray(at, at += W * HT * channels), HT, W, channels, false));
 }
-const [photo, behind, coverage, region, fine, opacity] = planes;
+const [photo, behind, coverage, region, fine, opacity, share = coverage] = planes;  // share: of a pixel's colour
 for (let i = 0; i < photo.length; i++) behind[i] += photo[i];
 
 // points of the disk at each pixel: normals, interpolated between the network's pixels
@@ -178,7 +178,7 @@ function webgl() {
   gl.useProgram(program);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   const uniform = name => gl.getUniformLocation(program, name);
-  const where = Object.fromEntries(["region", "unchanged", "cutOut", "ground", "blend", "detail", "split", "contrast", "groundColor"].map(n => [n, uniform(n)]));
+  const where = Object.fromEntries(["region", "unchanged", "ground", "blend", "detail", "split", "contrast", "groundColor"].map(n => [n, uniform(n)]));
   const names = ["photo", "behind", "geometry", "fine", "first", "second"], textures = {};
   names.forEach((name, unit) => {
     gl.activeTexture(gl.TEXTURE0 + unit);
@@ -198,7 +198,11 @@ function webgl() {
     rgba[4 * i + 3] = opacity ? opacity[i] : 255;
   }
   upload(0, gl.RGBA8, W, HT, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
-  upload(1, gl.RGB8, W, HT, gl.RGB, gl.UNSIGNED_BYTE, behind);
+  for (let i = 0; i < W * HT; i++) {
+    rgba.set(behind.subarray(3 * i, 3 * i + 3), 4 * i);
+    rgba[4 * i + 3] = share[i];
+  }
+  upload(1, gl.RGBA8, W, HT, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
   upload(2, gl.RGBA32F, W, HT, gl.RGBA, gl.FLOAT, geometry);
   upload(3, gl.RGB8, W, HT, gl.RGB, gl.UNSIGNED_BYTE, fine);
   // a region's maps stay on the GPU until another material or light is chosen
@@ -239,7 +243,6 @@ function webgl() {
     gl.uniform1f(where.detail, shownDetail());
     gl.uniform1f(where.split, state.split);
     gl.uniform1f(where.contrast, contrast);
-    gl.uniform1i(where.cutOut, H.cutOut ? 1 : 0);
     gl.uniform1i(where.ground, state.ground ? 1 : 0);
     gl.uniform3fv(where.groundColor, GROUND);
     for (let r = background === wanted ? 1 : 0; r <= H.regions; r++) {
@@ -279,12 +282,12 @@ function plain() {
         if (!(c > 0)) { out[4 * i + k] = back; continue; }
         let object = linear[photo[j]];
         if (!unchanged) {
-          const px = geometry[4 * i], py = geometry[4 * i + 1], share = mixed[r][2];
+          const px = geometry[4 * i], py = geometry[4 * i + 1], blend = mixed[r][2];
           object = look(maps[r][0], px, py, k);
-          if (share) object += share * (look(maps[r][1], px, py, k) - object);
+          if (blend) object += blend * (look(maps[r][1], px, py, k) - object);
           if (detail) object *= Math.exp((fine[j] / 127.5 - 1) * contrast * detail);
         }
-        const covered = H.cutOut && !state.ground ? 1 : c;
+        const covered = state.ground ? c : share[i] / 255;
         out[4 * i + k] = encoded(linear[back] + covered * (object - linear[back]));
       }
     }

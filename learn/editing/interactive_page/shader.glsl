@@ -3,7 +3,7 @@
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D photo, behind, geometry, fine, first, second;
-uniform int region, unchanged, cutOut, ground;
+uniform int region, unchanged, ground;
 uniform float blend, detail, split, contrast;
 uniform vec3 groundColor;
 out vec4 color;
@@ -28,7 +28,8 @@ void main() {
   float alpha = before.a;
   if (gl_FragCoord.x > split * float(size.x)) { color = before; return; }
   float coverage = unchanged == 1 ? 0.0 : place.z;
-  vec3 back = coverage > 0.0 ? texelFetch(behind, at, 0).rgb : before.rgb;
+  vec4 around = texelFetch(behind, at, 0);  // alpha: the object's share of the color
+  vec3 back = coverage > 0.0 ? around.rgb : before.rgb;
   if (ground == 1) { back = groundColor; coverage = place.z; alpha = 1.0; }
   vec3 object = vec3(0.0);
   if (coverage > 0.0) {
@@ -37,7 +38,7 @@ void main() {
     if (detail > 0.0 && unchanged == 0)
       object *= exp((texelFetch(fine, at, 0).rgb * 2.0 - 1.0) * contrast * detail);
   }
-  if (cutOut == 1 && coverage > 0.0 && ground == 0) coverage = 1.0;
-  if (coverage < 1.0) object = mix(linear(back), object, coverage);
+  float share = ground == 1 ? coverage : around.a;
+  if (share < 1.0) object = mix(linear(back), object, share);
   color = vec4(coverage > 0.0 ? srgb(object) : back, alpha);
 }
