@@ -27,10 +27,12 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
         "objective-ablation": "train with and without rendered pictures, for the same steps",
         "normals-ablation": "train normals with further losses and shapes for the same time",
+        "training-runs": "chart what training runs reached against the time that they took",
     },
     "Editing": {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
         "edit-cost": "chart the error of edits against seconds and hours of training",
+        "edit-brightness": "measure how bright edits are beside their truth",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",

@@ -122,6 +122,26 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             <= r["settings"]["outer_iterations=1"]["image"][0]
         ),
     ),
+    "edit-brightness": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1",
+        lambda r: (
+            [row["rung"] for row in r["rows"]] == ["direct", "8-bit"]
+            # an edit's own best factor is at least as good as any of the common ones
+            and all(
+                row[method]["l2_one_factor"] <= min(row[method]["l2"]) + 1e-6
+                for row in r["rows"]
+                for method in ("predicted", "refined")
+            )
+        ),
+    ),
+    "training-runs": (
+        "own={room}/trained,{room}/trained other={room}/trained",
+        lambda r: (
+            [each["validations"][-1]["hours"] for each in r["runs"]["own"]] == [1.0, 2.0]
+            and [each["steps"] for each in r["runs"]["other"]] == [2]
+            and r["runs"]["other"][0]["validations"][0]["albedo"] == 0.5
+        ),
+    ),
     "outer-iterations": (
         "--data {room}/ladder --weights {room}/weights.safetensors --scenes 1"
         " --outer-iterations 1 2",
@@ -208,6 +228,14 @@ def room(tmp_path_factory):
             add_shape(store, f"ball:{next(validation)}", "train")
             add_shape(store, "cube:1", "test")
     written(room / "exposed")
+    (room / "trained").mkdir()
+    (room / "trained" / "run.json").write_text(json.dumps(SETTINGS))
+    validation = {"angle_deg": 30.0, "albedo_1": 0.25, "albedo_2": 0.75, "constant_albedo_1": 1.0}
+    steps = [
+        {"step": 0, "cpu_seconds": 1800.0, "validation": validation},
+        {"step": 1, "cpu_seconds": 3600.0, "validation": validation},
+    ]
+    (room / "trained" / "log.jsonl").write_text("".join(json.dumps(s) + "\n" for s in steps))
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
     ladder_rungs.written(room / "ladder", SIZE)
     torch.manual_seed(0)
@@ -349,3 +377,19 @@ def test_memory_is_kept_when_a_command_runs_and_not_for_help(program, monkeypatc
     assert main(name, "", program.COMMANDS, words, prepare=program.prepare) == 1
     assert made == [1]
     capsys.readouterr()
+
+
+def test_a_chart_of_runs_names_what_is_wrong_with_a_folder_or_a_log(room, tmp_path, capsys):
+    assert run("training-runs", f"a={room}/data", tmp_path / "a") == 1
+    assert "expected the file run.json, found none" in capsys.readouterr().err
+    folder = tmp_path / "unvalidated"
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps(SETTINGS))
+    (folder / "log.jsonl").write_text('{"step": 0, "cpu_seconds": 1.0}\n')
+    assert run("training-runs", f"a={folder}", tmp_path / "b") == 1
+    assert "--sheet-every" in capsys.readouterr().err
+    (folder / "log.jsonl").write_text('{"step": 0, "cpu_sec')
+    assert run("training-runs", f"a={folder}", tmp_path / "c") == 1
+    assert "log.jsonl:1: expected an object in JSON" in capsys.readouterr().err
+    assert run("training-runs", f"a={room}/trained a={room}/trained", tmp_path / "d") == 1
+    assert "expected a name of its own" in capsys.readouterr().err
