@@ -21,7 +21,8 @@ from manifests.schema import Record, View
 from manifests.store import Store, inside, light_path
 
 SETTINGS, CARD = "export.json", "README.md"
-LAYOUT = 1  # raised when parts of the same settings would hold other bytes
+# raised when parts of the same settings would hold other bytes
+LAYOUTS: dict[Format, int] = {"webdataset": 1, "parquet": 2, "huggingface": 2, "hdf5": 1}
 MOST_COPIED_BYTES = 1 << 30  # of materials.json and each other file that is copied
 REMEDY = "name another folder, or remove this one first"
 
@@ -69,7 +70,7 @@ def export(
     folder.mkdir(parents=True, exist_ok=True)
     with lock.changing(folder):
         settings = {
-            "layout": LAYOUT,
+            "layout": LAYOUTS[form],
             "format": form,
             "split": split,
             "each": each,

@@ -1,8 +1,9 @@
 """Parts as Parquet tables: plain, or with the features that Hugging Face's `datasets` reads.
 
-A row is a sample. Nested keys of its line become columns such as `camera.size`, arrays are the
-bytes of .npy files (`numpy.load(io.BytesIO(value))`), and `picture` is a PNG. In the Hugging Face
-layout `picture` is that library's Image, so that it arrives decoded.
+A row is a sample. Nested keys of its line become columns such as `camera.size`, null where the line
+lacks them, as `accuracy.requested` of a job without a limit on the error. Arrays are the bytes of
+.npy files (`numpy.load(io.BytesIO(value))`), and `picture` is a PNG. In the Hugging Face layout
+`picture` is that library's Image, so that it arrives decoded.
 """
 
 import itertools
@@ -45,6 +46,13 @@ PICTURE_TYPES = (
     ("mean", "double"),
     ("max", "double"),
     ("exposure", "double"),
+    ("accuracy.requested", "double"),
+    ("accuracy.estimator", "string"),
+    ("accuracy.predicted", "double"),
+    ("accuracy.estimated", "double"),
+    ("accuracy.standard_error", "double"),
+    ("accuracy.seconds", "double"),
+    ("accuracy.traced", "string"),
 )
 GEOMETRY_ARRAYS = ("normals", "depth", "segments")
 PICTURE_ARRAYS = ("radiance", "labels")
@@ -128,7 +136,8 @@ def _row(sample: Sample, as_feature: bool) -> dict[str, Any]:
     """Return a sample's row; a column that it lacks is missing and becomes null."""
     values = sample.metadata()
     row = {key: value for key, value in values.items() if not isinstance(value, dict)}
-    row |= {f"camera.{key}": value for key, value in values["camera"].items()}
+    for name in ("camera", "accuracy"):
+        row |= {f"{name}.{key}": value for key, value in values.get(name, {}).items()}
     row.setdefault("camera.roll_deg", 0.0)
     row |= values.get("statistics", {})
     row["split"] = sample.split

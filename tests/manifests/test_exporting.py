@@ -16,7 +16,7 @@ from manifests.exporting import FORMATS
 from manifests.exporting.folders import export
 from manifests.exporting.samples import Samples
 from manifests.picture_files import read_geometry, read_picture
-from manifests.schema import Camera
+from manifests.schema import Accuracy, Camera
 from manifests.store import Store
 
 WITHOUT = {
@@ -106,6 +106,35 @@ def test_parquet_has_a_row_for_each_sample(whole, tmp_path):
         assert row["picture"].startswith(b"\x89PNG")
         assert row["camera.size"] == [16, 16] and row["materials"] == list(line.materials)
         assert row["mean"] == line.statistics.mean and row["light"] == line.light
+
+
+@pytest.mark.parametrize("form", ["parquet", "huggingface"])
+def test_the_tables_say_how_exact_a_picture_is_where_its_record_does(whole, form, tmp_path):
+    parquet = package("pyarrow")
+    store = Store(shutil.copytree(whole(), tmp_path / "data"))
+    accuracy = {
+        "requested": 5.0,
+        "estimator": "denoised",
+        "predicted": 4.0,
+        "estimated": 3.0,
+        "standard_error": 0.5,
+        "seconds": 0.2,
+        "traced": "direct",
+    }
+    path = store.record_files()[0]
+    first, *others = path.read_bytes().splitlines(keepends=True)
+    line = msgspec.json.decode(first) | {"accuracy": accuracy}
+    path.write_bytes(msgspec.json.encode(line) + b"\n" + b"".join(others))
+    export(store, tmp_path / "out", form)
+    rows = {
+        row["id"]: {key: value for key, value in row.items() if key.startswith("accuracy.")}
+        for path in (tmp_path / "out").rglob("*.parquet")
+        for row in parquet.read_table(path).to_pylist()
+    }
+    # a key that the schema gains gets a column
+    assert set(accuracy) == set(Accuracy.__struct_fields__)
+    assert rows.pop(line["id"]) == {f"accuracy.{key}": value for key, value in accuracy.items()}
+    assert list(rows.values()) == [{f"accuracy.{key}": None for key in accuracy}] * 7
 
 
 def test_the_hugging_face_layout_names_its_splits_and_features(whole, tmp_path):
@@ -338,6 +367,17 @@ def test_other_settings_another_state_and_other_folders_are_refused(whole, form,
     with pytest.raises(InputError, match="a folder, or a name for a new one"):
         export(store, tmp_path / "mine" / "thesis.txt", form)
     assert files(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize("form", ["parquet", "huggingface"])
+def test_tables_begun_without_the_columns_of_accuracy_are_not_continued(whole, form, tmp_path):
+    package("pyarrow")
+    store = Store(whole())
+    export(store, tmp_path / "out", form)
+    settings = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
+    (tmp_path / "out" / "export.json").write_text(json.dumps(settings | {"layout": 1}), "utf-8")
+    with pytest.raises(InputError, match="other layout"):
+        export(store, tmp_path / "out", form)
 
 
 def test_files_that_were_altered_or_lie_elsewhere_are_refused(whole, form, tmp_path):
