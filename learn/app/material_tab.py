@@ -124,7 +124,8 @@ class MaterialTab:
             ]
         with gr.Accordion("The material of another picture", open=False):
             gr.Markdown(
-                "A picture of an object before a transparent background, or a material.json."
+                "A picture of an object before a transparent background, or a material.json. One"
+                " of several regions gives each region its own."
             )
             self.other = gr.UploadButton(
                 "Choose a picture or material.json", elem_id="other", size="sm"
@@ -278,11 +279,22 @@ class MaterialTab:
     def take_material(
         self, number: int, place: str, sent: str, request: gr.Request
     ) -> tuple[Any, ...]:
-        """Give a region the material of a picture, or of a material.json, that was sent."""
+        """Give a region the material of a picture, or of a material.json, that was sent.
+
+        A material.json of several regions gives each region its own.
+        """
         session = self.session_of(request)
         session.decomposed()
-        chosen = read_and_delete(sent, lambda path: session.material_of(path, path.name))
-        return self._quick(session, painting(int(number), place, chosen))
+        chosen: dict[int, Chosen] = read_and_delete(
+            sent, lambda path: session.materials_of(path, path.name, int(number))
+        )
+
+        def change(edit: Edit) -> Edit:
+            for region, each in chosen.items():
+                edit = painting(region, place, each)(edit)
+            return edit
+
+        return self._quick(session, change)
 
     def blended(self, number: int, per_cent: float, request: gr.Request) -> tuple[Any, ...]:
         """Change the second material's share of a blend."""

@@ -217,19 +217,31 @@ class Session:
         self.number += 1
         return self.number
 
-    def material_of(self, sent: Path, name: str) -> Chosen:
-        """Return the material of another picture's object, or of a material.json.
+    def materials_of(self, sent: Path, name: str, number: int) -> dict[int, Chosen]:
+        """Return {region: material} of another picture's object, or of a material.json.
 
-        Raises  InputError: no picture with transparency, no material
+        number  of the region that a single material is for; a file of several has one for each
+                region, as `brdfactory edit` takes it
+        Raises  InputError: no picture with transparency, no material, another number of them
         """
         if sent.suffix.lower() == ".json":
-            label = material_file.read(sent)[0]
-            return Chosen(name, label, named=False)
+            labels = material_file.read(sent)
+            count = len(self.decomposed()[1].regions)
+            if len(labels) not in (1, count):
+                rule = "one material" if count == 1 else f"one material, or {count}: one a region"
+                remedy = "give the photograph these regions, or keep one label in the file"
+                raise InputError(sent, rule, f"{len(labels)}", remedy)
+            if len(labels) > 1:
+                return {
+                    region: Chosen(f"{name}, region {region}", label, named=False)
+                    for region, label in enumerate(labels, 1)
+                }
+            return {number: Chosen(name, labels[0], named=False)}
         opened = photograph.from_arrays(sent, name=name)
         network, metadata = self.network.loaded()
         settings = PHOTOGRAPHS if self.refined else None
         label = decomposition.decompose(opened, network, metadata["size"], settings).label[0]
-        return Chosen(name, label, named=False)
+        return {number: Chosen(name, label, named=False)}
 
     def write_view(self, picture: np.ndarray, stem: str = "view") -> Path:
         """Write a picture to show, and delete earlier ones that no page loads any more."""

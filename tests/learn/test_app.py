@@ -402,6 +402,43 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     np.testing.assert_array_equal(again.regions, opened.regions)
 
 
+def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
+    from learn.app.material_tab import FIRST, MaterialTab, gr
+
+    session = sessions.of("one")
+    session.viewer = Viewer(decomposed(2))
+    session.edit = Edit((Painted(), Painted()))
+    tab = MaterialTab.__new__(MaterialTab)
+    tab.session_of = lambda request: session
+    names = ("brass", "red-fabric", "chrome")
+
+    def send(count: int, region: int = 2) -> str:
+        """Send a file of so many regions for one region; the line that the page shows."""
+        labels = [chosen(name).label.tolist() for name in names[:count]]
+        stored = {"label": labels[0]} if count == 1 else {"labels": labels}
+        (tmp_path / "material.json").write_text(json.dumps(stored))
+        _, text = tab.take_material(region, FIRST, str(tmp_path / "material.json"), None)
+        return str(text)
+
+    assert send(1).endswith("region 1: as it is; region 2: material.json")
+    assert session.edit.regions == (Painted(), Painted(chosen("brass")))
+    assert send(2).endswith("material.json, region 1; region 2: material.json, region 2")
+    assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))
+    with pytest.raises(gr.Error) as caught:
+        send(3)
+    assert str(caught.value.message) == (
+        "material.json: expected one material, or 2: one a region, found 3 (give the photograph"
+        " these regions, or keep one label in the file)"
+    )
+    assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))
+    session.viewer, session.edit = Viewer(decomposed(1)), Edit((Painted(),))
+    with pytest.raises(gr.Error, match="expected one material, found 2"):
+        send(2, region=1)
+
+
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
