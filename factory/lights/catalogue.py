@@ -1,20 +1,13 @@
-"""Lights by name: maps of the Blender wheel, measured maps, computed families, a library, a path.
+"""Lights by name: built-in ones, those of a library, or a path."""
 
-The wheel holds eight maps under CC0.
-"""
-
-import hashlib
-import importlib.util
 from pathlib import Path
 
-from factory.lights import files, procedural
+from factory.lights import built_in, files, procedural
+from factory.lights.built_in import from_file, wheel_maps
 from factory.lights.library import entry
-from factory.lights.light import Light, from_pixels
+from factory.lights.light import Light
 from manifests import measured_lights
 from manifests.errors import InputError, closest
-
-WHEEL_LICENCE = "CC0"
-WHEEL_SOURCE = "Greg Zaal, Poly Haven; shipped with Blender as"
 
 
 def load(name_or_path: str | Path, library: str | Path | None = None) -> Light:
@@ -23,32 +16,28 @@ def load(name_or_path: str | Path, library: str | Path | None = None) -> Light:
     A name is one of the wheel's (`city`), of a computed light (`softboxes-7`), or in the `library`
     folder.
 
-    Raises  InputError for an unknown name (with the closest ones) or a file that holds no usable
-            light
+    Raises  InputError for an unknown name (with the closest ones), a name of the library that a
+            built-in light has, too, or a file that holds no usable light
     """
     text = str(name_or_path)
     if files.is_light_path(text):
-        return _from_file(Path(text), Path(text).stem, "unknown", text)
+        return from_file(Path(text), Path(text).stem, "unknown", text)
     if library is not None and (result := library_maps(library).get(text)):
         known = entry(library, text)
-        return _from_file(
+        light = from_file(
             result, text, known.get("licence", "unknown"), known.get("source", result.name)
         )
-    if (wheel := wheel_maps()) and text in wheel:
-        return _from_file(wheel[text], text, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[text].name}")
-    if (measured := text.replace("-", "_")) in measured_lights.credits():
-        return _measured(measured, text)
-    if parsed := procedural.parse(text):
-        digest = hashlib.sha256(
-            f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()
-        ).hexdigest()
-        return from_pixels(
-            procedural.pixels(*parsed),
-            text,
-            digest,
-            "Apache-2.0",
-            f"computed by factory.lights.procedural, {text}",
-        )
+        built_in_light = built_in.load(text)
+        if built_in_light is not None and built_in_light.hash != light.hash:
+            raise InputError(
+                f"light '{text}'",
+                "one map under a name",
+                f"{result} and the built-in light",
+                "rename the file, or give its path in place of the name",
+            )
+        return light
+    if (built_in_light := built_in.load(text)) is not None:
+        return built_in_light
     remedy = closest(text, names(library)) + "; `python -m factory lights list` shows all"
     raise InputError(
         f"light {text!r}", "a known name or an .hdr, .exr or .npz file", "neither", remedy
@@ -66,25 +55,6 @@ def names(library: str | Path | None = None) -> list[str]:
         name for name in measured_lights.credits() if name.removeprefix("blender_") not in wheel
     ]
     return list(dict.fromkeys([*wheel, *procedural.FAMILIES, *measured, *own]))
-
-
-def _measured(known: str, name: str) -> Light:
-    """Return the Light of a measured map; its 64×128 texels are all there is of it."""
-    credit, L = measured_lights.credits()[known], measured_lights.load(known)
-    digest = hashlib.sha256(b"measured light\n" + L.astype("<f4").tobytes()).hexdigest()
-    source = f"{credit.author}; {credit.source}"
-    return Light(name, L.copy(), L.copy(), 1.0, digest, credit.licence, source)
-
-
-def wheel_maps() -> dict[str, Path]:
-    """Return {name: path} of the maps inside the bpy wheel, {} without it; bpy is not imported."""
-    spec = importlib.util.find_spec("bpy")
-    if spec is None or spec.origin is None:
-        return {}
-    return {
-        path.stem: path
-        for path in sorted(Path(spec.origin).parent.glob("*/datafiles/studiolights/world/*.exr"))
-    }
 
 
 def library_maps(folder: str | Path) -> dict[str, Path]:
@@ -112,12 +82,3 @@ def library_maps(folder: str | Path) -> dict[str, Path]:
                 "rename or remove one of the files",
             )
     return result
-
-
-def _from_file(path, name, licence, source):
-    pixels, digest = files.read(path)
-    try:
-        return from_pixels(pixels, name, digest, licence, source, in_place=True)
-    # values are judged under the credit's name; the user knows the file by its path
-    except InputError as problem:
-        raise InputError(path, problem.expected, problem.found, problem.remedy) from None

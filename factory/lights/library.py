@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.lights import files
+from factory.lights import built_in, files
 from factory.lights.light import checked, from_pixels
 from manifests.errors import InputError
 from manifests.files import npz_bytes, transaction, write_bytes, write_text
@@ -44,7 +44,7 @@ def add(path: str | Path, folder: str | Path, licence: str, source: str | None =
     """Check a map, copy it into the folder and list it; return its name.
 
     The name is the file's, in lower case with dashes, or the older name of the same map. Raises
-    InputError if another map already has the name.
+    InputError if another map of the folder, or a built-in light, already has the name.
     """
     path, folder = Path(path), Path(folder)
     pixels, digest = files.read(path)
@@ -111,6 +111,14 @@ def _free(where, stem, suffix, folder, listed, data):
             "a name that is still free",
             f"another map called {name!r} in {folder}",
             "rename the file",
+        )
+    own = built_in.load(name)
+    if own is not None and own.hash != hashlib.sha256(data).hexdigest():
+        raise InputError(
+            where,
+            "a name that is still free",
+            f"the built-in light {name!r}",
+            "rename the file, or the array of an .npz file",
         )
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (name + suffix)

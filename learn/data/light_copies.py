@@ -74,6 +74,19 @@ def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray
     return {name: L for (name, L), is_kept in zip(ordered.items(), kept, strict=True) if is_kept}
 
 
+def joined(maps: Maps, others: Maps, where: str, remedy: str) -> dict[str, np.ndarray]:
+    """Return all maps of both; of copies under one name, those of `others`.
+
+    where, remedy  of the InputError
+    Raises         InputError for two different maps of one name, since sides go by names
+    """
+    for name in (name for name in others if name in maps):
+        if KnownLights({name: maps[name]}).copy_of(others[name]) is None:
+            result = f"a second, different one under '{name}'"
+            raise InputError(where, "one map under a name", result, remedy)
+    return {**maps, **others}
+
+
 def _spectrum(L: np.ndarray) -> np.ndarray:
     return envmap.log_spectrum(L).astype(np.complex64)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from learn.data import preflight
 from learn.data.geometry import Geometry, PackedView
-from learn.data.light_copies import KnownLights, Maps, without_duplicates
+from learn.data.light_copies import KnownLights, Maps, joined, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
@@ -55,16 +55,20 @@ def data_splits(
     pictures   a data set with records that Cycles rendered; None: `folder`, where the run needs
                pictures
     skip_bad   whether damaged files are left out and counted; otherwise the first one raises
-    Raises     InputError: a held-out light that is not there, a split without shapes, no material
-               for training, a damaged material, damaged geometry or pictures
+    Raises     InputError: two lights of one name, a held-out light that is not there, a split
+               without shapes, no material for training, a damaged material, damaged geometry or
+               pictures
     """
     geometry = Geometry(folder, progress, skip_bad, depth=data.shadows > 0)
     records = Records(folder)
     maps = {name: records.light(name) for name in records.dataset.lights}
     if data.measured_lights:
-        maps |= measured_lights.load_all()
+        where, remedy = "data: measured_lights", "leave it out: the data set has one of that name"
+        maps = joined(maps, measured_lights.load_all(), where, remedy)
     if maps_file is not None:
-        maps |= read_maps(maps_file)
+        where = f"--lights {maps_file}"
+        remedy = "rename it: the data set or the program has one of that name"
+        maps = joined(maps, read_maps(maps_file), where, remedy)
     all_maps = maps
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
     held = _held_out(data, maps, records.dataset.lights)

@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import shutil
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from factory.commands import lights as command
 from factory.lights import files, library, load, names, procedural
+from factory.lights.catalogue import wheel_maps
 from factory.lights.light import from_pixels, to_file_columns
 from factory.lights.preview import diffuse_sphere, mirror_sphere, sphere_normals
 from manifests.cli import main
@@ -507,3 +509,35 @@ def test_two_files_of_one_name_in_a_library_are_refused(tmp_path):
     )
     (tmp_path / "lamp.NPZ").rename(tmp_path / "lamp-2.NPZ")
     assert {load(name, tmp_path).name for name in ("lamp", "lamp-2")} == {"lamp", "lamp-2"}
+
+
+@pytest.mark.parametrize("name", ["constant", "softboxes-7", "blender-city"])
+def test_a_map_of_a_library_that_has_the_name_of_a_built_in_light_is_refused(tmp_path, drawn, name):
+    path = write_exr(tmp_path / f"{name}.exr", drawn)
+    with pytest.raises(InputError) as caught:
+        load(name, tmp_path)
+    assert str(caught.value) == (
+        f"light '{name}': expected one map under a name, found {path} and the built-in light"
+        " (rename the file, or give its path in place of the name)"
+    )
+    assert load(path).name == name  # a path is not ambiguous
+    assert load("gradient", tmp_path).name == "gradient"  # nor is another name
+
+
+def test_a_copy_of_a_built_in_light_in_a_library_is_that_light(tmp_path):
+    wheel = wheel_maps()
+    if not wheel:
+        pytest.skip("the bpy wheel, which holds the maps, is not installed")
+    shutil.copy(wheel["city"], tmp_path)
+    assert load("city", tmp_path).hash == load("city").hash
+
+
+def test_add_refuses_the_name_of_a_built_in_light(tmp_path, drawn, capsys):
+    home = tmp_path / "library"
+    path = write_exr(tmp_path / "Gradient.exr", drawn)
+    np.savez(tmp_path / "maps.npz", Gradient=drawn)
+    for where in (path, tmp_path / "maps.npz"):
+        assert run("add", where, "--library", home) == 1
+        said = capsys.readouterr().err
+        assert "expected a name that is still free, found the built-in light 'gradient'" in said
+        assert "(rename " in said and not home.exists()

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from learn.data import lights, settings
+from learn.data import lights, settings, sources
 from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
 from learn.training import loop, processes
 from learn.training.loop import Training
+from manifests import measured_lights
 from manifests.cli import main
 from manifests.errors import InputError
 from tests.support import synthetic
@@ -506,6 +507,24 @@ def test_light_maps_are_read_as_numpy_writes_them(tmp_path, rng):
     for write in (np.savez, np.savez_compressed):
         write(tmp_path / "maps.npz", **maps)
         assert set(lights.read_maps(tmp_path / "maps.npz")) == set(maps)
+
+
+def test_a_light_map_that_has_the_name_of_another_one_is_refused_unless_it_is_a_copy(
+    store, tmp_path, rng
+):
+    (name,) = store.dataset().lights
+    known, path = measured_lights.load("blender_city"), tmp_path / "maps.npz"
+    for taken, data in ((name, Data()), ("blender_city", Data(measured_lights=True))):
+        np.savez(path, **{taken: rng.random((64, 128, 3))})
+        with pytest.raises(InputError) as caught:
+            sources.data_splits(data, store.folder, path, progress=False)
+        assert str(caught.value) == (
+            f"--lights {path}: expected one map under a name, found a second, different one under"
+            f" '{taken}' (rename it: the data set or the program has one of that name)"
+        )
+    np.savez(path, blender_city=2 * np.roll(known, 5, axis=1))
+    splits = sources.data_splits(Data(measured_lights=True), store.folder, path, progress=False)
+    assert "blender_city" in {light for side in splits.values() for light in side.map_names}
 
 
 def test_light_maps_in_other_files_are_refused(tmp_path):
