@@ -9,8 +9,6 @@ from learn.commands import editing_options, options
 from manifests import other_threads
 from manifests.errors import InputError
 
-ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
-
 
 def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the command's parser."""
@@ -91,7 +89,7 @@ def run(arguments: argparse.Namespace) -> None:
     other_threads.let_waiting_threads_sleep()
     from learn.editing import edit
 
-    masks = [Path(mask) for mask in arguments.mask if mask != ALPHA]
+    masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
     edit_options = editing_options.edit_options(arguments)
     report = edit.run(
@@ -119,7 +117,7 @@ def _require_masks_with_effect(arguments: argparse.Namespace) -> None:
     """Raise InputError for masks of which one, or whose being regions, would have no effect."""
     if len(arguments.mask) < 2:
         return
-    if ALPHA in arguments.mask:
+    if editing_options.ALPHA in arguments.mask:
         rule = "no other mask beside the photograph's transparency"
         raise InputError("--mask alpha", rule, f"{len(arguments.mask)} masks", "leave it out")
     if arguments.regions is not None:

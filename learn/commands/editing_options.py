@@ -1,9 +1,10 @@
-"""Options that the commands `edit` and `transfer` share, and what their values must be."""
+"""Options that `edit`, `transfer` and `predict` share, and what their values must be."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learn.commands import options
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from learn.editing.edit import EditOptions
 
 LARGEST_FACTOR = 100  # of a white balance
+ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -83,6 +85,11 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
         balance,
         device,
     )
+
+
+def mask_files(given: Iterable[str]) -> list[Path]:
+    """Return the files among the masks that a user gave; ALPHA is none."""
+    return [Path(mask) for mask in given if mask != ALPHA]
 
 
 def check_exposure(value: float | None) -> None:

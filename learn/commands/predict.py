@@ -26,15 +26,18 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=Path,
         metavar="IMAGE",
         help=(
-            "a picture of any size (PNG, JPEG, TIFF, EXR …), or a data set's folder, of which a"
-            " held-out record is taken"
+            "a picture of any size (PNG, JPEG, TIFF, EXR …); a data set's folder, of which a"
+            " held-out record is taken; or example:espresso-cup, whose cup and saucer are one"
+            " object here"
         ),
     )
     parser.add_argument(
         "--mask",
-        type=Path,
         metavar="FILE",
-        help="a picture that is white where the object is (default: the picture's transparency)",
+        help=(
+            "a picture that is white where the object is; without it, or with 'alpha', the"
+            " picture's transparency is used"
+        ),
     )
     options.add_weights(parser)
     options.add_exposure(parser, "picture")
@@ -51,9 +54,10 @@ def run(arguments: argparse.Namespace) -> None:
     from learn.editing import predict
 
     editing_options.check_exposure(arguments.exposure)
+    masks = editing_options.mask_files([] if arguments.mask is None else [arguments.mask])
     predict.run(
         arguments.image,
-        arguments.mask,
+        masks[0] if masks else None,
         arguments.weights,
         arguments.out,
         arguments.exposure,

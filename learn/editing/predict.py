@@ -22,7 +22,6 @@ from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.training import montage as training_montage
 from manifests import files
-from manifests.errors import InputError
 from shaders import tone
 
 TILE = 160
@@ -82,31 +81,20 @@ def compute(
     exposure: float | None,
     device: str | torch.device,
 ) -> PredictedPicture:
-    """Return the prediction of a picture, or of a dataset's record, and its rendering."""
-    if mask is not None and Path(image).is_dir():
-        raise InputError(
-            "--mask",
-            "a photograph: a dataset's records have masks",
-            f"the dataset {image}",
-            "leave --mask out",
-        )
+    """Return the prediction of a picture, of a dataset's record, or of an example.
+
+    Regions are one object here: there is one material.
+    """
     network, metadata = checkpoint.load_parts(weights, device)
-    from_data_set = photograph.of_record(image, exposure) if Path(image).is_dir() else None
-    if from_data_set is None:
-        radiance, covered = photographs.read(image, mask)
-        linear = photographs.holds_radiance(image)
-    else:
-        radiance, covered = from_data_set.radiance, from_data_set.mask
-        exposure = from_data_set.exposure
-        linear = True
-    clipped = None if linear else photographs.saturated(radiance)
-    framed = framing.framed(radiance, covered, metadata["size"], exposure, image, clipped)
+    opened = photograph.opened(image, [] if mask is None else [mask], exposure=exposure)
+    framed = framing.framed(
+        opened.radiance, opened.mask, metadata["size"], opened.exposure, image, opened.clipped
+    )
     batch, predicted = predict_framed(framed, network)
-    if from_data_set is not None:
-        batch = replace(batch, elevation=from_data_set.elevation)
+    batch = replace(batch, elevation=opened.elevation)
     parts = parts_of(predicted)
     rendering = rendered_again(batch, predicted)
-    if exposure is None:
+    if opened.exposure is None:
         framed, batch = corrected(framed, batch, predicted, rendering)
     return PredictedPicture(framed, batch, predicted, parts, rendering, metadata)
 

@@ -10,13 +10,16 @@ import pytest
 import torch
 from PIL import Image
 
+from learn.__main__ import COMMANDS
+from learn.data import framing
 from learn.data.settings import Run
-from learn.editing import material_file, predict
+from learn.editing import material_file, photograph, predict
 from learn.editing.exposure import rendered_again
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests import exr
+from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -179,3 +182,30 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
         path.write_bytes(b"")
     with pytest.raises(InputError, match="expected records, found none"):
         predict.run(store.folder, None, weights, tmp_path / "out")
+
+
+def test_the_example_is_predicted_as_a_whole_by_the_masks_that_edit_has(weights, tmp_path):
+    words = ["predict", "example:espresso-cup", "--weights", str(weights), "--device", "cpu"]
+    assert main("learn", "", COMMANDS, [*words, "--out", str(tmp_path)]) == 0
+    seen = photograph.opened("example:espresso-cup")
+    assert seen.count == 2
+    framed = framing.framed(seen.radiance, seen.mask, SIZE)
+    assert (shown(tmp_path / "mask.png") > 127).tolist() == framed.mask.tolist()
+    report = json.loads((tmp_path / "material.json").read_text())
+    assert report["box"] == list(framed.box) and len(report["label"]) == 108
+
+
+def test_alpha_in_place_of_a_mask_is_the_pictures_transparency(weights, tmp_path, capsys):
+    y, x = np.mgrid[-1:1:60j, -1:1:60j]
+    inside = x * x + y * y < 0.5
+    values = np.dstack([np.full((60, 60, 3), 120), 255 * inside]).astype(np.uint8)
+    Image.fromarray(values).save(tmp_path / "cut-out.png")
+    Image.fromarray(values[..., :3]).save(tmp_path / "opaque.png")
+    words = ["--mask", "alpha", "--weights", str(weights), "--device", "cpu", "--out"]
+    for name, status in (("cut-out", 0), ("opaque", 1)):
+        given = ["predict", str(tmp_path / f"{name}.png"), *words, str(tmp_path / name)]
+        assert main("learn", "", COMMANDS, given) == status
+    assert "expected a mask, or transparency around the object" in capsys.readouterr().err
+    predict.run(tmp_path / "cut-out.png", None, weights, tmp_path / "without")
+    files = [tmp_path / name / "material.json" for name in ("cut-out", "without")]
+    assert files[0].read_bytes() == files[1].read_bytes()
