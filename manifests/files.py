@@ -142,6 +142,11 @@ def transaction() -> Iterator[None]:
                 rest.callback(_finish, *each, whole)
 
 
+def drafts() -> dict[Path, Path]:
+    """Return {target: draft} of the files that the transaction in progress has written so far."""
+    return {each.target: each.draft for each in _TRANSACTION.get() or ()}
+
+
 def _finish(draft: Path, target: Path, whole: bool) -> None:
     """Rename a draft to its target, or remove it if it is not whole."""
     try:

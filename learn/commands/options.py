@@ -28,7 +28,12 @@ def add_out(parser: argparse.ArgumentParser, what: str = "folder for the results
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     """Add --overwrite, without which earlier results in --out are refused."""
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace earlier results in the folder"
+        "--overwrite",
+        action="store_true",
+        help=(
+            "replace earlier results in the folder; those that this run does not make are removed,"
+            " if they are as an earlier run of the command left them"
+        ),
     )
 
 

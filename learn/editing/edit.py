@@ -98,11 +98,13 @@ def run(
     """Edit a photograph, write all results into the folder `out`, and return edit.json.
 
     materials  texts as `learn.editing.targets` reads them; "A+B" gives regions 1 and 2 their own
+    overwrite  whether to replace the results of an earlier run
     with_page  whether to write the page of learn.editing.interactive as well
     Raises     InputError
     """
     out = Path(out)
-    inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *materials]
+    parts = [part for text in materials for part in targets.parts_of(text)]
+    inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *parts]
     pages = [interactive.NAME] if with_page else []
     names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
@@ -113,14 +115,16 @@ def run(
         edit_options.balance,
         edit_options.exposure,
         record,
-        targets=[name for text in materials for name in targets.parts_of(text)],
+        targets=parts,
     )
     labels = requested_labels(opened, materials, network, metadata["size"], edit_options)
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:
         result = compute(opened, labels, network, metadata, edit_options, progress)
         progress.set_description("writing")
         texts = {name: interactive.page(result, edit_options) for name in pages}
-        report = edit_files.write(out, names, result, edit_options, texts)
+        report = edit_files.write(
+            out, names, result, edit_options, texts, inputs if overwrite else None
+        )
         progress.update()
     return report
 

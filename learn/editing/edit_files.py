@@ -1,5 +1,7 @@
 """The files of `learn edit`: their names, and how they are written."""
 
+import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +13,9 @@ from learn.data.devices import array
 from learn.editing import drawing, material_file, targets
 from learn.figures import montage
 from learn.metrics.pictures import display_l2
-from manifests import files
+from manifests import earlier_results, files
 from manifests.errors import InputError
+from manifests.progress import tqdm
 from shaders import tone
 
 if TYPE_CHECKING:
@@ -28,6 +31,8 @@ PARTS = (
     "ball.png",
     "reflectance.png",
 )
+# files that not every run writes
+SOMETIMES_WRITTEN = re.compile(r"edited(-.+)?\.(png|exr)|interactive\.html")
 
 
 def reserve(
@@ -71,10 +76,12 @@ def write(
     result: "EditResult",
     edit_options: "EditOptions",
     texts: Mapping[str, str] | None = None,
+    inputs: Sequence[str | Path] | None = None,
 ) -> dict:
     """Write every file into the folder `out`, all or none, and return what edit.json holds.
 
-    texts  {name: content} of text files that are written as well
+    texts   {name: content} of text files that are written as well
+    inputs  which stay where other results of an earlier run are removed; None: all of them stay
     """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
@@ -114,7 +121,14 @@ def write(
         )
         for name, text in (texts or {}).items():
             files.write_text(out / name, text)
+        report["files"] = earlier_results.written()
         files.write_json(out / "edit.json", report)
+        if inputs is not None:
+            line = earlier_results.remove(
+                out / "edit.json", report["files"], SOMETIMES_WRITTEN, inputs
+            )
+            if line is not None:
+                tqdm.write(line, file=sys.stderr)
     return report
 
 

@@ -5,6 +5,7 @@ the material of picture j; on the diagonal is the picture itself.
 """
 
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from learn.editing.photograph import Photograph
 from learn.figures import montage
 from learn.figures.montage import Tile
 from learn.networks import weights as checkpoint
-from manifests import files
+from manifests import earlier_results, files
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.progress import tqdm
@@ -33,6 +34,7 @@ REMEDY = (
 )
 LARGEST_LIST = 1 << 20  # bytes: ten thousand long paths
 MOST_PER_GRID = 10  # pictures: more become several grids
+PICTURES = re.compile(r".+-in-.+\.png|grid(-\d+)?(-under-.+)?\.png", re.DOTALL)
 
 
 def listed(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
@@ -116,7 +118,8 @@ def run(
         ]
     else:
         names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
-    files.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, paths)
+    inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
+    files.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.
@@ -157,9 +160,15 @@ def run(
                 tiles_by_row.append(row(shape, decompositions, tiles))
             save(out / name, montage.contact_sheet(tiles_by_row, drawing.TILE))
         about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
+        written = earlier_results.written()
         files.write_json(
-            out / "transfer.json", {"pictures": report} | about | edit_options.as_metadata()
+            out / "transfer.json",
+            {"pictures": report} | about | edit_options.as_metadata() | {"files": written},
         )
+        if overwrite and (
+            line := earlier_results.remove(out / "transfer.json", written, PICTURES, inputs)
+        ):
+            tqdm.write(line, file=sys.stderr)
 
 
 def light_names(lights: Sequence[str]) -> list[str]:

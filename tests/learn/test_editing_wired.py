@@ -241,6 +241,49 @@ def test_a_transfer_overwrites_nothing_unless_asked(photo, name, capsys):
     )
 
 
+def test_pictures_of_an_earlier_edit_go_with_overwrite_and_a_users_own_stay(photo, capsys):
+    out = photo / "out"
+    words = ("edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine", "--out", out)
+    white, grey, black = (f"lambert(#{level * 6})" for level in "f83")
+    done(*words, "--material", white, grey, black)
+    (out / "edited-mine.png").write_text("mine")
+    (out / "edited-lambert-333333.png").write_text("retouched")
+    capsys.readouterr()
+    done(*words, "--material", grey, "--overwrite")
+    kept = {"edited.png", "edited-mine.png", "edited-lambert-333333.png"}
+    assert {path.name for path in out.glob("edited*")} == kept
+    line = f"{out}: edited-lambert-333333.png stayed beside the new results"
+    assert line in capsys.readouterr().err
+    assert (out / "edited-lambert-333333.png").read_text() == "retouched"
+    # a picture that is read is not removed
+    again = ("edit", out / "edited.png", "--mask", photo / "mask.png", "--no-refine", "--out", out)
+    done(*again, "--material", white, black, "--overwrite")
+    assert {"edited.png", "edited-lambert-ffffff.png"} <= {path.name for path in out.iterdir()}
+
+
+def test_a_material_file_of_one_region_is_not_written_over(photo, capsys):
+    out = photo / "out"
+    words = ("edit", photo / "photo.png", "--mask", photo / "mask.png", "--no-refine")
+    done(*words, "--material", "lambert(#ffffff)", "--out", out)
+    before = (out / "material.json").read_bytes()
+    masks = ("--mask", photo / "left.png", "--mask", photo / "right.png")
+    words = ("edit", photo / "photo.png", *masks, "--material", f"keep+{out / 'material.json'}")
+    words = [*map(str, words), "--out", str(out), "--overwrite"]
+    assert main("learn", "t", COMMANDS, words) == 1
+    assert "found this input" in capsys.readouterr().err
+    assert (out / "material.json").read_bytes() == before
+
+
+def test_pictures_of_an_earlier_transfer_go_with_overwrite(photo, capsys):
+    words = [*cut_outs(photo), "--light", "computed:1"]
+    done(*words)
+    (photo / "swap" / "me-in-rome.png").write_text("mine")
+    done(*cut_outs(photo), "--overwrite")
+    own = {"a-in-b.png", "b-in-a.png", "grid.png", "transfer.json"}
+    assert {path.name for path in (photo / "swap").iterdir()} == own | {"me-in-rome.png"}
+    assert "stayed" not in capsys.readouterr().err
+
+
 def cut_outs(photo):
     """Arguments of a transfer between the photograph and a dark one of the same shape."""
     picture, mask = (
