@@ -50,6 +50,7 @@ CARD = Card(
     gradient=0.1,
 )
 SMALLEST, LARGEST = 12, 512
+BACKMOST = -0.9999  # least z of a node's normal
 MARGIN = 2
 TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each pixel
 
@@ -163,13 +164,14 @@ def weighted(touched: np.ndarray) -> np.ndarray:
 def normals(nodes: np.ndarray, size: int) -> np.ndarray:
     """Unit normals (N, 3) of flat node indices, float64 numpy.
 
-    Outside the disk |p| ≤ 1 they look away from the viewer.
+    Outside the disk |p| ≤ 1 they look away from the viewer, beyond |p| = √2 not quite straight:
+    straight away every p is the same, and a map could not be read there.
     """
     line = (np.arange(size) - MARGIN) * (2.0 / (size - 1 - 2 * MARGIN)) - 1.0
     row, column = np.divmod(nodes, size)
     x, y, result = line[column], line[row], np.empty((len(nodes), 3))
-    z = 1.0 - (x * x + y * y)
-    stretch = np.sqrt(np.maximum(1.0 + z, 0.0))
+    z = np.maximum(1.0 - (x * x + y * y), BACKMOST)
+    stretch = np.sqrt(1.0 + z)
     result[:, 0], result[:, 1], result[:, 2] = x * stretch, y * stretch, z
     return result
 

@@ -11,7 +11,15 @@ import torch
 from learn.engines import layout, pixel_selection
 from learn.experiments import chart_cases
 from learn.layer import render
-from learn.methods import coarse, cost_model, directional, exact, lobe_shapes, planned
+from learn.methods import (
+    coarse,
+    cost_model,
+    directional,
+    exact,
+    lobe_shapes,
+    planned,
+    reflectance_map,
+)
 from shaders.envmap import directions
 from shaders.frames import camera_from_light
 from tests.support.card_scenes import MATERIALS, light, material, sphere
@@ -272,3 +280,13 @@ def test_the_state_of_a_pixel_is_that_of_its_vectors():
         wrong,
         outside,
     ]
+
+
+@pytest.mark.parametrize("size", [12, 17, 48])
+def test_a_map_can_be_read_at_all_nodes_of_a_larger_one(size):
+    """Corner nodes lie so far outside the disk that no direction would be theirs."""
+    normals = reflectance_map.normals(np.arange(size**2), size)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-3)
+    constant = np.ones((12**2, 4), np.float32)
+    values = reflectance_map.read(normals.astype(np.float32), constant, 12)
+    assert values == pytest.approx(1, abs=1e-5)
