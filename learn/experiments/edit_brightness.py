@@ -49,37 +49,20 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     Raises InputError for a data set without pictures of the rungs.
     """
-    import torch
+    from learn.evaluation.ladder import Bench
+    from learn.experiments import drawn_edits
 
-    from learn.data.records import Records
-    from learn.evaluation import ladder, overlap
-    from learn.experiments import relighting
-    from manifests import files
-    from manifests.store import file_hash
-
-    torch.set_num_threads(1)
-    records = Records(arguments.data)
-    pictures = relighting.pictures_of(records)
-    scenes = relighting.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences(
-        [arguments.weights], ladder.tested(records, scenes), arguments.data, True
-    )
-    about = {
-        "data": file_hash(arguments.data / "materials.json"),
-        "weights": file_hash(arguments.weights),
-        "seed": arguments.seed,
-    }
-    files.pin_settings(arguments.out / "settings.json", about)
-    bench = ladder.Bench(records, arguments.weights)
+    edits = drawn_edits.opened(arguments)
+    bench = Bench(edits.records, arguments.weights)
     todo = [
         ({"scene": f"{of.source[rung].id}-{of.truth[rung].id}", "rung": rung}, (of, rung))
-        for of in scenes
-        for rung in pictures
+        for of in edits.scenes
+        for rung in edits.pictures
     ]
     rows = runner.resume(
         arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "edit"
     )
-    return {"rows": rows, "weights": arguments.weights.name, "seen": seen}
+    return {"rows": rows, "weights": arguments.weights.name, "seen": edits.seen}
 
 
 def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
@@ -155,10 +138,7 @@ def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, Any]:
 
     from learn.metrics import bootstrap
 
-    groups = bootstrap.groups_of(
-        *([row[kind] for row in rows] for kind in ("shape", "target", "light"))
-    )
-    weights = bootstrap.draws(groups)
+    weights = _weights(rows)
     l2 = np.array([row[method]["l2"] for row in rows])
     common = by_other_shapes(l2, [row["shape"] for row in rows])
     stops, own = (
@@ -172,6 +152,13 @@ def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, Any]:
         "own": bootstrap.interval(own, weights),
         "factor": FACTORS[int(l2.mean(0).argmin())],
     }
+
+
+def _weights(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    from learn.metrics import bootstrap
+
+    groups = [[row[kind] for row in rows] for kind in ("shape", "target", "light")]
+    return bootstrap.draws(bootstrap.groups_of(*groups))
 
 
 def tables(report: runner.Report) -> str:
@@ -218,4 +205,32 @@ def tables(report: runner.Report) -> str:
                     ]
                 )
         result += [f"## Rung {rung}\n", runner.table(head, lines)]
+    result.append(
+        "## One factor for all edits into metals\n\n"
+        "Refined edits. *Ratio*: L2 with the factor over L2 without it.\n"
+    )
+    for rung in dict.fromkeys(row["rung"] for row in rows):
+        of = [row for row in rows if row["rung"] == rung and row["metal"]]
+        if of:
+            result += [f"### On the rung {rung}\n", table_by_factor(of)]
     return "\n".join(result)
+
+
+def table_by_factor(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return L2 of refined edits with each of FACTORS, and how many edits are better by it."""
+    import numpy as np
+
+    from learn.metrics import bootstrap
+
+    weights = _weights(rows)
+    l2 = np.array([row["refined"]["l2"] for row in rows])
+    lines = [
+        [
+            f"{factor:.2f}",
+            runner.interval(bootstrap.interval(l2[:, k], weights), 0),
+            runner.interval(bootstrap.relative(l2[:, UNCHANGED], l2[:, k], weights), 2),
+            f"{(l2[:, k] < l2[:, UNCHANGED]).sum()} of {len(rows)}",
+        ]
+        for k, factor in enumerate(FACTORS)
+    ]
+    return runner.table(["factor", "L2", "ratio", "better in"], lines)

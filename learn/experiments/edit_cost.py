@@ -110,35 +110,17 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     Raises InputError for a data set without the ladder's scenes, and for names in --hours that are
     no method's.
     """
-    import torch
+    from learn.experiments import drawn_edits
 
-    from learn.data.records import Records
-    from learn.evaluation import ladder, overlap
-    from learn.experiments import relighting
-    from manifests import files
-    from manifests.store import file_hash
-
-    torch.set_num_threads(1)
-    records = Records(arguments.data)
-    pictures = relighting.pictures_of(records)
-    scenes = relighting.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences(
-        arguments.weights, ladder.tested(records, scenes), arguments.data, True
-    )
     contenders, size = methods_of(arguments.weights, arguments.baselines)
     known = {name.partition(", ")[0] for name in contenders}
     for name, _ in arguments.hours:
         if name not in known:
             raise InputError("--hours", f"one of {sorted(known)}", name, "name a method as there")
-    about = {
-        "data": file_hash(arguments.data / "materials.json"),
-        "weights": [file_hash(path) for path in arguments.weights],
-        "seed": arguments.seed,
-    }
-    files.pin_settings(arguments.out / "settings.json", about)
+    edits = drawn_edits.opened(arguments)
     todo = [
         ({"scene": scene.id, "rung": rung, "method": name}, (scene, rung, name))
-        for scene in scenes
+        for scene in edits.scenes
         for rung in RUNGS
         for name in contenders
     ]
@@ -147,12 +129,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     def row(case: tuple[Any, str, str]) -> dict[str, Any]:
         scene, rung, name = case
         if name not in timed:
-            row_of(records, contenders[name](), scene, rung, size)
+            row_of(edits.records, contenders[name](), scene, rung, size)
             timed.add(name)
-        return row_of(records, contenders[name](), scene, rung, size)
+        return row_of(edits.records, contenders[name](), scene, rung, size)
 
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "edit")
-    return {"rows": rows, "hours": dict(arguments.hours), "seen": seen}
+    return {"rows": rows, "hours": dict(arguments.hours), "seen": edits.seen}
 
 
 def methods_of(

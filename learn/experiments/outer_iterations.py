@@ -59,44 +59,27 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     from dataclasses import asdict, replace
 
-    import torch
-
-    from learn.data.records import Records
-    from learn.evaluation import ladder, overlap
-    from learn.experiments import relighting
+    from learn.evaluation import ladder
+    from learn.experiments import drawn_edits
     from learn.refinement import RefinementSettings
-    from manifests import files
-    from manifests.store import file_hash
 
-    torch.set_num_threads(1)
-    records = Records(arguments.data)
-    pictures = relighting.pictures_of(records)
-    scenes = relighting.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences(
-        [arguments.weights], ladder.tested(records, scenes), arguments.data, True
-    )
     settings = replace(RefinementSettings(), outer_iterations=1)
-    about = {
-        "data": file_hash(arguments.data / "materials.json"),
-        "weights": file_hash(arguments.weights),
-        "settings": asdict(settings),
-        "seed": arguments.seed,
-    }
-    files.pin_settings(arguments.out / "settings.json", about)
-    bench = ladder.Bench(records, arguments.weights)
+    edits = drawn_edits.opened(arguments, settings=asdict(settings))
+    scenes = edits.scenes
+    bench = ladder.Bench(edits.records, arguments.weights)
     numbers = list(dict.fromkeys(arguments.outer_iterations))
     todo = [
         ({"scene": scene.id, "rung": rung, "number": number}, (scene, rung, number))
         for scene in scenes
-        for rung in pictures
+        for rung in edits.pictures
         for number in numbers
     ]
     # once without a clock, because kernels are compiled
-    row_of(bench, scenes[0], next(iter(pictures)), 1)
+    row_of(bench, scenes[0], next(iter(edits.pictures)), 1)
     rows = runner.resume(
         arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "refinement"
     )
-    return {"rows": rows, "numbers": numbers, "weights": arguments.weights.name, "seen": seen}
+    return {"rows": rows, "numbers": numbers, "weights": arguments.weights.name, "seen": edits.seen}
 
 
 def row_of(bench: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:

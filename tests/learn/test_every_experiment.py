@@ -13,7 +13,7 @@ import torch
 import learn.__main__
 import learn.experiments.__main__
 from learn.data.sources import VALIDATION_SHAPES, by_hash
-from learn.experiments import auto_calibration, exposure_rule, runner
+from learn.experiments import auto_calibration, edit_brightness, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.metrics import bootstrap
 from learn.networks import weights
@@ -325,6 +325,16 @@ def test_weights_of_another_size_see_the_same_scenes_in_pictures_of_their_own_si
         assert (both["shape"], both["material"]) == (one["shape"], one["material"])
         assert both["larger"] == one["larger"]
         assert both[stem] != both["larger"]
+
+
+def test_a_common_factor_is_that_of_the_other_shapes():
+    """Each shape is best with a factor that the other one's is not; a single one keeps its own."""
+    l2 = np.full((3, len(edit_brightness.FACTORS)), 9.0)
+    l2[:2, 0], l2[2, 1] = 1.0, 2.0
+    assert edit_brightness.by_other_shapes(l2, ["a", "a", "b"]).tolist() == [9.0, 9.0, 9.0]
+    l2[:2, 1] = 5.0
+    assert edit_brightness.by_other_shapes(l2, ["a", "a", "b"]).tolist() == [5.0, 5.0, 9.0]
+    assert edit_brightness.by_other_shapes(l2, ["a", "a", "a"]).tolist() == [9.0, 9.0, 9.0]
 
 
 def test_a_line_through_exposures_leaves_out_draws_of_one_picture():

@@ -58,11 +58,20 @@ def test_a_result_that_was_changed_or_is_read_stays_and_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["../edited-x.png", "inner/edited-x.png", "{absolute}", "thesis.txt", "edited-x.png\0"]
+    "name",
+    [
+        "../edited-x.png",
+        "inner/edited-x.png",
+        "edited-/../../edited-x.png",  # a name of the command's by its letters
+        "{absolute}",
+        "thesis.txt",
+        "edited-x.png\0",
+    ],
 )
 def test_a_forged_report_removes_nothing(tmp_path, name):
     out = tmp_path / "out"
-    (out / "inner").mkdir(parents=True)
+    for folder in ("inner", "edited-"):
+        (out / folder).mkdir(parents=True)
     mine = [tmp_path / "edited-x.png", out / "inner" / "edited-x.png", out / "thesis.txt"]
     for path in mine:
         path.write_bytes(b"mine")
