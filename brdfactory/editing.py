@@ -1,7 +1,7 @@
 """Editing a photograph from Python: decompose it once, then paint its object in any material."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TypedDict, Unpack
@@ -110,10 +110,11 @@ class Decomposition:
     @property
     def materials(self) -> list[Material]:
         """The material of each region."""
-        return [
+        each = [
             material(label, f"region {number}")
             for number, label in enumerate(self.computed.label, 1)
         ]
+        return [replace(m, read=(m.label,)) for m in each]
 
     @property
     def material(self) -> Material:
@@ -145,6 +146,7 @@ class Decomposition:
             rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
             raise InputError("paint", rule, f"{len(materials)}", "None leaves a region as it is")
         chosen = [None if m is None else material(m) for m in materials]
+        self._take_note(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted(chosen):
             linear = linear + weight * self._compositor.edited(labels)
@@ -178,6 +180,7 @@ class Decomposition:
                 "relight", f"{len(own)} materials", f"{len(requested)}", "one a region"
             )
         chosen = [None if m is None else material(m) for m in requested]
+        self._take_note(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted(chosen):
             label = np.stack(
@@ -187,6 +190,12 @@ class Decomposition:
         radiance = np.asarray(linear, np.float32)
         exposure = tone.auto_exposure(radiance, self.photograph.mask)
         return Picture(radiance, exposure, self.photograph.coverage)
+
+    def _take_note(self, chosen: Sequence[Material | None]) -> None:
+        """Have materials that were read from pictures as bright as they were read."""
+        for each in chosen:
+            if each is not None:
+                self._compositor.add_read(*each.read)
 
     def _picture(self, linear: np.ndarray) -> Picture:
         return Picture(linear, drawing.exposure_of(self.photograph), self.photograph.opacity)

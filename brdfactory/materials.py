@@ -22,6 +22,7 @@ class Material:
 
     name   for messages and files
     parts  (weight, label (108,)) of each; the weights sum to 1
+    read   labels among these that were read from pictures, as a decomposition's materials are
 
     Radiance is linear in the reflectance, so a blend's picture is the weighted sum of its parts'
     pictures, exactly.
@@ -29,6 +30,7 @@ class Material:
 
     name: str
     parts: tuple[tuple[float, np.ndarray], ...]
+    read: tuple[np.ndarray, ...] = ()
 
     @property
     def label(self) -> np.ndarray:
@@ -69,7 +71,8 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
         result = "keep" if labels is None else f"{len(labels)} materials"
         raise InputError(f"material {text}", "one material", result, "name one")
     shown = name or re.sub(r"\s+", " ", str(text))
-    return Material(shown, ((1.0, np.asarray(labels[0], np.float32)),))
+    label = np.asarray(labels[0], np.float32)
+    return Material(shown, ((1.0, label),), (label,) if targets.is_read(str(text)) else ())
 
 
 def blend(
@@ -86,5 +89,7 @@ def blend(
     a, b = material(first), material(second)
     weighted = [(w * (1 - share), m) for w, m in a.parts] + [(w * share, m) for w, m in b.parts]
     return Material(
-        f"{a.name} and {b.name}, {share:.0%}", tuple((w, m) for w, m in weighted if w > 0)
+        f"{a.name} and {b.name}, {share:.0%}",
+        tuple((w, m) for w, m in weighted if w > 0),
+        a.read + b.read,
     )

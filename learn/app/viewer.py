@@ -27,9 +27,9 @@ from learn.app.choices import Edit, LightChoice
 from learn.data import framing
 from learn.data.devices import array
 from learn.editing import drawing, interactive, reflectance_store
-from learn.editing.compositor import CLEAR, Compositor
+from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
-from learn.editing.photograph import Photograph
+from learn.editing.photograph import CLEAR, Photograph
 from learn.figures import montage
 from learn.layer import predictions
 from shaders import tone
@@ -72,6 +72,7 @@ class Viewer:
         is_current  asked before each exact map
         Raises      Superseded as soon as is_current says no
         """
+        self.small.add_read(*read_labels(edit))
         if all(p.unchanged for p in edit.regions) and edit.light.unchanged:
             return self._shown(self.small.decomposition.photograph.radiance, edit)
         radiance = np.zeros((self.small.grid**2, 3), np.float32)
@@ -126,6 +127,7 @@ class Viewer:
             values, _ = reflectance_store.values_of(label, scene)
         else:
             values = reflectance_store.rendered(label, scene, QUICK, "auto")
+        values = values * self.small.brightness(label)
         with self._lock:
             self._maps[self._key(label, light, exact)] = values
             while len(self._maps) > KEPT_MAPS:
@@ -157,6 +159,7 @@ class Viewer:
         if self._full is None:
             self._full = Compositor(self.decomposition, predictions.SHOWN.tolerance, DETAIL)
         compositor = self._full
+        compositor.add_read(*read_labels(edit))
         each = [p.parts(own) for p, own in zip(edit.regions, self.decomposition.label, strict=True)]
         # all regions' first parts at once, then the second ones, each pixel with its weight
         object_: np.ndarray | float = 0.0
@@ -233,6 +236,12 @@ class Viewer:
             ),
             ("rendered again from these", again),
         ]
+
+
+def read_labels(edit: Edit) -> list[np.ndarray]:
+    """Return the labels (108,) of an edit's materials that were read from pictures or files."""
+    chosen = (each for painted in edit.regions for each in (painted.first, painted.second))
+    return [each.label for each in chosen if each is not None and not each.named]
 
 
 def light_key(light: LightChoice) -> bytes:

@@ -2,7 +2,8 @@
 
     edited = share · O / (exposure · balance) + (1 − share) · background
 
-where O is the layer's picture of normals, light and target material. The background behind the
+where O is the layer's picture of normals, light and target material, times the correction of
+learn.editing.brightness. The background behind the
 object's soft edge is taken from the nearest pixel that the object does not touch. The object's
 share of a pixel's colour is its coverage; before a transparent background it is 1. Normals come at
 the network's size, are continued beyond the mask by their nearest neighbour, upsampled bilinearly
@@ -19,13 +20,13 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import framing
 from learn.data.devices import array
-from learn.editing import reflectance_store
+from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
+from learn.editing.photograph import CLEAR
 from learn.layer import predictions
 
 # rows of the rendered grid: smaller objects are supersampled, and normals have no finer detail
 COARSEST, FINEST = 256, 1024
-CLEAR = 0.02  # coverage under which a pixel is background
 DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
 LARGEST_DETAIL = 1.5  # factor
 
@@ -55,6 +56,7 @@ class Compositor:
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
+        self._read: list[np.ndarray] = list(self.own)
         self._own_radiance: np.ndarray | None = None
         self._fine_shading: np.ndarray | None = None
         self._background: np.ndarray | None = None
@@ -89,7 +91,7 @@ class Compositor:
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
-                picture[inside] = reflectance_store.at_normals(
+                picture[inside] = self.brightness(row) * reflectance_store.at_normals(
                     row,
                     array(self.n)[inside],
                     light,
@@ -97,6 +99,23 @@ class Compositor:
                     self.tolerance,
                 )
         return self.upsampled(picture)
+
+    def brightness(self, label: np.ndarray) -> np.float32:
+        """Return the factor by which the layer's radiance in a material (108,) is multiplied.
+
+        It is 1 for materials that were read from a picture, which are as much too dark as normals
+        and light make them too bright.
+        """
+        if any(np.array_equal(label, read) for read in self._read):
+            return np.float32(1)
+        return np.float32(brightness.factor(label))
+
+    def add_read(self, *labels: np.ndarray) -> None:
+        """Take note of materials (108,) that were read from other pictures."""
+        known = {read.tobytes() for read in self._read}
+        for label in (np.asarray(each, np.float32) for each in labels):
+            if label.tobytes() not in known:
+                self._read.append(label)
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""

@@ -45,6 +45,7 @@ class Decomposition:
     batch    the same as a batch of one picture
     start    the network's prediction
     refined  the refinement's result, or None where no refinement was requested
+    cues     by which the exposure was estimated, or None where it was given
     """
 
     photograph: Photograph
@@ -52,6 +53,7 @@ class Decomposition:
     batch: ExampleBatch
     start: Prediction
     refined: RefinementResult | None
+    cues: exposure.Cues | None = None
 
     @property
     def parts(self) -> Parts:
@@ -91,12 +93,14 @@ def decompose(
     )
     regions = framing.framed_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
+    cues = None
     if photograph.exposure is None:
-        framed, batch = exposure.corrected(framed, batch, start)
+        again = exposure.rendered_again(batch, start)
+        framed, batch, cues = exposure.corrected(framed, batch, again, photograph.background)
     batch = replace(batch, elevation=photograph.elevation)
     labels: np.ndarray | None = getattr(network, "training_labels", None)
     refined = None if settings is None else refine(batch, start, settings, labels, watch)
-    return Decomposition(photograph, framed, batch, start, refined)
+    return Decomposition(photograph, framed, batch, start, refined, cues)
 
 
 def predict_framed(

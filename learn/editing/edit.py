@@ -147,6 +147,7 @@ def compute(
     edits = []
     for text, each in labels.items():
         progress.set_description(text[:24])
+        compositor.add_read(*targets.read_labels(text, each))
         edits.append(Edit(text, each, compositor.edited(each), truth_of(opened, text)))
         progress.update()
     return EditResult(result, compositor.rendered_again(), edits, metadata)

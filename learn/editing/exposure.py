@@ -1,53 +1,107 @@
-"""The exposure of a photograph, corrected by the re-rendering of its prediction.
+"""The exposure of a photograph: what it must be multiplied by to be that of a light of unit mean.
 
-A file does not say how bright the scene was. The reader's rule (learn.data.framing.exposure_of)
-guesses from the object's brightness alone. The network guesses again: a dark material in bright
-light and a bright one in dim light give different pictures, so that what it renders again is
-brighter or darker than the picture it was given. TRUST is the share of this ratio's logarithm by
-which the exposure is moved.
+A file does not say how bright the scene was. Three things say something about it, and the exposure
+is a line through their logarithms:
 
-`python -m learn.experiments exposure-correction` measures shares. Its pictures prefer the whole
-ratio, while edits of the ladder's pictures become worse with more than half of it (docs/log.md).
+- how bright the object is in the file, from which learn.data.framing guesses a first exposure;
+- how much brighter than the picture the network's prediction is when it is rendered again: a dark
+  material in bright light and a bright one in dim light give different pictures;
+- how bright the background is, because a camera exposes for the whole frame: what is darker than
+  its surroundings is likely to be dark.
+
+`python -m learn.experiments photographed-edits` measures the line and fits it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.data.framing import Framed
+from learn.data.framing import DEPENDENCE, TYPICAL, Framed
 from learn.layer import predictions
 from learn.networks.prediction import Prediction, required
 from shaders.tone import LUMINANCE
 
-TRUST = 0.75
-MOST = 3.0  # stops by which an exposure is corrected at most
+MOST = 3.0  # stops by which a first exposure is corrected at most
 LEAST_PIXELS = 16
 LEAST_LUMINANCE = 1e-6
 
 
+@dataclass(frozen=True)
+class Cues:
+    """What a photograph says about its exposure, in stops: logarithms to base 2.
+
+    object      mean luminance of the object in the file
+    again       how much brighter the prediction, rendered again, is than the picture under the
+                first exposure; None: cannot be said
+    background  mean of the logarithm of what lies behind the object; None where nothing does
+    """
+
+    object: float
+    again: float | None
+    background: float | None
+
+
+@dataclass(frozen=True)
+class Line:
+    """An exposure in stops, constant + the sum of slopes times cues. A cue without a slope is 0."""
+
+    constant: float
+    object: float
+    again: float = 0.0
+    background: float = 0.0
+
+    def __call__(self, cues: Cues) -> float:
+        """Return the exposure in stops."""
+        return (
+            self.constant
+            + self.object * cues.object
+            + self.again * (cues.again or 0.0)
+            + self.background * (cues.background or 0.0)
+        )
+
+
+# the first guess, and what is made of it with each set of cues
+FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)
+WITH_BACKGROUND = Line(FIRST.constant, FIRST.object, 0.75)
+CUT_OUT = WITH_BACKGROUND
+
+
+def exposure_of(cues: Cues) -> float:
+    """Return the factor from a photograph's radiance to that under light of unit mean."""
+    first = FIRST(cues)
+    if cues.again is None:
+        return float(2**first)
+    line = CUT_OUT if cues.background is None else WITH_BACKGROUND
+    return float(2 ** np.clip(line(cues), first - MOST, first + MOST))
+
+
+def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:
+    """Return the Cues of a photograph under its first exposure.
+
+    rendered    (H, W, 3) radiance, as from `rendered_again`
+    background  of the Cues
+    """
+    seen = float((framed.radiance[framed.mask] @ LUMINANCE).mean()) / framed.exposure
+    ratio = brightness_ratio(framed, rendered)
+    again = None if ratio is None else float(np.log2(ratio))
+    return Cues(float(np.log2(max(seen, LEAST_LUMINANCE))), again, background)
+
+
 def corrected(
-    framed: Framed,
-    batch: ExampleBatch,
-    prediction: Prediction,
-    rendered: np.ndarray | None = None,
-) -> tuple[Framed, ExampleBatch]:
-    """Return a framed photograph and its batch under the corrected exposure.
+    framed: Framed, batch: ExampleBatch, rendered: np.ndarray, background: float | None
+) -> tuple[Framed, ExampleBatch, Cues]:
+    """Return a framed photograph and its batch under the exposure of its Cues, and these.
 
     batch       of the one picture, as the network saw it; its image is scaled alike
-    prediction  of all three parts
-    rendered    as from `rendered_again`, if it is known
+    rendered, background  as of `cues_of`
     """
-    if rendered is None:
-        rendered = rendered_again(batch, prediction)
-    factor = correction(framed, rendered)
-    scaled = replace(
-        framed,
-        radiance=framed.radiance * np.float32(factor),
-        exposure=framed.exposure * factor,
-    )
-    return scaled, replace(batch, image=batch.image * factor)
+    cues = cues_of(framed, rendered, background)
+    exposure = exposure_of(cues)
+    factor = exposure / framed.exposure
+    scaled = replace(framed, radiance=framed.radiance * np.float32(factor), exposure=exposure)
+    return scaled, replace(batch, image=batch.image * factor), cues
 
 
 def rendered_again(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
@@ -55,17 +109,6 @@ def rendered_again(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     n, label, light = map(required, (prediction.n, prediction.label, prediction.light))
     segments, elevation = batch.segments, batch.elevation
     return array(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
-
-
-def correction(framed: Framed, rendered: np.ndarray) -> float:
-    """Return the factor by which the exposure is corrected: the ratio of brightness, to TRUST.
-
-    rendered  (H, W, 3) radiance, as from `rendered_again`
-    """
-    ratio = brightness_ratio(framed, rendered)
-    if ratio is None:
-        return 1.0
-    return float(2 ** np.clip(TRUST * np.log2(ratio), -MOST, MOST))
 
 
 def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:

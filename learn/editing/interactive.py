@@ -35,7 +35,8 @@ from learn.data import lights as light_maps
 from learn.data.devices import array
 from learn.editing import drawing, interactive_maps, reflectance_store, targets
 from learn.editing.chunks import Chunks, differences, split_bytes
-from learn.editing.compositor import CLEAR, LARGEST_DETAIL, Compositor, nearest
+from learn.editing.compositor import LARGEST_DETAIL, Compositor, nearest
+from learn.editing.photograph import CLEAR
 from learn.figures import html, montage, spheres
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
@@ -102,6 +103,8 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         {key: value for key, value in material.items() if key != "label"} for material in materials
     ]
     header["chosen"] = chosen_materials(result, materials)
+    for each in result.edits:
+        compositor.add_read(*targets.read_labels(each.text, each.labels))
     labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
     nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
@@ -113,7 +116,10 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
             )
             maps.append([])
             for label in labels:
-                maps[-1].append(interactive_maps.tried_maps(label, scene))
+                exposure = scene.exposure * compositor.brightness(label)
+                maps[-1].append(
+                    interactive_maps.tried_maps(label, scene._replace(exposure=exposure))
+                )
                 progress.update()
     header["parts"] = [
         {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
@@ -269,7 +275,7 @@ def materials_of(result: "EditResult") -> list[dict]:
     here = dict(zip(names, own, strict=True))
     catalogue = load_catalogue()
     for edit in result.edits:
-        for text, label in of_regions(edit.text, edit.labels):
+        for text, label in targets.of_regions(edit.text, edit.labels):
             if label is not None and text not in catalogue:
                 here[targets.caption_of(text)] = label
     materials = [
@@ -284,21 +290,13 @@ def materials_of(result: "EditResult") -> list[dict]:
     return materials
 
 
-def of_regions(text: str, labels: list[np.ndarray | None]) -> list[tuple[str, np.ndarray | None]]:
-    """Return (text, label) of each region of a target material as the user named it."""
-    named = targets.parts_of(text)
-    return list(
-        zip(named if len(named) == len(labels) else [text] * len(labels), labels, strict=True)
-    )
-
-
 def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
     """Return the index of each region's material in the first edit; −1: it stays as it is."""
     index = {material["name"]: number for number, material in enumerate(materials)}
     first = result.edits[0]
     return [
         -1 if label is None else index.get(targets.caption_of(text), index.get(text, 0))
-        for text, label in of_regions(first.text, first.labels)
+        for text, label in targets.of_regions(first.text, first.labels)
     ]
 
 

@@ -95,7 +95,7 @@ def compute(
     parts = parts_of(predicted)
     rendering = rendered_again(batch, predicted)
     if opened.exposure is None:
-        framed, batch = corrected(framed, batch, predicted, rendering)
+        framed, batch, _ = corrected(framed, batch, rendering, opened.background)
     return PredictedPicture(framed, batch, predicted, parts, rendering, metadata)
 
 

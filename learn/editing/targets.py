@@ -5,7 +5,7 @@ another picture, or "keep". Labels are (S, 108) natural logarithms.
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,11 @@ def label_of(
     return find(text).label.reshape(1, SIZE).astype(np.float32)
 
 
+def is_read(text: str) -> bool:
+    """Return whether a text names a material that was read from a picture: a file, of any kind."""
+    return text != KEEP and (Path(text).suffix.lower() == ".json" or is_file(text))
+
+
 def is_expression(text: str) -> bool:
     """Return whether a text is an expression, and no file of that name."""
     return material_expression.is_expression(text) and not is_file(text)
@@ -71,6 +76,23 @@ def is_file(text: str) -> bool:
 def parts_of(text: str) -> list[str]:
     """Return the texts of each region: "A+B" is split, but not in a file's name or parentheses."""
     return [text] if is_file(text) else re.split(r"\+(?![^()]*\))", text)
+
+
+def of_regions(
+    text: str, labels: Sequence[np.ndarray | None]
+) -> list[tuple[str, np.ndarray | None]]:
+    """Return (text, label) of each region of a target material as the user named it."""
+    named = parts_of(text)
+    return list(
+        zip(named if len(named) == len(labels) else [text] * len(labels), labels, strict=True)
+    )
+
+
+def read_labels(text: str, labels: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+    """Return the labels (108,) of a target material that were read from pictures."""
+    return [
+        label for part, label in of_regions(text, labels) if label is not None and is_read(part)
+    ]
 
 
 def caption_of(text: str) -> str:

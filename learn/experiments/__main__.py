@@ -33,6 +33,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
         "edit-cost": "chart the error of edits against seconds and hours of training",
         "edit-brightness": "measure how bright edits are beside their truth",
+        "photographed-edits": "measure edits of photographs in the scale of the photograph",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",

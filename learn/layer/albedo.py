@@ -13,6 +13,14 @@ _NODES = 48
 def log_albedo(label: torch.Tensor) -> torch.Tensor:
     """Return log ∫ f cos dw (…, 3) of a surface that is seen along its normal.
 
+    label  (…, 108) natural logarithms
+    """
+    return torch.log(lobe_albedos(label).sum(-1) + 1e-3)
+
+
+def lobe_albedos(label: torch.Tensor) -> torch.Tensor:
+    """Return ∫ f cos dw (…, 3, 3) of each channel and lobe, seen along the normal.
+
     Half and difference angle are then both half of the light's angle: θ_h = θ_d = θ_i/2.
 
     label  (…, 108) natural logarithms
@@ -26,6 +34,6 @@ def log_albedo(label: torch.Tensor) -> torch.Tensor:
     log_cos = torch.as_tensor(np.log(np.cos(half)), dtype=label.dtype).to(label.device)
     lobes = torch.expm1(
         (values[..., 0, :] * torch.exp(values[..., 1, :] * log_cos)).clamp(max=KAPPA_CEILING)
-    ).sum(-2)
+    )
     weight = torch.as_tensor(weight, dtype=label.dtype).to(label.device)
-    return torch.log((lobes * weight).sum(-1) + 1e-3)
+    return (lobes * weight).sum(-1)

@@ -74,11 +74,14 @@ def test_arrays_and_files_in_any_mixture_give_the_same_picture(pictures):
 def test_paths_balances_and_devices_are_taken_in_all_their_forms(pictures, parts, tmp_path):
     _, arrays = pictures
     path = tmp_path / "material.json"
-    label = bf.material("red-fabric").label
+    label = bf.material("brass").label
     path.write_text(json.dumps({"label": label.tolist()}))
     photo, mask = arrays["photo"], arrays["mask"]
     options = {"refine": False, "device": "auto" if not torch.cuda.is_available() else "cpu"}
-    expected = parts.paint(label).display
+    expected = parts.paint(bf.material(path)).display
+    # a file's material was read from a picture, and is rendered as bright as it was read
+    assert parts.paint(bf.blend(path, path)).display == pytest.approx(expected, abs=1)
+    assert not np.array_equal(parts.paint(label).display, expected)
     assert np.array_equal(bf.edit(photo, mask, path, **options).display, expected)
     kept = bf.edit(photo, mask, None, **options).display
     assert np.array_equal(kept, photo)

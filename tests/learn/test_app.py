@@ -23,7 +23,7 @@ from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
 from learn.commands import options
 from learn.data import photographs
-from learn.editing import decomposition, photograph, reflectance_store
+from learn.editing import brightness, decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
 from manifests.errors import InputError
@@ -169,6 +169,23 @@ def test_the_view_is_the_layers_picture_and_a_blend_is_linear() -> None:
     mixed = full(Painted(a, b, 0.3))
     assert np.allclose(mixed, 0.7 * full(Painted(a)) + 0.3 * full(Painted(b)), atol=1e-4)
     assert np.allclose(full(Painted(a, b, 1.0)), full(Painted(b)), atol=1e-6)
+
+
+def test_a_metal_is_as_bright_in_the_view_as_in_full_named_or_read_from_a_picture() -> None:
+    result = decomposed(1)
+    viewer = Viewer(result)
+    mask = result.photograph.mask
+    metal = chosen("chrome-steel")
+    bright = []
+    for each in (metal, Chosen("other.png", label_of("ss440")[0], named=False)):
+        edit = Edit((Painted(each),))
+        linear, display = viewer.full(edit)
+        exact = viewer.view(edit, exact=True).astype(float)
+        assert np.sqrt(((exact - display)[mask] ** 2).mean()) < 3.0
+        plain = Compositor(result, 1e-2, 0.25)
+        plain.add_read(each.label)
+        bright.append(linear[mask].mean() / plain.edited([each.label])[mask].mean())
+    assert bright == pytest.approx([brightness.factor(metal.label), 1], rel=1e-3)
 
 
 def test_a_turned_light_changes_the_object_and_not_the_background() -> None:

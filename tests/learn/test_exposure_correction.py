@@ -1,4 +1,4 @@
-"""A photograph's exposure is corrected by what is rendered again from its prediction."""
+"""A photograph's exposure: what is seen of it, and the line through that."""
 
 import math
 
@@ -7,41 +7,87 @@ import pytest
 import torch
 from PIL import Image
 
-from learn.data.framing import Framed, exposure_of
+from learn.data import framing
 from learn.data.photographs import read
 from learn.editing import decomposition, exposure, photograph
+from learn.editing.exposure import Cues
 from learn.networks.prediction import Prediction
 
 SIZE = 32
 
 
-def framed(radiance: np.ndarray, clipped: np.ndarray | None = None) -> Framed:
+def framed(radiance: np.ndarray, clipped: np.ndarray | None = None) -> framing.Framed:
     mask = np.zeros((SIZE, SIZE), bool)
     mask[4:28, 4:28] = True
-    return Framed(radiance * mask[..., None], mask, (0, 0, SIZE), 1.0, clipped)
+    return framing.Framed(radiance * mask[..., None], mask, (0, 0, SIZE), 1.0, clipped)
 
 
 def grey(value: float) -> np.ndarray:
     return np.full((SIZE, SIZE, 3), value, np.float32)
 
 
-def test_three_quarters_of_the_stops_between_picture_and_rendering_are_corrected() -> None:
-    assert exposure.correction(framed(grey(0.1)), grey(1.6)) == pytest.approx(8)
-    assert exposure.correction(framed(grey(1.6)), grey(0.1)) == pytest.approx(1 / 8)
+def test_cues_are_stops_of_the_object_and_of_how_much_brighter_it_is_rendered_again() -> None:
+    cues = exposure.cues_of(framed(grey(0.125)), grey(2.0), -2.5)
+    assert (cues.object, cues.again, cues.background) == pytest.approx((-3, 4, -2.5), abs=1e-5)
     # what stands behind the object does not count
-    beside = grey(1.6)
+    beside = grey(2.0)
     beside[:4] = 50
-    assert exposure.correction(framed(grey(0.1)), beside) == pytest.approx(8)
+    assert exposure.cues_of(framed(grey(0.125)), beside, None) == Cues(
+        cues.object, cues.again, None
+    )
 
 
-def test_clipped_pixels_do_not_count_and_extremes_are_bounded() -> None:
-    seen, clipped = grey(0.1), np.zeros((SIZE, SIZE, 3), np.float32)
+def test_clipped_pixels_do_not_count_and_nothing_is_said_of_white_or_black() -> None:
+    seen, clipped = grey(0.125), np.zeros((SIZE, SIZE, 3), np.float32)
     seen[:16] = 1
     clipped[:16, :, 1] = 1
-    assert exposure.correction(framed(seen, clipped), grey(1.6)) == pytest.approx(8)
-    assert exposure.correction(framed(seen, np.ones_like(clipped)), grey(1.6)) == 1
-    assert exposure.correction(framed(grey(0.1)), grey(0)) == 1
-    assert exposure.correction(framed(grey(1e-4)), grey(1e4)) == 2**exposure.MOST
+    assert exposure.cues_of(framed(seen, clipped), grey(2.0), None).again == pytest.approx(4)
+    assert exposure.cues_of(framed(seen, np.ones_like(clipped)), grey(2.0), None).again is None
+    assert exposure.cues_of(framed(grey(0.125)), grey(0), None).again is None
+
+
+def test_the_first_guess_is_the_readers_rule_and_bounds_what_is_made_of_it() -> None:
+    white = Cues(0.0, None, None)
+    assert exposure.exposure_of(white) == pytest.approx(framing.TYPICAL)
+    assert exposure.exposure_of(Cues(0.0, 99.0, None)) == pytest.approx(
+        framing.TYPICAL * 2**exposure.MOST
+    )
+    assert exposure.exposure_of(Cues(0.0, -99.0, -3.0)) == pytest.approx(
+        framing.TYPICAL / 2**exposure.MOST
+    )
+
+
+def test_what_is_darker_than_its_background_has_the_larger_exposure_before_a_darker_one() -> None:
+    """The same object before a darker background was under less light: multiply by more."""
+    bright, dark = (exposure.exposure_of(Cues(-3.0, 1.0, behind)) for behind in (-1.0, -3.0))
+    assert dark > 1.2 * bright
+    brighter_again = exposure.exposure_of(Cues(-3.0, 2.0, -3.0))
+    assert brighter_again > 1.2 * dark
+
+
+def test_the_background_is_a_mean_logarithm_that_neither_lamps_nor_black_pixels_decide(
+    tmp_path,
+) -> None:
+    picture = np.full((40, 40, 3), 0.25, np.float32)
+    mask = np.zeros((40, 40), bool)
+    mask[12:28, 12:28] = True
+    picture[mask] = 0.9
+    assert photograph.from_arrays(picture, mask).background == pytest.approx(-2, abs=1e-3)
+    picture[0, 0], picture[0, 1] = 1.0, 0.0
+    assert photograph.from_arrays(picture, mask).background == pytest.approx(-2, abs=0.01)
+
+
+def test_a_cut_out_a_close_up_and_a_black_ground_have_no_background() -> None:
+    picture = np.full((40, 40, 3), 0.25, np.float32)
+    mask = np.zeros((40, 40), bool)
+    mask[5:35, 5:35] = True
+    cut_out = np.concatenate([picture, mask[..., None].astype(np.float32)], -1)
+    assert photograph.from_arrays(cut_out).background is None
+    assert photograph.from_arrays(picture, mask).background is not None
+    black = picture * mask[..., None]
+    assert photograph.from_arrays(black, mask).background is None
+    mask[1:39, 1:39] = True
+    assert photograph.from_arrays(picture, mask).background is None
 
 
 class Grey(torch.nn.Module):
@@ -70,14 +116,20 @@ def test_an_estimated_exposure_is_corrected_and_a_given_one_is_kept(tmp_path, gi
     result = decomposition.decompose(opened, Grey(), SIZE)
     inside = result.framed.mask
     factor = result.framed.exposure / (
-        given or exposure_of(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
+        given or framing.exposure_of(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
     )
     again = exposure.rendered_again(result.batch, result.start)[inside].mean()
     seen = result.framed.radiance[inside].mean()
     assert result.batch.image[0, 0][torch.from_numpy(inside)].mean() == pytest.approx(seen)
     if given:
         assert factor == pytest.approx(1)
+        assert result.cues is None
     else:
-        # what is left of the ratio is its last quarter
-        assert factor == pytest.approx((again / seen) ** 3, rel=1e-3)
+        # under the first exposure it was brighter again by as much as the exposure has grown
+        cues = exposure.Cues(
+            float(np.log2(seen / result.framed.exposure)),
+            float(np.log2(again * factor / seen)),
+            opened.background,
+        )
+        assert result.framed.exposure == pytest.approx(exposure.exposure_of(cues), rel=1e-3)
         assert abs(math.log(factor)) > 0.1

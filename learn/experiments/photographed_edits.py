@@ -1,0 +1,225 @@
+"""Measure edits as a user gets them: of photographs, in the photograph's own scale.
+
+Rendered pictures are photographed: their light map is the background, a camera exposes the frame,
+and 8 bits are kept (learn.experiments.photographing). Each photograph is edited into up to three
+materials as `edit` does it, and compared with Cycles' picture of the same object in that material
+under the same exposure. The report has the brightness of edits beside the truth's, their display
+L2, and the line by which a photograph's exposure follows from what can be seen
+(learn.editing.exposure), fitted again to these pictures. The data set needs pictures of objects in
+several materials, with interreflection and square pixels (docs/jobs/photographed-edits). rows.jsonl
+keeps a line per edit: the same command continues, and a larger --photographs adds to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from learn.commands import options
+from learn.experiments import runner
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    import torch
+
+    from learn.data.records import Records
+    from learn.experiments.photographing import Photographed
+    from manifests.schema import Record
+
+ON_RAY = True
+TARGETS = 3  # edits of a photograph
+SCALES = tuple(k / 4 for k in range(-16, 17))  # stops by which an edit is made brighter
+
+
+class Case(NamedTuple):
+    """A photograph to be edited: the record that is shown, and those of its targets."""
+
+    source: Record
+    targets: tuple[Record, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, the weights and the number of photographs."""
+    options.add_data(parser, "a data set of objects in several materials")
+    options.add_weights(parser)
+    parser.add_argument(
+        "--photographs",
+        type=positive,
+        default=200,
+        metavar="N",
+        help="number of photographs (default 200)",
+    )
+    options.add_seed(parser, "seed by which photographs and target materials are drawn")
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows", "weights", "seen"}; rows as of `rows_of`, and "source_id" and "target_id".
+
+    Raises InputError for a data set without pictures of one scene in two materials.
+    """
+    import torch
+
+    from learn.data.records import Records
+    from learn.evaluation import ladder, overlap
+    from learn.evaluation.ladder_design import Scene
+    from learn.networks import weights as checkpoint
+    from manifests import files
+    from manifests.store import file_hash
+
+    torch.set_num_threads(1)
+    records = Records(arguments.data)
+    cases = cases_of(records, arguments.photographs, arguments.seed)
+    scenes = [
+        Scene("", "", "", "", {"photograph": case.source}, {"photograph": target})
+        for case in cases
+        for target in case.targets
+    ]
+    seen = overlap.sentences(
+        [arguments.weights], ladder.tested(records, scenes), arguments.data, True
+    )
+    about = {
+        "data": file_hash(arguments.data / "materials.json"),
+        "weights": file_hash(arguments.weights),
+        "seed": arguments.seed,
+    }
+    files.pin_settings(arguments.out / "settings.json", about)
+    network, metadata = checkpoint.load_parts(arguments.weights)
+    todo = [({"photograph": case.source.id}, case) for case in cases]
+    rows = runner.resume(
+        arguments.out / "rows.jsonl",
+        todo,
+        lambda case: row_of(records, network, metadata["size"], case),
+        "photograph",
+    )
+    return {"rows": rows, "weights": arguments.weights.name, "seen": seen}
+
+
+def cases_of(records: Records, count: int, seed: int) -> list[Case]:
+    """Return up to `count` photographs; shapes take turns, and the rest is drawn.
+
+    A larger count adds to the same ones.
+    """
+    import numpy as np
+
+    from manifests.errors import InputError
+
+    scenes: dict[tuple[Any, ...], dict[str, Record]] = defaultdict(dict)
+    for record in sorted(records.records, key=lambda record: record.id):
+        one = len(set(record.materials)) == 1 and record.camera.fov_deg is None
+        if one and record.tier == "full" and record.camera.pixel == "square":
+            key = (record.shape, record.viewpoint, record.light, record.rotation_texels)
+            scenes[key].setdefault(record.materials[0], record)
+    several = [of for _, of in sorted(scenes.items()) if len(of) > 1]
+    if not several:
+        raise InputError(
+            records.folder,
+            "pictures of objects in two materials, with interreflection and square pixels",
+            "none",
+            "render docs/jobs/photographed-edits",
+        )
+    drawn = []
+    for number, of in enumerate(several):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        names = [str(name) for name in rng.permutation(sorted(of))]
+        for turn, name in enumerate(names):
+            others = (names[turn + 1 :] + names[:turn])[:TARGETS]
+            case = Case(of[name], tuple(of[other] for other in others))
+            drawn.append((turn, float(rng.random()), case))
+    order = [case for _, _, case in sorted(drawn, key=lambda each: each[:2])]
+    by_shape: dict[str, int] = defaultdict(int)
+    turns = []
+    for case in order:
+        by_shape[case.source.shape] += 1
+        turns.append(by_shape[case.source.shape])
+    return [order[k] for k in np.argsort(turns, kind="stable")[:count]]
+
+
+def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) -> dict[str, Any]:
+    """Return what a photograph shows, its cues, and the figures of its edits.
+
+    {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "cues": of
+    learn.editing.exposure, "edits": [{"target", "family", "narrow": share of its albedo in narrow
+    lobes, "darkened": stops by which it was rendered darker for that, "stops": of brightness above
+    the truth's, "l2": with each of SCALES, "unchanged": L2 of the photograph as it was}]}
+    """
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from learn.editing import decomposition, photograph
+    from learn.editing.compositor import Compositor
+    from learn.evaluation.ladder_design import group_of
+    from learn.experiments.photographing import photographed
+    from learn.refinement import PHOTOGRAPHS
+    from manifests.errors import InputError
+
+    record = case.source
+    sample = records.load(record)
+    taken = photographed(
+        sample.image.numpy(),
+        sample.mask.numpy(),
+        sample.light.numpy(),
+        np.radians(record.camera.elevation_deg),
+        record.id,
+    )
+    about = {
+        "shape": record.shape,
+        "group": group_of(record.shape, record.category)[0],
+        "light": record.light,
+        "source": record.materials[0],
+    }
+    try:
+        opened = photograph.from_arrays(taken.pixels, taken.mask, name=record.id)
+        parts = decomposition.decompose(opened, network, size, PHOTOGRAPHS)
+    except InputError as error:  # an object that is black or white in the photograph
+        return about | {"refused": str(error), "edits": []}
+    if parts.cues is None:
+        raise ValueError("decomposition: expected an exposure that was estimated")
+    compositor = Compositor(parts)
+    edits = [edit_of(records, compositor, taken, target) for target in case.targets]
+    return about | {
+        "exposure": {
+            "true": -float(np.log2(taken.exposure)),
+            "used": float(np.log2(parts.framed.exposure)),
+        },
+        "cues": asdict(parts.cues),
+        "edits": edits,
+    }
+
+
+def edit_of(
+    records: Records, compositor: Any, taken: Photographed, target: Record
+) -> dict[str, Any]:
+    """Return a row of "edits" of `row_of`. Brightness is the mean luminance over the object."""
+    import numpy as np
+
+    from learn.editing import brightness
+    from learn.editing.photograph import CLEAR
+    from learn.experiments.photographing import placed
+    from shaders import tone
+    from shaders.tone import LUMINANCE
+
+    name = target.materials[0]
+    label = records.label(name)
+    edited = compositor.edited([label])
+    before = compositor.decomposition.photograph
+    inside = taken.mask & (before.coverage > 1 - CLEAR)
+    truth = placed(records.image(target), np.zeros_like(edited)) * np.float32(taken.exposure)
+    mine, its = (float((each[inside] @ LUMINANCE).mean()) for each in (edited, truth))
+    return {
+        "target": name,
+        "family": records.material(name).family,
+        "narrow": brightness.narrow_share(label),
+        "darkened": -float(np.log2(compositor.brightness(label))),
+        "stops": float(np.log2(max(mine, 1e-6) / max(its, 1e-6))),
+        "l2": [float(tone.display_l2(edited * 2**s, truth, 1.0, inside)) for s in SCALES],
+        "unchanged": float(tone.display_l2(before.radiance, truth, 1.0, inside)),
+    }
+
+
+def tables(report: runner.Report) -> str:
+    """Return the edits by way of exposing them, in groups, and the line that is fitted to them."""
+    from learn.experiments import photographed_fit
+
+    return photographed_fit.page(report)

@@ -1,0 +1,255 @@
+"""Tables of `photographed-edits`: ways of choosing an edit's brightness, and the line of exposures.
+
+Edits were made under one exposure and are known at others: SCALES of photographed_edits, between
+which L2 is interpolated. So every rule is applied to the same decompositions. E: number of edits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn.editing import brightness, exposure
+from learn.experiments import runner
+from learn.experiments.photographed_edits import SCALES
+from learn.metrics import bootstrap
+
+if TYPE_CHECKING:
+    from learn.experiments.runner import Report
+
+TERMS = ("constant", "object", "again", "background", "narrow")
+WITH_BACKGROUND = ("constant", "again", "background", "narrow")  # of the line in use
+CUT_OUT = ("constant", "again", "narrow")  # of that without a background
+METALS = ("metal", "metallic paint")
+TRUST_BEFORE = 0.75  # share of the ratio that corrected exposures until 2026-11-28
+
+
+@dataclass(frozen=True)
+class Edits:
+    """The edits of a report whose photographs have all cues; arrays over E.
+
+    cues       (E, 5) 1, object, again, background, and the target's narrow share
+    used       exposure of the photograph, stops
+    darkened   stops by which the target was rendered darker
+    true       exposure of the photograph that is right, stops
+    stops, l2  of the edits beside their truth: (E,), (E, SCALES)
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    cues: np.ndarray
+    used: np.ndarray
+    darkened: np.ndarray
+    true: np.ndarray
+    stops: np.ndarray
+    l2: np.ndarray
+    unchanged: np.ndarray
+
+    @property
+    def right(self) -> np.ndarray:
+        """Stops (E,) by which an edit would have to be exposed to be as bright as its truth."""
+        return self.used + self.darkened + self.stops
+
+    def names(self, key: str) -> list[str]:
+        """Return "shape", "light", "group", "source", "target" or "family" of each edit."""
+        return [str(row[key]) for row in self.rows]
+
+    def brightness(self, stops: np.ndarray) -> np.ndarray:
+        """Return stops (E,) above the truth of edits that are exposed by so many stops (E,)."""
+        return self.right - stops
+
+    def error(self, stops: np.ndarray) -> np.ndarray:
+        """Return L2 (E,) of edits that are exposed by so many stops (E,)."""
+        brighter = self.used + self.darkened - stops
+        first, step = SCALES[0], SCALES[1] - SCALES[0]
+        at = ((brighter - first) / step).clip(0, len(SCALES) - 1.001)
+        k, number = at.astype(int), np.arange(len(at))
+        return self.l2[number, k] * (k + 1 - at) + self.l2[number, k + 1] * (at - k)
+
+
+def edits_of(report: Report) -> Edits:
+    """Return the Edits of a report."""
+    rows, cues = [], []
+    for photograph in report["rows"]:
+        for edit in photograph["edits"]:
+            known = photograph["cues"]
+            if None not in known.values():
+                rows.append(photograph | edit)
+                cues.append([1.0, *(known[key] for key in TERMS[1:4]), edit["narrow"]])
+    return Edits(
+        rows,
+        np.array(cues),
+        used=np.array([row["exposure"]["used"] for row in rows]),
+        true=np.array([row["exposure"]["true"] for row in rows]),
+        **{
+            key: np.array([row[key] for row in rows])
+            for key in ("darkened", "stops", "l2", "unchanged")
+        },
+    )
+
+
+def fitted(edits: Edits, terms: Sequence[str], weights: np.ndarray | None = None) -> np.ndarray:
+    """Return slopes (5,) of TERMS, least squares of brightness, 0 for those that are left out.
+
+    That of the target's narrow share is fitted under the true exposure: which materials a scene
+    was rendered in ties targets to sources, and these to what can be seen of the exposure.
+
+    weights  (E,) of edits
+    """
+    weights = np.ones(len(edits.rows)) if weights is None else weights
+    slopes = np.zeros(len(TERMS))
+    rest = edits.right
+    if "narrow" in terms:
+        straight = edits.cues[:, [0, 4]]
+        slopes[4] = _least_squares(straight, edits.right - edits.true, weights)[1]
+        rest = rest - slopes[4] * edits.cues[:, 4]
+    columns = [TERMS.index(term) for term in terms if term != "narrow"]
+    slopes[columns] = _least_squares(edits.cues[:, columns], rest, weights)
+    return slopes
+
+
+def _least_squares(columns: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(weights)
+    return np.linalg.lstsq(columns * scale[:, None], values * scale, rcond=None)[0]
+
+
+def by_others(edits: Edits, terms: Sequence[str]) -> np.ndarray:
+    """Return the stops (E,) of a line fitted to edits of other shapes under other lights."""
+    shapes, lights = (np.array(edits.names(key)) for key in ("shape", "light"))
+    result = np.zeros(len(edits.rows))
+    for shape in set(shapes):
+        for light in set(lights[shapes == shape]):
+            own = (shapes == shape) & (lights == light)
+            others = ((shapes != shape) & (lights != light)).astype(float)
+            result[own] = edits.cues[own] @ fitted(edits, terms, others)
+    return result
+
+
+def in_use(edits: Edits) -> np.ndarray:
+    """Return the stops (E,) by which the program exposes edits now, the target's among them."""
+    cues = [exposure.Cues(*(float(x) for x in row[1:4])) for row in edits.cues]
+    photograph = np.array([np.log2(exposure.exposure_of(each)) for each in cues])
+    return photograph + brightness.STOPS * edits.cues[:, 4]
+
+
+def ways(edits: Edits) -> dict[str, np.ndarray]:
+    """Return {way to expose edits: stops (E,)}."""
+    first = exposure.FIRST.constant + exposure.FIRST.object * edits.cues[:, 1]
+    share = edits.cues[:, 4]
+    return {
+        "the first guess": first,
+        "corrected by three quarters of the ratio, as before": first
+        + TRUST_BEFORE * edits.cues[:, 2],
+        "in use": in_use(edits),
+        "in use, mirror-like targets not darker": in_use(edits) - brightness.STOPS * share,
+        "one exposure for all, fitted": by_others(edits, ("constant", "narrow")),
+        "fitted without the background": by_others(edits, CUT_OUT),
+        "fitted": by_others(edits, WITH_BACKGROUND),
+        "fitted, with the object's brightness": by_others(edits, TERMS),
+        "the true exposure": edits.true,
+        "the true exposure, mirror-like targets darker": edits.true + brightness.STOPS * share,
+    }
+
+
+def page(report: Report) -> str:
+    """Return the report's tables in Markdown."""
+    edits = edits_of(report)
+    weights = _weights(edits)
+    refused = sum("refused" in row for row in report["rows"])
+    metals = np.isin(edits.names("family"), METALS)
+    result = ["# Edits of photographs\n", *(f"**{sentence}**\n" for sentence in report["seen"])]
+    result.append(
+        f"Weights {report['weights']}; {len(edits.rows)} edits of"
+        f" {len({row['photograph'] for row in edits.rows})} photographs,"
+        f" {len(set(edits.names('shape')))} shapes, {len(set(edits.names('light')))} lights;"
+        f" {refused} photographs were refused, because their object is black or white.\n\n"
+        "*Brightness*: mean luminance of the edit over the object, in stops above the truth's."
+        " *Off by*: its root mean square. L2 is that of display values, in the photograph's own"
+        " exposure. Fitted lines are fitted to edits of other shapes under other lights. Brackets"
+        " are 95 % intervals that draw shapes, target materials and lights.\n"
+    )
+    all_ways = ways(edits)
+    result.append("## Ways to expose an edit\n")
+    head = ["way", "brightness, stops", "off by", "L2", "L2 of metals", "of other materials"]
+    lines: list[list[object]] = [
+        [
+            "the photograph, not edited",
+            "",
+            "",
+            runner.interval(bootstrap.interval(edits.unchanged, weights), 0),
+            f"{edits.unchanged[metals].mean():.0f}",
+            f"{edits.unchanged[~metals].mean():.0f}",
+        ]
+    ]
+    for name, stops in all_ways.items():
+        off, l2 = edits.brightness(stops), edits.error(stops)
+        lines.append(
+            [
+                name,
+                runner.interval(bootstrap.interval(off, weights), 2),
+                f"{np.sqrt((off**2).mean()):.2f}",
+                runner.interval(bootstrap.interval(l2, weights), 0),
+                f"{l2[metals].mean():.0f}",
+                f"{l2[~metals].mean():.0f}",
+            ]
+        )
+    result.append(runner.table(head, lines))
+    result.append(f"Metals: {', '.join(METALS)}; {metals.sum()} edits.\n")
+    before, now = (edits.error(all_ways[name]) for name in list(all_ways)[1:3])
+    ratio = runner.interval(bootstrap.relative(before, now, weights), 2)
+    result.append(
+        f"In use, L2 is {ratio} times what it was before; {(now < before).sum()} of"
+        f" {len(now)} edits are better.\n"
+    )
+    result += ["## In groups\n", _groups(edits, before, now)]
+    result += ["## The line\n", _line(edits, weights)]
+    return "\n".join(result)
+
+
+def _groups(edits: Edits, before: np.ndarray, now: np.ndarray) -> str:
+    lines = []
+    off = edits.brightness(in_use(edits))
+    kinds: dict[str, Callable[[Mapping[str, Any]], str]] = {
+        "shapes": lambda row: row["group"],
+        "edits into": lambda row: row["family"],
+        "lights": lambda row: "rendered rooms" if "-" in row["light"] else "measured",
+    }
+    for kind, key in kinds.items():
+        names = np.array([key(row) for row in edits.rows])
+        for name in sorted(set(names)):
+            of = names == name
+            lines.append(
+                [
+                    kind,
+                    name,
+                    of.sum(),
+                    f"{off[of].mean():+.2f}",
+                    f"{np.sqrt((off[of] ** 2).mean()):.2f}",
+                ]
+                + [f"{l2[of].mean():.0f}" for l2 in (before, now)]
+            )
+    head = ["", "", "edits", "brightness, stops", "off by", "L2 before", "L2 in use"]
+    return runner.table(head, lines)
+
+
+def _line(edits: Edits, weights: np.ndarray) -> str:
+    used = {
+        "with background": (exposure.WITH_BACKGROUND, WITH_BACKGROUND),
+        "cut out": (exposure.CUT_OUT, CUT_OUT),
+    }
+    lines = []
+    for name, (line, terms) in used.items():
+        slopes = fitted(edits, terms)
+        drawn = np.array([fitted(edits, terms, each) for each in weights[:500]])
+        low, high = np.percentile(drawn, bootstrap.LEVELS, axis=0)
+        now = [line.constant, line.object, line.again, line.background, brightness.STOPS]
+        for k, term in enumerate(TERMS):
+            shown = runner.interval([slopes[k], low[k], high[k]], 2) if term in terms else ""
+            lines.append([name, term, f"{now[k]:+.2f}", shown])
+    return runner.table(["", "slope of", "in use", "fitted"], lines)
+
+
+def _weights(edits: Edits) -> np.ndarray:
+    return bootstrap.draws(bootstrap.groups_of(*map(edits.names, ("shape", "target", "light"))))

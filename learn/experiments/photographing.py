@@ -1,0 +1,94 @@
+"""Rendered pictures as a camera takes them: with their surroundings behind them, exposed for both.
+
+A data set's pictures show the object alone, in the scale of a light of unit mean. A photograph
+shows what is behind it too, and its exposure follows from both, by centre-weighted metering. Here
+the light map of the picture is what lies behind, as far away as the light itself.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaders import envmap, tone
+from shaders.frames import camera_from_light, pixel_grid
+from shaders.tone import LUMINANCE
+
+FIELD_OF_VIEW = np.radians(40.0)  # of the frame
+FRAME = 1.5  # sides of the object's picture along a side of the frame
+METERED = 0.2  # weighted mean luminance of a frame, where white is 1
+CENTRE = 0.4  # standard deviation of the weight about the middle, in halves of the frame's side
+SPREAD = 0.5  # standard deviation in stops of exposures about that
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """A photograph of an object.
+
+    pixels    (N, N, 3) uint8, sRGB
+    mask      (N, N) bool
+    exposure  factor from radiance under light of unit mean to that of the photograph
+    """
+
+    pixels: np.ndarray
+    mask: np.ndarray
+    exposure: float
+
+
+def photographed(
+    radiance: np.ndarray, mask: np.ndarray, light: np.ndarray, elevation: float, name: str
+) -> Photographed:
+    """Return the photograph of an object that was rendered alone.
+
+    radiance   (H, H, 3) of the object, under light of unit mean
+    mask       (H, H) bool
+    light      (64, 128, 3), light frame
+    elevation  of the camera, radians
+    name       by which the exposure's distance from the metered one is drawn
+    """
+    behind = surroundings(light, round(FRAME * len(mask)), elevation)
+    frame, covered = placed(radiance, behind), placed(mask, np.zeros(behind.shape[:2], bool))
+    frame = np.where(covered[..., None], frame, behind)
+    drawn = np.random.default_rng(zlib.crc32(name.encode())).normal(0.0, SPREAD)
+    exposure = metered(frame @ LUMINANCE) * 2**drawn
+    return Photographed(
+        np.rint(tone.display(frame, exposure)).astype(np.uint8), covered, float(exposure)
+    )
+
+
+def placed(picture: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return a frame (N, N, …) with a picture (H, H, …) in its middle."""
+    first = (len(frame) - len(picture)) // 2
+    result = frame.copy()
+    result[first : first + len(picture), first : first + len(picture)] = picture
+    return result
+
+
+def surroundings(light: np.ndarray, size: int, elevation: float) -> np.ndarray:
+    """Return radiance (size, size, 3) of a light map as the camera sees it behind the object.
+
+    light  (64, 128, 3), light frame
+    """
+    x, y = pixel_grid(size, size)
+    across = np.tan(FIELD_OF_VIEW / 2)
+    rays = np.stack([across * x, across * y, -np.ones_like(x)], -1) @ camera_from_light(elevation)
+    return light[envmap.texel(rays, *light.shape[:2])]
+
+
+def metered(luminance: np.ndarray) -> float:
+    """Return the exposure under which a frame's mean luminance is METERED.
+
+    The middle of the frame counts most, and what is brighter than white as white.
+
+    luminance  (N, N)
+    """
+    x, y = pixel_grid(*luminance.shape)
+    weight = np.exp(-(x**2 + y**2) / (2 * CENTRE**2))
+    low, high = -30.0, 30.0  # stops; the mean grows with the exposure
+    for _ in range(60):
+        middle = (low + high) / 2
+        bright = np.average(np.minimum(luminance * 2**middle, 1), weights=weight) > METERED
+        low, high = (low, middle) if bright else (middle, high)
+    return float(2**low)

@@ -1,0 +1,86 @@
+"""Mirror-like target materials are rendered darker; materials of the photograph itself are not."""
+
+import numpy as np
+import pytest
+
+from learn.editing import brightness, decomposition, targets
+from learn.editing.compositor import Compositor
+from manifests.materials import load_catalogue
+from shaders.dsbrdf import SHAPE
+from tests.support.known_ball import NETWORK, Knowing, label_of, lit, opened
+
+
+def lobes(*shapes: tuple[float, float]) -> np.ndarray:
+    """Return the label (108,) of lobes of given (κ, γ), the same in all channels and at all θ_d."""
+    m = np.full(SHAPE, 1e-9)
+    for number, (kappa, gamma) in enumerate(shapes):
+        m[:, number, 0], m[:, number, 1] = kappa, gamma
+    return np.log(m).ravel()
+
+
+def test_the_share_is_that_of_albedo_in_narrow_lobes() -> None:
+    matte, narrow = (0.1, 1e-3), (3.0, 1000.0)
+    assert brightness.narrow_share(lobes(matte)) < 0.01
+    assert brightness.narrow_share(lobes(narrow)) > 0.99
+    both = brightness.narrow_share(lobes(matte, narrow))
+    twice = brightness.narrow_share(lobes(matte, narrow, narrow))
+    # of albedos a and b the share is b / (a + b), and 2b / (a + 2b)
+    assert twice / (1 - twice) == pytest.approx(2 * both / (1 - both), rel=0.05)
+
+
+def test_a_black_material_has_a_share_too() -> None:
+    assert 0 <= brightness.narrow_share(np.full(108, -40.0)) <= 1
+
+
+def test_metals_are_darkened_and_matte_materials_are_not() -> None:
+    factors = {m.name: brightness.factor(m.label) for m in load_catalogue().values()}
+    assert len(factors) > 100 and all(0 < each <= 1 for each in factors.values())
+    full = 2**-brightness.STOPS
+    for name in ("chrome", "chrome-steel", "steel"):
+        assert factors[name] == pytest.approx(full, rel=0.02)
+    for name in ("spectralon", "beige-fabric", "pink-plastic", "neoprene-rubber"):
+        assert factors[name] > 0.95
+
+
+def test_a_target_is_darkened_once_and_the_photographs_own_material_never() -> None:
+    own, metal = label_of("blue-rubber"), label_of("chrome-steel")[0]
+    radiance, inside = lit(own, 0.5)
+    painter = Compositor(
+        decomposition.decompose(opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK)
+    )
+    assert painter.brightness(own[0]) == 1
+    assert painter.brightness(metal) == np.float32(brightness.factor(metal)) < 0.7
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(brightness, "STOPS", 0.0)
+        plain = {"own": painter.radiance(own[:1]), "metal": painter.radiance(metal[None])}
+    np.testing.assert_array_equal(painter.radiance(own[:1]), plain["own"])
+    np.testing.assert_allclose(
+        painter.radiance(metal[None]), brightness.factor(metal) * plain["metal"], rtol=1e-5
+    )
+
+
+def test_a_material_that_was_read_from_another_picture_is_not_darkened(tmp_path) -> None:
+    own, metal = label_of("blue-rubber"), label_of("chrome-steel")[0]
+    radiance, inside = lit(own, 0.5)
+    painter = Compositor(
+        decomposition.decompose(opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK)
+    )
+    named = painter.edited([metal])
+    painter.add_read(metal.copy(), metal)
+    assert painter.brightness(metal) == 1
+    core = inside & (named.sum(-1) > 1e-3)
+    read = painter.edited([metal])
+    ratio = read[core].sum() / named[core].sum()
+    assert ratio == pytest.approx(1 / brightness.factor(metal), rel=0.02)
+
+
+def test_files_are_read_and_names_are_not(tmp_path) -> None:
+    picture = tmp_path / "brass.png"
+    picture.write_bytes(b"")
+    assert targets.is_read(str(picture)) and targets.is_read("material.json")
+    for text in ("brass", "keep", "principled(metallic=1)"):
+        assert not targets.is_read(text)
+    labels = [np.zeros(108, np.float32), None, np.ones(108, np.float32)]
+    found = targets.read_labels(f"brass+keep+{picture}", labels)
+    assert len(found) == 1 and found[0] is labels[2]
+    assert targets.read_labels(str(picture), [labels[0]] * 3) == [labels[0]] * 3

@@ -1,0 +1,156 @@
+"""Photographs of rendered pictures, and the line of exposures that is fitted to their edits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from learn.data.records import Records
+from learn.editing import brightness, exposure
+from learn.experiments import photographed_edits, photographed_fit, photographing
+from learn.experiments.photographed_fit import TERMS, Edits
+from manifests.errors import InputError
+from shaders import envmap, tone
+from shaders.frames import ELEVATION
+from tests.support import ladder_rungs
+
+
+def test_a_frame_is_exposed_for_its_middle() -> None:
+    even = np.full((40, 40), 0.5)
+    assert photographing.metered(even) == pytest.approx(photographing.METERED / 0.5, rel=1e-6)
+    bright_middle, bright_rim = even.copy(), even.copy()
+    bright_middle[15:25, 15:25] = 1.0
+    bright_rim[:5, :20] = 1.0  # as many pixels
+    assert photographing.metered(bright_middle) < 0.95 * photographing.metered(bright_rim)
+    lamp = even.copy()
+    lamp[20, 20] = 1e6  # white, no more
+    assert photographing.metered(lamp) == pytest.approx(photographing.metered(even), rel=0.02)
+
+
+def test_the_light_is_behind_the_object_where_the_camera_looks() -> None:
+    light = np.full((64, 128, 3), 0.1, np.float32)
+    behind = -np.array([0.0, np.sin(ELEVATION), np.cos(ELEVATION)])
+    light[envmap.texel(behind, 64, 128)] = 9.0
+    above = behind + np.array([0.0, 0.2, 0.0])
+    light[envmap.texel(above / np.linalg.norm(above), 64, 128)] = 5.0
+    frame = photographing.surroundings(light, 60, ELEVATION)[..., 0]
+    assert frame[30, 30] == 9.0
+    rows, columns = np.nonzero(frame == 5.0)
+    assert rows.size and (rows < 25).all() and (abs(columns - 29.5) < 10).all()
+
+
+def test_a_photograph_holds_the_object_in_its_middle_under_its_exposure() -> None:
+    rng = np.random.default_rng(0)
+    radiance = rng.uniform(0, 1, (32, 32, 3)).astype(np.float32)
+    mask = np.zeros((32, 32), bool)
+    mask[4:28, 6:26] = True
+    light = rng.uniform(0.5, 1.5, (64, 128, 3)).astype(np.float32)
+    taken = photographing.photographed(radiance, mask, light, ELEVATION, "a")
+    assert taken.pixels.shape == (48, 48, 3) and taken.mask.sum() == mask.sum()
+    shown = tone.display(radiance, taken.exposure)
+    assert abs(taken.pixels[8:40, 8:40][mask] - shown[mask]).max() <= 0.5
+    behind = photographing.surroundings(light, 48, ELEVATION)
+    outside = ~taken.mask
+    assert abs(taken.pixels - tone.display(behind, taken.exposure))[outside].max() <= 0.5
+    again = photographing.photographed(radiance, mask, light, ELEVATION, "a")
+    other = photographing.photographed(radiance, mask, light, ELEVATION, "b")
+    assert again.exposure == taken.exposure != other.exposure
+
+
+def edits(count: int, slopes: np.ndarray, noise: float = 0.0) -> Edits:
+    """Return edits whose brightness follows a line; L2 is the square of how far they are off."""
+    rng = np.random.default_rng(1)
+    cues = np.concatenate([np.ones((count, 1)), rng.normal(size=(count, 4))], 1)
+    right = cues @ slopes + noise * rng.normal(size=count)
+    used, darkened = rng.normal(size=(2, count))
+    stops = right - used - darkened
+    scales = np.array(photographed_edits.SCALES)
+    rows = [
+        {"shape": str(k % 5), "light": str(k % 7), "target": "a", "group": "b", "family": "metal"}
+        for k in range(count)
+    ]
+    l2 = abs(stops[:, None] + scales)
+    true = cues[:, :4] @ slopes[:4]  # a narrow share makes edits too bright, nothing else does
+    return Edits(rows, cues, used, darkened, true, stops, l2, np.ones(count))
+
+
+SLOPES = np.array([-2.0, 0.1, 0.7, -0.5, 0.8])
+
+
+def test_a_line_is_found_again_by_edits_of_other_shapes_under_other_lights() -> None:
+    exact = edits(200, SLOPES)
+    assert photographed_fit.fitted(exact, TERMS) == pytest.approx(SLOPES)
+    predicted = photographed_fit.by_others(exact, TERMS)
+    assert predicted == pytest.approx(exact.cues @ SLOPES)
+    assert abs(exact.brightness(predicted)).max() < 1e-9
+    # what is left out of a line is not used
+    shorter = photographed_fit.fitted(exact, ("constant", "again"))
+    assert (shorter[[1, 3, 4]] == 0).all()
+
+
+def test_the_share_of_narrow_lobes_is_not_taken_for_what_sources_do_to_the_exposure() -> None:
+    """Targets that are mirror-like where sources are bright: the exposure has its own line."""
+    tied = edits(400, SLOPES)
+    tied.cues[:, 4] += 2 * tied.cues[:, 2]
+    right = tied.cues @ SLOPES
+    tied = replace(tied, stops=right - tied.used - tied.darkened)
+    tied = replace(tied, true=tied.cues[:, :4] @ SLOPES[:4])
+    without_the_cue = photographed_fit.fitted(tied, ("constant", "object", "narrow"))
+    assert without_the_cue[4] == pytest.approx(SLOPES[4])
+
+
+def test_no_edit_sees_itself_in_its_line() -> None:
+    noisy = edits(60, SLOPES, 0.3)
+    shape, light = (np.array(noisy.names(key)) for key in ("shape", "light"))
+    own = (shape == "0") | (light == "0")
+    changed = replace(noisy, stops=np.where(own, noisy.stops + 5, noisy.stops))
+    at = np.flatnonzero((shape == "0") & (light == "0"))
+    before, after = (photographed_fit.by_others(each, TERMS)[at] for each in (noisy, changed))
+    assert at.size and after == pytest.approx(before)
+    with_own = photographed_fit.fitted(changed, TERMS) - photographed_fit.fitted(noisy, TERMS)
+    assert abs(with_own).max() > 0.1
+
+
+def test_errors_at_other_exposures_are_interpolated() -> None:
+    some = edits(50, SLOPES)
+    kept = some.used + some.darkened
+    inside = abs(some.stops) < 3
+    assert some.error(kept)[inside] == pytest.approx(abs(some.stops)[inside])
+    # linear between scales, and |x| is linear but about 0
+    brighter = some.error(kept - 0.6)
+    assert brighter[inside] == pytest.approx(abs(some.stops + 0.6)[inside], abs=0.13)
+
+
+def test_what_is_in_use_is_what_the_program_does() -> None:
+    some = edits(20, SLOPES)
+    expected = [
+        np.log2(exposure.exposure_of(exposure.Cues(*row[1:4]))) + brightness.STOPS * row[4]
+        for row in some.cues
+    ]
+    assert photographed_fit.in_use(some) == pytest.approx(expected)
+
+
+def test_photographs_are_edited_into_the_other_materials_of_their_scene(tmp_path) -> None:
+    ladder_rungs.written(tmp_path, 32)
+    records = Records(tmp_path)
+    cases = photographed_edits.cases_of(records, 99, 0)
+    assert len({case.source.id for case in cases}) == len(cases) > 3
+    for case in cases:
+        assert case.targets
+        for target in case.targets:
+            same = ("shape", "viewpoint", "light", "rotation_texels", "tier")
+            assert all(getattr(target, key) == getattr(case.source, key) for key in same)
+            assert target.materials != case.source.materials
+            assert target.tier == "full" and target.camera.pixel == "square"
+    shapes = [case.source.shape for case in cases[: len({c.source.shape for c in cases})]]
+    assert len(set(shapes)) == len(shapes)  # they take turns
+    assert photographed_edits.cases_of(records, 2, 0) == cases[:2]
+
+
+def test_a_data_set_without_two_materials_of_a_scene_is_refused(tmp_path) -> None:
+    ladder_rungs.written(tmp_path, 32)
+    records = Records(tmp_path)
+    first = records.records[0].materials
+    records.records[:] = [r for r in records.records if r.materials == first]
+    with pytest.raises(InputError, match="two materials"):
+        photographed_edits.cases_of(records, 9, 0)
