@@ -146,10 +146,10 @@ class Decomposition:
             rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
             raise InputError("paint", rule, f"{len(materials)}", "None leaves a region as it is")
         chosen = [None if m is None else material(m) for m in materials]
-        self._take_note(chosen)
+        read = _read(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted(chosen):
-            linear = linear + weight * self._compositor.edited(labels)
+            linear = linear + weight * self._compositor.edited(labels, read)
         shown = self._picture(np.asarray(linear, np.float32))
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
@@ -180,22 +180,16 @@ class Decomposition:
                 "relight", f"{len(own)} materials", f"{len(requested)}", "one a region"
             )
         chosen = [None if m is None else material(m) for m in requested]
-        self._take_note(chosen)
+        read = _read(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted(chosen):
             label = np.stack(
                 [mine if new is None else new for mine, new in zip(own, labels, strict=True)]
             )
-            linear = linear + weight * self._compositor.relit(label, L)
+            linear = linear + weight * self._compositor.relit(label, L, read)
         radiance = np.asarray(linear, np.float32)
         exposure = tone.auto_exposure(radiance, self.photograph.mask)
         return Picture(radiance, exposure, self.photograph.coverage)
-
-    def _take_note(self, chosen: Sequence[Material | None]) -> None:
-        """Have materials that were read from pictures as bright as they were read."""
-        for each in chosen:
-            if each is not None:
-                self._compositor.add_read(*each.read)
 
     def _picture(self, linear: np.ndarray) -> Picture:
         return Picture(linear, drawing.exposure_of(self.photograph), self.photograph.opacity)
@@ -317,6 +311,11 @@ def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
     """
     network, metadata = checkpoint.load_parts(path, device)
     return network, metadata["size"]
+
+
+def _read(chosen: Sequence[Material | None]) -> list[np.ndarray]:
+    """Return the labels among materials that were read from pictures."""
+    return [label for each in chosen if each is not None for label in each.read]
 
 
 def _weighted(

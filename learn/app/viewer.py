@@ -15,7 +15,7 @@ shading, which belongs to its own light, is left out.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from learn.app.choices import Edit, LightChoice
+from learn.app.choices import Edit, LightChoice, Painted
 from learn.data import framing
 from learn.data.devices import array
 from learn.editing import drawing, interactive, reflectance_store
@@ -72,7 +72,6 @@ class Viewer:
         is_current  asked before each exact map
         Raises      Superseded as soon as is_current says no
         """
-        self.small.add_read(*read_labels(edit))
         if all(p.unchanged for p in edit.regions) and edit.light.unchanged:
             return self._shown(self.small.decomposition.photograph.radiance, edit)
         radiance = np.zeros((self.small.grid**2, 3), np.float32)
@@ -80,7 +79,7 @@ class Viewer:
             edit.regions, self.decomposition.label, self._pixels, self._normals, strict=True
         ):
             if len(at) and not (painted.unchanged and edit.light.unchanged):
-                values = self.map_of(painted.parts(own), edit.light, exact, is_current)
+                values = self.map_of(painted, own, edit.light, exact, is_current)
                 radiance[at] = reflectance_store.interpolated(values, n)
         object_ = self.small.upsampled(radiance.reshape(self.small.grid, self.small.grid, 3))
         return self._composed(object_, edit)
@@ -96,20 +95,22 @@ class Viewer:
 
     def map_of(
         self,
-        parts: list[tuple[float, np.ndarray]],
+        painted: Painted,
+        own: np.ndarray,
         light: LightChoice,
         exact: bool,
         is_current: Callable[[], bool] = lambda: True,
     ) -> np.ndarray:
-        """Return the reflectance map of a blend: the weighted sum of its parts' maps.
+        """Return the reflectance map of a region's material: the weighted sum of a blend's maps.
 
         Maps have different numbers of nodes; the coarser ones are read at the nodes of the finest.
         """
-        values = []
+        values, parts = [], painted.parts(own)
         for _, label in parts:
             if exact and not is_current():
                 raise Superseded
-            values.append(self._one_map(label, light, exact))
+            factor = self.small.brightness(label, read_labels([painted]))
+            values.append(self._one_map(label, light, exact) * factor)
         size = max(len(each) for each in values)
         total = np.zeros((size, size, 3), np.float32)
         for (weight, _), each in zip(parts, values, strict=True):
@@ -127,7 +128,6 @@ class Viewer:
             values, _ = reflectance_store.values_of(label, scene)
         else:
             values = reflectance_store.rendered(label, scene, QUICK, "auto")
-        values = values * self.small.brightness(label)
         with self._lock:
             self._maps[self._key(label, light, exact)] = values
             while len(self._maps) > KEPT_MAPS:
@@ -159,7 +159,6 @@ class Viewer:
         if self._full is None:
             self._full = Compositor(self.decomposition, predictions.SHOWN.tolerance, DETAIL)
         compositor = self._full
-        compositor.add_read(*read_labels(edit))
         each = [p.parts(own) for p, own in zip(edit.regions, self.decomposition.label, strict=True)]
         # all regions' first parts at once, then the second ones, each pixel with its weight
         object_: np.ndarray | float = 0.0
@@ -170,21 +169,20 @@ class Viewer:
                 for (weight, _), region in zip(parts, each, strict=True)
             ]
             label = np.stack([label for _, label in parts]).astype(np.float32)
-            rendered = self._rendered(compositor, label, edit.light)
+            rendered = self._rendered(compositor, label, edit)
             share = np.array([0.0, *weights], np.float32)[compositor.filled]
             object_ = object_ + share[..., None] * rendered
         linear = composed(compositor, np.asarray(object_), edit)
         photograph = self.decomposition.photograph
         return linear, displayed(linear, self.exposure, photograph, edit.hide_background)
 
-    def _rendered(
-        self, compositor: Compositor, label: np.ndarray, light: LightChoice
-    ) -> np.ndarray:
+    def _rendered(self, compositor: Compositor, label: np.ndarray, edit: Edit) -> np.ndarray:
         """Return radiance (side, side, 3) in the photograph's own exposure."""
+        light, read = edit.light, read_labels(edit.regions)
         if light.unchanged:
-            return compositor.radiance(label)
+            return compositor.radiance(label, read)
         L = np.ascontiguousarray(light.of(self.own_light), np.float32)
-        frame = compositor.relit(label, L)
+        frame = compositor.relit(label, L, read)
         square = framing.placed(frame, self.decomposition.framed.box)
         return square / self.decomposition.exposure.astype(np.float32)
 
@@ -238,9 +236,9 @@ class Viewer:
         ]
 
 
-def read_labels(edit: Edit) -> list[np.ndarray]:
-    """Return the labels (108,) of an edit's materials that were read from pictures or files."""
-    chosen = (each for painted in edit.regions for each in (painted.first, painted.second))
+def read_labels(regions: Sequence[Painted]) -> list[np.ndarray]:
+    """Return the labels (108,) of regions' materials that were read from pictures or files."""
+    chosen = (each for painted in regions for each in (painted.first, painted.second))
     return [each.label for each in chosen if each is not None and not each.named]
 
 

@@ -56,34 +56,47 @@ class Compositor:
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
-        self._read: list[np.ndarray] = list(self.own)
         self._own_radiance: np.ndarray | None = None
         self._fine_shading: np.ndarray | None = None
         self._background: np.ndarray | None = None
         self._share: np.ndarray | None = None
 
-    def radiance(self, label: np.ndarray | torch.Tensor) -> np.ndarray:
+    def radiance(
+        self, label: np.ndarray | torch.Tensor, read: Sequence[np.ndarray] = ()
+    ) -> np.ndarray:
         """Return linear radiance (side, side, 3) of the object in the photograph's own exposure.
 
         label  (S, 108), or (1, 108) for all regions
+        read   of `brightness`
         """
-        picture = self._rendered(label, self.decomposition.parts.light)
+        picture = self._rendered(label, self.decomposition.parts.light, read)
         return picture / self.decomposition.exposure.astype(np.float32)
 
-    def relit(self, label: np.ndarray | torch.Tensor, light: np.ndarray) -> np.ndarray:
+    def relit(
+        self,
+        label: np.ndarray | torch.Tensor,
+        light: np.ndarray,
+        read: Sequence[np.ndarray] = (),
+    ) -> np.ndarray:
         """Return linear radiance (H, W, 3) of the object alone under another light.
 
         It is that of the light, in the photograph's frame; 0 outside the object.
 
         label  (S, 108), or (1, 108) for all regions
         light  (64, 128, 3), light frame
+        read   of `brightness`
         """
         L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
-        picture = self._rendered(label, L) * (self.coverage > 0)[..., None]
+        picture = self._rendered(label, L, read) * (self.coverage > 0)[..., None]
         frame = np.zeros_like(self.decomposition.photograph.radiance)
         return framing.put_back(frame, picture, self.decomposition.framed.box)
 
-    def _rendered(self, label: np.ndarray | torch.Tensor, light: torch.Tensor) -> np.ndarray:
+    def _rendered(
+        self,
+        label: np.ndarray | torch.Tensor,
+        light: torch.Tensor,
+        read: Sequence[np.ndarray],
+    ) -> np.ndarray:
         """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
         labels = array(torch.as_tensor(label, dtype=torch.float32))
         segments = array(self.segments)
@@ -91,7 +104,7 @@ class Compositor:
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
-                picture[inside] = self.brightness(row) * reflectance_store.at_normals(
+                picture[inside] = self.brightness(row, read) * reflectance_store.at_normals(
                     row,
                     array(self.n)[inside],
                     light,
@@ -100,32 +113,30 @@ class Compositor:
                 )
         return self.upsampled(picture)
 
-    def brightness(self, label: np.ndarray) -> np.float32:
+    def brightness(self, label: np.ndarray, read: Sequence[np.ndarray] = ()) -> np.float32:
         """Return the factor by which the layer's radiance in a material (108,) is multiplied.
 
-        It is 1 for materials that were read from a picture, which are as much too dark as normals
-        and light make them too bright.
+        It is 1 for materials that were read from a picture, this one or another: they are as much
+        too dark as normals and light make them too bright.
+
+        read  labels (108,) of materials that were read from other pictures
         """
-        if any(np.array_equal(label, read) for read in self._read):
+        if any(np.array_equal(label, each) for each in (*self.own, *read)):
             return np.float32(1)
         return np.float32(brightness.factor(label))
-
-    def add_read(self, *labels: np.ndarray) -> None:
-        """Take note of materials (108,) that were read from other pictures."""
-        known = {read.tobytes() for read in self._read}
-        for label in (np.asarray(each, np.float32) for each in labels):
-            if label.tobytes() not in known:
-                self._read.append(label)
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
         return framing.resized(picture, self.side)
 
-    def edited(self, labels: Sequence[np.ndarray | None]) -> np.ndarray:
+    def edited(
+        self, labels: Sequence[np.ndarray | None], read: Sequence[np.ndarray] = ()
+    ) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with its object in other materials.
 
         labels  one (108,) for each region, or None for a region that stays as it is; a single one
                 is for all regions
+        read    of `brightness`
         """
         regions = len(self.own)
         requested = list(labels) * regions if len(labels) == 1 else list(labels)
@@ -135,7 +146,7 @@ class Compositor:
                 for own, target in zip(self.own, requested, strict=True)
             ]
         )
-        object_ = self.radiance(label)
+        object_ = self.radiance(label, read)
         if self.detail:
             object_ = object_ * self.fine_shading() ** self.detail
         unchanged = [s + 1 for s in range(regions) if requested[s] is None]

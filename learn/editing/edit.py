@@ -147,8 +147,8 @@ def compute(
     edits = []
     for text, each in labels.items():
         progress.set_description(text[:24])
-        compositor.add_read(*targets.read_labels(text, each))
-        edits.append(Edit(text, each, compositor.edited(each), truth_of(opened, text)))
+        edited = compositor.edited(each, targets.read_labels(text, each))
+        edits.append(Edit(text, each, edited, truth_of(opened, text)))
         progress.update()
     return EditResult(result, compositor.rendered_again(), edits, metadata)
 

@@ -103,8 +103,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         {key: value for key, value in material.items() if key != "label"} for material in materials
     ]
     header["chosen"] = chosen_materials(result, materials)
-    for each in result.edits:
-        compositor.add_read(*targets.read_labels(each.text, each.labels))
+    read = [x for each in result.edits for x in targets.read_labels(each.text, each.labels)]
     labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
     nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
@@ -116,7 +115,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
             )
             maps.append([])
             for label in labels:
-                exposure = scene.exposure * compositor.brightness(label)
+                exposure = scene.exposure * compositor.brightness(label, read)
                 maps[-1].append(
                     interactive_maps.tried_maps(label, scene._replace(exposure=exposure))
                 )

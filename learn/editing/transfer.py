@@ -301,8 +301,7 @@ def edits_of(
     compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
     for material, other in decompositions.items():
         if material is not shape:
-            compositor.add_read(other.label[0])
-            yield material, compositor.edited([other.label[0]])
+            yield material, compositor.edited([other.label[0]], [other.label[0]])
 
 
 def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:

@@ -18,7 +18,7 @@ luminance (learn.networks.coding.compressed).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -100,11 +100,11 @@ class CachedCompositor(Compositor):
         super().__init__(*arguments)
         self._known: dict[bytes, Any] = {}
 
-    def radiance(self, label: Any) -> Any:
+    def radiance(self, label: Any, read: Sequence[np.ndarray] = ()) -> Any:
         """Return what Compositor renders of a label."""
-        key = np.asarray(label, np.float32).tobytes()
+        key = b"".join(np.asarray(each, np.float32).tobytes() for each in (label, *read))
         if key not in self._known:
-            self._known[key] = super().radiance(label)
+            self._known[key] = super().radiance(label, read)
         return self._known[key]
 
 

@@ -182,9 +182,8 @@ def test_a_metal_is_as_bright_in_the_view_as_in_full_named_or_read_from_a_pictur
         linear, display = viewer.full(edit)
         exact = viewer.view(edit, exact=True).astype(float)
         assert np.sqrt(((exact - display)[mask] ** 2).mean()) < 3.0
-        plain = Compositor(result, 1e-2, 0.25)
-        plain.add_read(each.label)
-        bright.append(linear[mask].mean() / plain.edited([each.label])[mask].mean())
+        plain = Compositor(result, 1e-2, 0.25).edited([each.label], [each.label])
+        bright.append(linear[mask].mean() / plain[mask].mean())
     assert bright == pytest.approx([brightness.factor(metal.label), 1], rel=1e-3)
 
 

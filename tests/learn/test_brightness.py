@@ -66,10 +66,9 @@ def test_a_material_that_was_read_from_another_picture_is_not_darkened(tmp_path)
         decomposition.decompose(opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK)
     )
     named = painter.edited([metal])
-    painter.add_read(metal.copy(), metal)
-    assert painter.brightness(metal) == 1
+    assert painter.brightness(metal, [metal.copy()]) == 1
     core = inside & (named.sum(-1) > 1e-3)
-    read = painter.edited([metal])
+    read = painter.edited([metal], [metal])
     ratio = read[core].sum() / named[core].sum()
     assert ratio == pytest.approx(1 / brightness.factor(metal), rel=0.02)
 
