@@ -66,15 +66,15 @@ FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the guess under which the 
 # fitted to 1,149 edits of 384 photographs (docs/results/photographed-edits)
 WITH_BACKGROUND = Line(-2.22, 0.0, 0.63, -0.46)
 CUT_OUT = Line(-1.03, 0.0, 0.55)
+USUAL = 2.0  # of `again`, in these photographs, for one that says nothing of it
 
 
 def exposure_of(cues: Cues) -> float:
     """Return the factor from a photograph's radiance to that under light of unit mean."""
     first = FIRST(cues)
-    if cues.again is None:
-        return float(2**first)
     line = CUT_OUT if cues.background is None else WITH_BACKGROUND
-    return float(2 ** np.clip(line(cues), first - MOST, first + MOST))
+    known = cues if cues.again is not None else replace(cues, again=USUAL)
+    return float(2 ** np.clip(line(known), first - MOST, first + MOST))
 
 
 def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:

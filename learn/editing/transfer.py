@@ -222,7 +222,7 @@ def relit_rows(
         row: list[Tile] = [(shape.stem, before)]
         for material, other in decompositions.items():
             chosen = decomposed.label if material is shape else other.label[:1]
-            shown = tone.display(compositor.relit(chosen, light), exposure)
+            shown = tone.display(compositor.relit(chosen, light, list(chosen)), exposure)
             alpha = 255.0 * photo.coverage[..., None]
             save(
                 out / relit_name(shape, material, label),

@@ -33,14 +33,13 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
         "edit-cost": "chart the error of edits against seconds and hours of training",
         "edit-brightness": "measure how bright edits are beside their truth",
-        "photographed-edits": "measure edits of photographs in the scale of the photograph",
+        "photographed-edits": "measure edits of photographs, and how to expose them",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",
         "relighting": "relight pictures, and put materials on other objects, against the truth",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
         "exposure": "measure the rule that estimates a photograph's exposure",
-        "exposure-correction": "measure what re-rendering says of a photograph's exposure",
     },
 }
 COMMANDS = {name: runner.register(name) for group in GROUPS.values() for name in group}

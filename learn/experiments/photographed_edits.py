@@ -213,8 +213,8 @@ def edit_of(
         "narrow": brightness.narrow_share(label),
         "darkened": -float(np.log2(compositor.brightness(label))),
         "stops": float(np.log2(max(mine, 1e-6) / max(its, 1e-6))),
-        "l2": [float(tone.display_l2(edited * 2**s, truth, 1.0, inside)) for s in SCALES],
-        "unchanged": float(tone.display_l2(before.radiance, truth, 1.0, inside)),
+        "l2": [round(float(tone.display_l2(edited * 2**s, truth, 1.0, inside)), 1) for s in SCALES],
+        "unchanged": round(float(tone.display_l2(before.radiance, truth, 1.0, inside)), 1),
     }
 
 

@@ -6,8 +6,9 @@ which L2 is interpolated. So every rule is applied to the same decompositions. E
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +24,10 @@ if TYPE_CHECKING:
 TERMS = ("constant", "object", "again", "background", "narrow")
 WITH_BACKGROUND = ("constant", "again", "background", "narrow")  # of the line in use
 CUT_OUT = ("constant", "again", "narrow")  # of that without a background
+SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.01)
 METALS = ("metal", "metallic paint")
-TRUST_BEFORE = 0.75  # share of the ratio that corrected exposures until 2026-11-28
+# until 2026-11-28: share of the ratio that corrected exposures, and stops by which at most
+TRUST_BEFORE, MOST_BEFORE = 0.75, 3.0
 
 
 @dataclass(frozen=True)
@@ -127,9 +130,14 @@ def by_others(edits: Edits, terms: Sequence[str]) -> np.ndarray:
     return result
 
 
-def in_use(edits: Edits) -> np.ndarray:
-    """Return the stops (E,) by which the program exposes edits now, the target's among them."""
-    cues = [exposure.Cues(*(float(x) for x in row[1:4])) for row in edits.cues]
+def in_use(edits: Edits, cut_out: bool = False) -> np.ndarray:
+    """Return the stops (E,) by which the program exposes edits now, the target's among them.
+
+    cut_out  whether the photographs have no background
+    """
+    cues = [exposure.Cues(*map(float, row[1:4])) for row in edits.cues]
+    if cut_out:
+        cues = [replace(each, background=None) for each in cues]
     photograph = np.array([np.log2(exposure.exposure_of(each)) for each in cues])
     return photograph + brightness.STOPS * edits.cues[:, 4]
 
@@ -141,8 +149,9 @@ def ways(edits: Edits) -> dict[str, np.ndarray]:
     return {
         "the first guess": first,
         "corrected by three quarters of the ratio, as before": first
-        + TRUST_BEFORE * edits.cues[:, 2],
+        + (TRUST_BEFORE * edits.cues[:, 2]).clip(-MOST_BEFORE, MOST_BEFORE),
         "in use": in_use(edits),
+        "in use, for a cut-out": in_use(edits, cut_out=True),
         "in use, mirror-like targets not darker": in_use(edits) - brightness.STOPS * share,
         "one exposure for all, fitted": by_others(edits, ("constant", "narrow")),
         "fitted without the background": by_others(edits, CUT_OUT),
@@ -179,8 +188,8 @@ def page(report: Report) -> str:
             "",
             "",
             runner.interval(bootstrap.interval(edits.unchanged, weights), 0),
-            f"{edits.unchanged[metals].mean():.0f}",
-            f"{edits.unchanged[~metals].mean():.0f}",
+            _mean(edits.unchanged[metals]),
+            _mean(edits.unchanged[~metals]),
         ]
     ]
     for name, stops in all_ways.items():
@@ -191,8 +200,8 @@ def page(report: Report) -> str:
                 runner.interval(bootstrap.interval(off, weights), 2),
                 f"{np.sqrt((off**2).mean()):.2f}",
                 runner.interval(bootstrap.interval(l2, weights), 0),
-                f"{l2[metals].mean():.0f}",
-                f"{l2[~metals].mean():.0f}",
+                _mean(l2[metals]),
+                _mean(l2[~metals]),
             ]
         )
     result.append(runner.table(head, lines))
@@ -205,6 +214,11 @@ def page(report: Report) -> str:
     )
     result += ["## In groups\n", _groups(edits, before, now)]
     result += ["## The line\n", _line(edits, weights)]
+    result.append(
+        "## Mirror-like targets\n\nBrightness under the true exposure, of targets that are not"
+        " darkened, by the share of their albedo in narrow lobes.\n"
+    )
+    result.append(_shares(edits, weights))
     return "\n".join(result)
 
 
@@ -249,6 +263,22 @@ def _line(edits: Edits, weights: np.ndarray) -> str:
             shown = runner.interval([slopes[k], low[k], high[k]], 2) if term in terms else ""
             lines.append([name, term, f"{now[k]:+.2f}", shown])
     return runner.table(["", "slope of", "in use", "fitted"], lines)
+
+
+def _shares(edits: Edits, weights: np.ndarray) -> str:
+    too_bright, share = edits.right - edits.true, edits.cues[:, 4]
+    lines = []
+    for low, high in itertools.pairwise(SHARES):
+        of = (share >= low) & (share < high)
+        drawn = weights[:, of]
+        if of.any():
+            mean = bootstrap.interval(too_bright[of], drawn[drawn.sum(1) > 0])
+            lines.append([f"{low:.1f} to {min(high, 1):.1f}", of.sum(), runner.interval(mean, 2)])
+    return runner.table(["share", "edits", "brightness, stops"], lines)
+
+
+def _mean(values: np.ndarray) -> str:
+    return f"{values.mean():.0f}" if values.size else "–"
 
 
 def _weights(edits: Edits) -> np.ndarray:

@@ -198,9 +198,12 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         "--data {room}/large --weights {room}/weights.safetensors --edits 1",
         lambda r: all(p["normals enlarged"]["l2_ratio"] == [1, 1, 1] for p in r["parts"].values()),
     ),
-    "exposure-correction": (
-        "--data {room}/data --weights {room}/weights.safetensors --pictures 1",
-        lambda r: {row["camera"] for row in r["rows"]} == {"drawn", "automatic"},
+    "photographed-edits": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --photographs 2",
+        lambda r: (
+            len(r["rows"]) == 2
+            and all(min(e["l2"]) <= e["l2"][16] for row in r["rows"] for e in row["edits"])
+        ),
     ),
     "exposure": (
         "--data {room}/exposed",

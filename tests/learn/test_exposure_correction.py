@@ -47,8 +47,8 @@ def test_clipped_pixels_do_not_count_and_nothing_is_said_of_white_or_black() -> 
 
 
 def test_the_first_guess_is_the_readers_rule_and_bounds_what_is_made_of_it() -> None:
-    white = Cues(0.0, None, None)
-    assert exposure.exposure_of(white) == pytest.approx(framing.TYPICAL)
+    unknown, usual = Cues(0.0, None, -2.0), Cues(0.0, exposure.USUAL, -2.0)
+    assert exposure.exposure_of(unknown) == exposure.exposure_of(usual)
     assert exposure.exposure_of(Cues(0.0, 99.0, None)) == pytest.approx(
         framing.TYPICAL * 2**exposure.MOST
     )

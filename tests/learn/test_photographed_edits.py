@@ -128,6 +128,8 @@ def test_what_is_in_use_is_what_the_program_does() -> None:
         for row in some.cues
     ]
     assert photographed_fit.in_use(some) == pytest.approx(expected)
+    cut_out = photographed_fit.in_use(some, cut_out=True)
+    assert abs(cut_out - expected).max() > 0.1
 
 
 def test_photographs_are_edited_into_the_other_materials_of_their_scene(tmp_path) -> None:
