@@ -156,7 +156,7 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
 
     record = case.source
     sample = records.load(record)
-    taken = photographed(
+    photo = photographed(
         sample.image.numpy(),
         sample.mask.numpy(),
         sample.light.numpy(),
@@ -170,17 +170,17 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
         "source": record.materials[0],
     }
     try:
-        opened = photograph.from_arrays(taken.pixels, taken.mask, name=record.id)
+        opened = photograph.from_arrays(photo.pixels, photo.mask, name=record.id)
         parts = decomposition.decompose(opened, network, size, PHOTOGRAPHS)
     except InputError as error:  # an object that is black or white in the photograph
         return about | {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
     compositor = Compositor(parts)
-    edits = [edit_of(records, compositor, taken, target) for target in case.targets]
+    edits = [edit_of(records, compositor, photo, target) for target in case.targets]
     return about | {
         "exposure": {
-            "true": -float(np.log2(taken.exposure)),
+            "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
         "cues": asdict(parts.cues),
@@ -189,7 +189,7 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
 
 
 def edit_of(
-    records: Records, compositor: Any, taken: Photographed, target: Record
+    records: Records, compositor: Any, photo: Photographed, target: Record
 ) -> dict[str, Any]:
     """Return a row of "edits" of `row_of`. Brightness is the mean luminance over the object."""
     import numpy as np
@@ -204,8 +204,8 @@ def edit_of(
     label = records.label(name)
     edited = compositor.edited([label])
     before = compositor.decomposition.photograph
-    inside = taken.mask & (before.coverage > 1 - CLEAR)
-    truth = placed(records.image(target), np.zeros_like(edited)) * np.float32(taken.exposure)
+    inside = photo.mask & (before.coverage > 1 - CLEAR)
+    truth = placed(records.image(target), np.zeros_like(edited)) * np.float32(photo.exposure)
     mine, its = (float((each[inside] @ LUMINANCE).mean()) for each in (edited, truth))
     return {
         "target": name,

@@ -1,4 +1,4 @@
-"""Tables of `photographed-edits`: ways of choosing an edit's brightness, and the line of exposures.
+"""Tables of `photographed-edits`: rules for an edit's brightness, and the line of exposures.
 
 Edits were made under one exposure and are known at others: SCALES of photographed_edits, between
 which L2 is interpolated. So every rule is applied to the same decompositions. E: number of edits.
@@ -34,7 +34,7 @@ TRUST_BEFORE, MOST_BEFORE = 0.75, 3.0
 class Edits:
     """The edits of a report whose photographs have all cues; arrays over E.
 
-    cues       (E, 5) 1, object, again, background, and the target's narrow share
+    cues       (E, 5) 1, object, again, background as a line sees it, the target's narrow share
     used       exposure of the photograph, stops
     darkened   stops by which the target was rendered darker
     true       exposure of the photograph that is right, stops
@@ -80,7 +80,8 @@ def edits_of(report: Report) -> Edits:
             known = photograph["cues"]
             if None not in known.values():
                 rows.append(photograph | edit)
-                cues.append([1.0, *(known[key] for key in TERMS[1:4]), edit["narrow"]])
+                behind = float(np.clip(known["background"], *exposure.BACKGROUNDS))
+                cues.append([1.0, known["object"], known["again"], behind, edit["narrow"]])
     return Edits(
         rows,
         np.array(cues),
@@ -142,8 +143,8 @@ def in_use(edits: Edits, cut_out: bool = False) -> np.ndarray:
     return photograph + brightness.STOPS * edits.cues[:, 4]
 
 
-def ways(edits: Edits) -> dict[str, np.ndarray]:
-    """Return {way to expose edits: stops (E,)}."""
+def rules_of(edits: Edits) -> dict[str, np.ndarray]:
+    """Return {rule that exposes edits: stops (E,)}."""
     first = exposure.FIRST.constant + exposure.FIRST.object * edits.cues[:, 1]
     share = edits.cues[:, 4]
     return {
@@ -179,9 +180,9 @@ def page(report: Report) -> str:
         " exposure. Fitted lines are fitted to edits of other shapes under other lights. Brackets"
         " are 95 % intervals that draw shapes, target materials and lights.\n"
     )
-    all_ways = ways(edits)
-    result.append("## Ways to expose an edit\n")
-    head = ["way", "brightness, stops", "off by", "L2", "L2 of metals", "of other materials"]
+    shown = rules_of(edits)
+    result.append("## Rules that expose an edit\n")
+    head = ["rule", "brightness, stops", "off by", "L2", "L2 of metals", "of other materials"]
     lines: list[list[object]] = [
         [
             "the photograph, not edited",
@@ -192,7 +193,7 @@ def page(report: Report) -> str:
             _mean(edits.unchanged[~metals]),
         ]
     ]
-    for name, stops in all_ways.items():
+    for name, stops in shown.items():
         off, l2 = edits.brightness(stops), edits.error(stops)
         lines.append(
             [
@@ -206,7 +207,7 @@ def page(report: Report) -> str:
         )
     result.append(runner.table(head, lines))
     result.append(f"Metals: {', '.join(METALS)}; {metals.sum()} edits.\n")
-    before, now = (edits.error(all_ways[name]) for name in list(all_ways)[1:3])
+    before, now = (edits.error(shown[name]) for name in list(shown)[1:3])
     ratio = runner.interval(bootstrap.relative(before, now, weights), 2)
     result.append(
         f"In use, L2 is {ratio} times what it was before; {(now < before).sum()} of"

@@ -61,6 +61,8 @@ def test_what_is_darker_than_its_background_has_the_larger_exposure_before_a_dar
     """The same object before a darker background was under less light: multiply by more."""
     bright, dark = (exposure.exposure_of(Cues(-3.0, 1.0, behind)) for behind in (-1.0, -3.0))
     assert dark > 1.2 * bright
+    black = exposure.exposure_of(Cues(-3.0, 1.0, -9.0))
+    assert black == exposure.exposure_of(Cues(-3.0, 1.0, exposure.BACKGROUNDS[0]))
     brighter_again = exposure.exposure_of(Cues(-3.0, 2.0, -3.0))
     assert brighter_again > 1.2 * dark
 

@@ -45,16 +45,16 @@ def test_a_photograph_holds_the_object_in_its_middle_under_its_exposure() -> Non
     mask = np.zeros((32, 32), bool)
     mask[4:28, 6:26] = True
     light = rng.uniform(0.5, 1.5, (64, 128, 3)).astype(np.float32)
-    taken = photographing.photographed(radiance, mask, light, ELEVATION, "a")
-    assert taken.pixels.shape == (48, 48, 3) and taken.mask.sum() == mask.sum()
-    shown = tone.display(radiance, taken.exposure)
-    assert abs(taken.pixels[8:40, 8:40][mask] - shown[mask]).max() <= 0.5
+    photo = photographing.photographed(radiance, mask, light, ELEVATION, "a")
+    assert photo.pixels.shape == (48, 48, 3) and photo.mask.sum() == mask.sum()
+    shown = tone.display(radiance, photo.exposure)
+    assert abs(photo.pixels[8:40, 8:40][mask] - shown[mask]).max() <= 0.5
     behind = photographing.surroundings(light, 48, ELEVATION)
-    outside = ~taken.mask
-    assert abs(taken.pixels - tone.display(behind, taken.exposure))[outside].max() <= 0.5
+    outside = ~photo.mask
+    assert abs(photo.pixels - tone.display(behind, photo.exposure))[outside].max() <= 0.5
     again = photographing.photographed(radiance, mask, light, ELEVATION, "a")
     other = photographing.photographed(radiance, mask, light, ELEVATION, "b")
-    assert again.exposure == taken.exposure != other.exposure
+    assert again.exposure == photo.exposure != other.exposure
 
 
 def edits(count: int, slopes: np.ndarray, noise: float = 0.0) -> Edits:
