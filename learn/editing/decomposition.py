@@ -5,6 +5,7 @@ The network sees a square about the object, at its own size (128² as a rule).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 
 from learn.data import devices, framing
 from learn.data.batch import ExampleBatch
-from learn.editing import exposure
+from learn.editing import exposure, light_colour
 from learn.editing.photograph import Photograph
 from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks.prediction import Prediction
@@ -55,10 +56,11 @@ class Decomposition:
     refined: RefinementResult | None
     cues: exposure.Cues | None = None
 
-    @property
+    @cached_property
     def parts(self) -> Parts:
-        """The parts to edit with: the refined ones, if there are any."""
-        return parts_of(self.start if self.refined is None else self.refined.prediction)
+        """The parts to edit with: the refined ones, if there are any, without a green light."""
+        read = self.start if self.refined is None else self.refined.prediction
+        return light_colour.without_green(parts_of(read))
 
     @property
     def exposure(self) -> np.ndarray:

@@ -13,7 +13,7 @@ import torch
 from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
-from learn.editing import material_file, photograph
+from learn.editing import light_colour, material_file, photograph
 from learn.editing.decomposition import Parts, parts_of, predict_framed
 from learn.editing.edit_files import save
 from learn.editing.exposure import corrected, rendered_again
@@ -92,7 +92,7 @@ def compute(
     )
     batch, predicted = predict_framed(framed, network)
     batch = replace(batch, elevation=opened.elevation)
-    parts = parts_of(predicted)
+    parts = light_colour.without_green(parts_of(predicted))
     rendering = rendered_again(batch, predicted)
     if opened.exposure is None:
         framed, batch, _ = corrected(framed, batch, rendering, opened.background)

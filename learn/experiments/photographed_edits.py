@@ -138,21 +138,25 @@ def cases_of(records: Records, count: int, seed: int) -> list[Case]:
 def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) -> dict[str, Any]:
     """Return what a photograph shows, its cues, and the figures of its edits.
 
-    {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "cues": of
-    learn.editing.exposure, "edits": [{"target", "family", "narrow": share of its albedo in narrow
-    lobes, "darkened": stops by which it was rendered darker for that, "stops": of brightness above
-    the truth's, "l2": with each of SCALES, "unchanged": L2 of the photograph as it was}]}
+    {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "light_green": of
+    the light that was read, before it was taken back, "cues": of learn.editing.exposure, "edits":
+    [{"target", "family", "narrow": share of its albedo in narrow lobes, "darkened": stops by which
+    it was rendered darker for that, "stops": of brightness above the truth's, "green" and
+    "red_blue": of colour beyond the truth's, "l2": with each of SCALES, "unchanged": L2 of the
+    photograph as it was}]}
     """
     from dataclasses import asdict
 
     import numpy as np
 
-    from learn.editing import decomposition, photograph
+    from learn.data.devices import array
+    from learn.editing import decomposition, light_colour, photograph
     from learn.editing.compositor import Compositor
     from learn.evaluation.ladder_design import group_of
     from learn.experiments.photographing import photographed
     from learn.refinement import PHOTOGRAPHS
     from manifests.errors import InputError
+    from shaders.envmap import mean_radiance
 
     record = case.source
     sample = records.load(record)
@@ -176,6 +180,7 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
         return about | {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
+    read = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start)
     compositor = Compositor(parts)
     edits = [edit_of(records, compositor, photo, target) for target in case.targets]
     return about | {
@@ -183,6 +188,7 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
             "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
+        "light_green": light_colour.green_of(mean_radiance(array(read.light[0].movedim(0, -1)))),
         "cues": asdict(parts.cues),
         "edits": edits,
     }
@@ -194,7 +200,7 @@ def edit_of(
     """Return a row of "edits" of `row_of`. Brightness is the mean luminance over the object."""
     import numpy as np
 
-    from learn.editing import brightness
+    from learn.editing import brightness, light_colour
     from learn.editing.photograph import CLEAR
     from learn.experiments.photographing import placed
     from shaders import tone
@@ -206,13 +212,17 @@ def edit_of(
     before = compositor.decomposition.photograph
     inside = photo.mask & (before.coverage > 1 - CLEAR)
     truth = placed(records.image(target), np.zeros_like(edited)) * np.float32(photo.exposure)
-    mine, its = (float((each[inside] @ LUMINANCE).mean()) for each in (edited, truth))
+    colours = [np.maximum(each[inside].mean(0), 1e-6) for each in (edited, truth)]
+    mine, its = (float(colour @ LUMINANCE) for colour in colours)
+    red_blue = [float(np.log2(colour[0] / colour[2])) for colour in colours]
     return {
         "target": name,
         "family": records.material(name).family,
         "narrow": brightness.narrow_share(label),
         "darkened": -float(np.log2(compositor.brightness(label))),
-        "stops": float(np.log2(max(mine, 1e-6) / max(its, 1e-6))),
+        "stops": float(np.log2(mine / its)),
+        "green": light_colour.green_of(colours[0]) - light_colour.green_of(colours[1]),
+        "red_blue": red_blue[0] - red_blue[1],
         "l2": [round(float(tone.display_l2(edited * 2**s, truth, 1.0, inside)), 1) for s in SCALES],
         "unchanged": round(float(tone.display_l2(before.radiance, truth, 1.0, inside)), 1),
     }

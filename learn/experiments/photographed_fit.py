@@ -220,6 +220,11 @@ def page(report: Report) -> str:
         " darkened, by the share of their albedo in narrow lobes.\n"
     )
     result.append(_shares(edits, weights))
+    result.append(
+        "## Colour\n\nOf the mean over the object, beyond the truth's, in stops. Green: above the"
+        " mean of red and blue. As it was read: with the green of the light that was read.\n"
+    )
+    result.append(_colours(edits, weights))
     return "\n".join(result)
 
 
@@ -276,6 +281,21 @@ def _shares(edits: Edits, weights: np.ndarray) -> str:
             mean = bootstrap.interval(too_bright[of], drawn[drawn.sum(1) > 0])
             lines.append([f"{low:.1f} to {min(high, 1):.1f}", of.sum(), runner.interval(mean, 2)])
     return runner.table(["share", "edits", "brightness, stops"], lines)
+
+
+def _colours(edits: Edits, weights: np.ndarray) -> str:
+    green, red_blue = (np.array([row[key] for row in edits.rows]) for key in ("green", "red_blue"))
+    as_read = green + np.array([row["light_green"] for row in edits.rows])
+    shown = {"green, in use": green, "green, as it was read": as_read, "red over blue": red_blue}
+    lines = [
+        [
+            name,
+            runner.interval(bootstrap.interval(off, weights), 2),
+            f"{np.sqrt((off**2).mean()):.2f}",
+        ]
+        for name, off in shown.items()
+    ]
+    return runner.table(["", "mean", "off by"], lines)
 
 
 def _mean(values: np.ndarray) -> str:

@@ -1,0 +1,56 @@
+"""A predicted light's green or magenta, which lights do not have, is taken back.
+
+Lamps and skies are reddish or bluish, as black bodies are; across that, from magenta to green, they
+differ little. Predicted lights differ there, and the material that was read has the opposite cast,
+so that the object looks right, and nothing else does: of an edit's error on that axis the light's
+explains three quarters (`python -m learn.experiments photographed-edits`).
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from learn.data.devices import array
+from shaders import envmap
+from shaders.dsbrdf import MAX_EXPONENT, SHAPE
+from shaders.tone import LUMINANCE
+
+if TYPE_CHECKING:
+    from learn.editing.decomposition import Parts
+
+SMALL = 1e-4  # of κ
+
+
+def green_of(colour: np.ndarray) -> float:
+    """Return how many stops greener than magenta a colour (3,), linear and above 0, is."""
+    r, g, b = np.log2(colour)
+    return float(g - (r + b) / 2)
+
+
+def without_green(parts: "Parts") -> "Parts":
+    """Return parts of a batch of one whose light is neither green nor magenta on the whole.
+
+    The mean luminance of the light stays, and the material takes on what the light loses: matte
+    ones exactly, of a highlight its height.
+    """
+    mean = envmap.mean_radiance(array(parts.light[0].movedim(0, -1)))
+    if not (mean > 0).all():
+        return parts
+    factor = 2 ** (np.array([1.0, -2.0, 1.0]) * green_of(mean) / 3)
+    factor *= (mean @ LUMINANCE) / (mean * factor @ LUMINANCE)
+    scale = torch.as_tensor(factor, dtype=parts.light.dtype, device=parts.light.device)
+    return parts._replace(
+        light=parts.light * scale[:, None, None], label=_scaled(parts.label, 1 / scale)
+    )
+
+
+def _scaled(label: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:
+    """Return labels (1, S, 108) whose lobes are higher by a factor for each channel (3,)."""
+    lobes = label.reshape(*label.shape[:-1], *SHAPE)
+    low, by = lobes[..., 0, :], factor.to(label)[:, None, None]
+    kappa = low.exp().clamp(max=MAX_EXPONENT)
+    # expm1(κ) is κ where κ is small
+    high = torch.log1p(by * torch.expm1(kappa)).clamp_min(SMALL).log()
+    changed = torch.where(kappa < SMALL, low + by.log(), high)
+    return torch.stack([changed, lobes[..., 1, :]], -2).reshape(label.shape)
