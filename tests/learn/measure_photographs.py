@@ -127,13 +127,13 @@ def page(rows, credits, judged, about):
     return html.page("Edited photographs", body, "img{max-width:100%}")
 
 
-def hero(path, weights_path, refine):
-    """Write the README's picture: a photograph and two edits side by side."""
-    parts = bf.decompose("example:espresso-cup", weights=weights_path, refine=refine)
+def hero(path, weights_path):
+    """Write the README's picture: a photograph and two refined edits side by side."""
+    parts = bf.decompose("example:espresso-cup", weights=weights_path)
     pictures = [
         tone.display(parts.photograph.radiance, 1.0),
         parts.paint("dark-blue-paint", None).display,
-        parts.paint("gold-metallic-paint3", "dark-blue-paint").display,
+        parts.paint("gold-paint", "dark-blue-paint").display,
     ]
     gap = np.full((len(pictures[0]), 8, 3), 255.0)
     row = [part for picture in pictures for part in (gap, picture)][1:]
@@ -177,7 +177,7 @@ def main(arguments):
         files.write_image(rows[name], sheet, "JPEG")
         files.write_json(report, about | {"seconds": seconds, "made": provenance(command)})
         print(f"{name}: {seconds[name]:.1f} s", flush=True)
-    hero(arguments.out / "hero.jpg", arguments.weights, settings is not None)
+    hero(arguments.out / "hero.jpg", arguments.weights)
     judged = FOLDER / "judged.json"
     sentences = json.loads(judged.read_text()) if judged.is_file() else {}
     about |= {"made": provenance(command)}
