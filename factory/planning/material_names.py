@@ -4,7 +4,7 @@ A set is a catalogue's file: "merl" and "rgl" are built in, and the set of a use
 named by the file's stem. "merl/paper-train" means as many training materials as the paper had.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from manifests import splits
@@ -21,8 +21,9 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
 
     names       of materials or sets, or SET/PART, or SET/NAME
     catalogues  files besides the built-in ones
-    Raises      InputError: a name that no catalogue has, with the closest ones; a material whose
-                hash is not that of its label and mixture
+    Raises      InputError: a name that no catalogue has, with the closest ones, or that two
+                catalogues have for different materials; a material whose hash is not that of its
+                label and mixture
     """
     files = _files(catalogues)
     sets = {
@@ -34,6 +35,8 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
     chosen: dict[str, Entry] = {}
     for name in names:
         set_, _, part = name.partition("/")
+        if name not in sets:
+            _require_one(name, sets)
         result = _part(sets[set_], part) if set_ in sets else [known[name]] if name in known else []
         if not result:
             if "(" in name:
@@ -55,6 +58,19 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
     for entry in chosen.values():
         require_own_hash(entry, "catalogue")
     return list(chosen.values())
+
+
+def _require_one(name: str, sets: Mapping[str, Sequence[Entry]]) -> None:
+    """Raise InputError for a name that catalogues have for different materials."""
+    having = {set_: e.hash for set_, entries in sets.items() for e in entries if e.name == name}
+    if len(set(having.values())) > 1:
+        each = [f"{set_}/{name}" for set_ in having]
+        raise InputError(
+            f"material '{name}'",
+            "a name that one catalogue has",
+            f"different materials in {' and '.join(having)}",
+            f"name one: {' or '.join(each)}",
+        )
 
 
 def _files(catalogues: Sequence[str | Path]) -> dict[str, Path]:

@@ -322,6 +322,19 @@ def test_two_catalogues_of_one_name_are_refused(tmp_path):
     assert [each.name for each in chosen_entries(["mine"], [first, first])] == ["felt"]
 
 
+def test_a_name_of_two_different_materials_is_refused_unless_a_set_says_which(tmp_path):
+    own = catalogue_of(tmp_path, "chrome", "mine.json")  # another material by a built-in name
+    with pytest.raises(InputError, match=r"merl and mine \(name one: .* or mine/chrome\)"):
+        chosen_entries(["chrome"], [own])
+    (mine,) = chosen_entries(["mine/chrome"], [own])
+    (built_in,) = chosen_entries(["chrome"])
+    assert mine.name == built_in.name == "chrome" and mine.hash != built_in.hash
+    # a copy of the built-in one is no other material
+    same = materials.read_catalogue(materials.BUILT_IN[0]).materials[0].name
+    copy = catalogue_of(tmp_path, same, "copy.json")
+    assert chosen_entries([same], [copy])[0].hash == chosen_entries([same])[0].hash
+
+
 def test_a_catalogue_by_the_name_of_a_data_sets_own_leaves_the_built_in_materials(tmp_path):
     own = catalogue_of(tmp_path, "felt", "materials.json")
     names = [each.name for each in chosen_entries(["brass", "materials/felt"], [own])]
