@@ -13,7 +13,7 @@ from learn.editing import material_file, targets
 from manifests.errors import InputError
 from shaders.dsbrdf import SIZE
 
-PHOTOGRAPH = "give material(…).label of bf.decompose(photo, mask).materials[0] instead"
+PHOTOGRAPH = "give bf.decompose(photo, mask).materials[0] instead"
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
     """Return a Material.
 
     text    a name of the catalogue, an expression such as
-            "principled(base_color=#a03020, roughness=.35)", a material.json, a label (108,), or a
-            Material, which is returned as it is
+            "principled(base_color=#a03020, roughness=.35)", a material.json, a label (108,), which
+            counts as that of a known material, or a Material, which is returned as it is
     name    for messages and files; "": the text itself
     Raises  InputError: an unknown name (with the closest ones), a picture
     """

@@ -53,7 +53,14 @@ def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) 
                 "none of that name",
                 suggestion(name, every),
             )
-        chosen |= {entry.name: entry for entry in result}
+        for entry in result:
+            if chosen.setdefault(entry.name, entry).hash != entry.hash:
+                raise InputError(
+                    f"material '{entry.name}'",
+                    "one material of a name",
+                    f"another in {set_}",
+                    "rename one of them in its catalogue",
+                )
     # ids are computed from the hash: another label with the same hash would get the same ids
     for entry in chosen.values():
         require_own_hash(entry, "catalogue")

@@ -29,11 +29,13 @@ class Chosen:
     """A material that a user chose; text: as the command line takes it, or what it was read from.
 
     named  whether `text` alone brings it back: it is a catalogue's name or an expression
+    read   whether it was read from a picture
     """
 
     text: str
     label: np.ndarray
     named: bool = True
+    read: bool = False
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Chosen) and np.array_equal(self.label, other.label)
@@ -234,10 +236,15 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 class MaterialEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A chosen material. label: where its name alone does not bring it back."""
+    """A chosen material.
+
+    label  where its name alone does not bring it back
+    read   whether such a label was read from a picture
+    """
 
     text: str
     label: Numbers | None = None
+    read: bool = True
 
 
 class RegionEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -266,8 +273,9 @@ def write(path: Path, edit: Edit) -> None:
     def entry(chosen: Chosen | None) -> MaterialEntry | None:
         if chosen is None:
             return None
-        label = None if chosen.named else [float(x) for x in chosen.label]
-        return MaterialEntry(chosen.text, label)
+        if chosen.named:
+            return MaterialEntry(chosen.text)
+        return MaterialEntry(chosen.text, [float(x) for x in chosen.label], chosen.read)
 
     own_map = edit.light.map is not None and edit.light.name not in light_names()
     if own_map:
@@ -291,7 +299,8 @@ def read(path: Path) -> Edit:
             return None
         if entry.label is not None:
             label = np.asarray(entry.label, np.float32)
-            return Chosen(entry.text, material_file.require_label(label, path), named=False)
+            label = material_file.require_label(label, path)
+            return Chosen(entry.text, label, named=False, read=entry.read)
         if material_expression.is_expression(entry.text):
             label = np.asarray(material_expression.fitted(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))

@@ -19,7 +19,7 @@ from learn.app import background_decomposition, choices, overlay
 from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
-from learn.app.viewer import Viewer, opacity_of
+from learn.app.viewer import Viewer, opacity_of, read_labels
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
 from learn.figures import montage
@@ -225,7 +225,7 @@ class Session:
         Raises  InputError: no picture with transparency, no material, another number of them
         """
         if sent.suffix.lower() == ".json":
-            labels = material_file.read(sent)
+            labels, were = material_file.read(sent), material_file.were_read(sent)
             count = len(self.decomposed()[1].regions)
             if len(labels) not in (1, count):
                 rule = "one material" if count == 1 else f"one material, or {count}: one a region"
@@ -233,15 +233,15 @@ class Session:
                 raise InputError(sent, rule, f"{len(labels)}", remedy)
             if len(labels) > 1:
                 return {
-                    region: Chosen(f"{name}, region {region}", label, named=False)
-                    for region, label in enumerate(labels, 1)
+                    region: Chosen(f"{name}, region {region}", label, named=False, read=read)
+                    for region, (label, read) in enumerate(zip(labels, were, strict=True), 1)
                 }
-            return {number: Chosen(name, labels[0], named=False)}
+            return {number: Chosen(name, labels[0], named=False, read=were[0])}
         opened = photograph.from_arrays(sent, name=name)
         network, metadata = self.network.loaded()
         settings = PHOTOGRAPHS if self.refined else None
         label = decomposition.decompose(opened, network, metadata["size"], settings).label[0]
-        return {number: Chosen(name, label, named=False)}
+        return {number: Chosen(name, label, named=False, read=True)}
 
     def write_view(self, picture: np.ndarray, stem: str = "view") -> Path:
         """Write a picture to show, and delete earlier ones that no page loads any more."""
@@ -274,15 +274,15 @@ class Session:
         network = self.network
         _, metadata = network.loaded()
         decomposed = viewer.decomposition
-        first = [p.parts(own)[0][1] for p, own in zip(edit.regions, decomposed.label, strict=True)]
-        second = [
-            p.parts(own)[-1][1] for p, own in zip(edit.regions, decomposed.label, strict=True)
-        ]
+        parts = [p.parts(own) for p, own in zip(edit.regions, decomposed.label, strict=True)]
+        first, second = ([each[k][1] for each in parts] for k in (0, -1))
+        read = [label.tobytes() for label in (*decomposed.label, *read_labels(edit.regions))]
         for name, labels in (("material.json", first), ("material-blended.json", second)):
             if labels is first or any(len(p.parts(first[0])) > 1 for p in edit.regions):
                 each = np.stack(labels)
                 framed = decomposed.framed
-                material_file.write(folder / name, each, framed, metadata, network.weights)
+                were = [label.tobytes() in read for label in each]
+                material_file.write(folder / name, each, framed, metadata, network.weights, were)
         masks = self._write_masks(folder, decomposed.photograph)
         choices.write(folder / "edit.json", edit)
         command = choices.command_line(edit, self.name, masks, self.refined, network.weights)

@@ -239,7 +239,7 @@ class Viewer:
 def read_labels(regions: Sequence[Painted]) -> list[np.ndarray]:
     """Return the labels (108,) of regions' materials that were read from pictures or files."""
     chosen = (each for painted in regions for each in (painted.first, painted.second))
-    return [each.label for each in chosen if each is not None and not each.named]
+    return [each.label for each in chosen if each is not None and each.read]
 
 
 def light_key(light: LightChoice) -> bytes:

@@ -78,8 +78,8 @@ def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
         type=float,
         metavar="X",
         help=(
-            f"multiply the {picture} by X to get radiance (default: estimated from the object's"
-            " brightness, and corrected by what is rendered again)"
+            f"multiply the {picture} by X to get radiance (default: estimated from what is rendered"
+            " again and from the background)"
         ),
     )
 

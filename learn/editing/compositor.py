@@ -3,12 +3,11 @@
     edited = share · O / (exposure · balance) + (1 − share) · background
 
 where O is the layer's picture of normals, light and target material, times the correction of
-learn.editing.brightness. The background behind the
-object's soft edge is taken from the nearest pixel that the object does not touch. The object's
-share of a pixel's colour is its coverage; before a transparent background it is 1. Normals come at
-the network's size, are continued beyond the mask by their nearest neighbour, upsampled bilinearly
-and scaled to unit length; the layer renders them on a grid as fine as the photograph, between
-COARSEST and FINEST.
+learn.editing.brightness. The background behind the object's soft edge is taken from the nearest
+pixel that the object does not touch. The object's share of a pixel's colour is its coverage; before
+a transparent background it is 1. Normals come at the network's size, are continued beyond the mask
+by their nearest neighbour, upsampled bilinearly and scaled to unit length; the layer renders them
+on a grid as fine as the photograph, between COARSEST and FINEST.
 """
 
 from collections.abc import Sequence
@@ -116,8 +115,8 @@ class Compositor:
     def brightness(self, label: np.ndarray, read: Sequence[np.ndarray] = ()) -> np.float32:
         """Return the factor by which the layer's radiance in a material (108,) is multiplied.
 
-        It is 1 for materials that were read from a picture, this one or another: they are as much
-        too dark as normals and light make them too bright.
+        It is 1 for materials that were read from a picture, this one or another: they were fitted
+        under such normals and light.
 
         read  labels (108,) of materials that were read from other pictures
         """

@@ -1,15 +1,16 @@
 """The exposure of a photograph: what it must be multiplied by to be that of a light of unit mean.
 
-A file does not say how bright the scene was. Three things say something about it, and the exposure
-is a line through their logarithms:
+A file does not say how bright the scene was. The network sees the object under a first guess, which
+follows from how bright it is in the file (learn.data.framing). Two things then say more, and the
+exposure is a line through their logarithms:
 
-- how bright the object is in the file, from which learn.data.framing guesses a first exposure;
 - how much brighter than the picture the network's prediction is when it is rendered again: a dark
   material in bright light and a bright one in dim light give different pictures;
 - how bright the background is, because a camera exposes for the whole frame: what is darker than
   its surroundings is likely to be dark.
 
-`python -m learn.experiments photographed-edits` measures the line and fits it.
+The line was fitted to display values, where white is 1: `python -m learn.experiments
+photographed-edits` measures and fits it.
 """
 
 from dataclasses import dataclass, replace
@@ -45,10 +46,10 @@ class Cues:
 
 @dataclass(frozen=True)
 class Line:
-    """An exposure in stops, constant + the sum of slopes times cues. A cue without a slope is 0."""
+    """An exposure in stops: a constant and the sum of slopes times cues; an unknown cue is 0."""
 
     constant: float
-    object: float
+    object: float = 0.0
     again: float = 0.0
     background: float = 0.0
 
@@ -63,10 +64,10 @@ class Line:
 
 
 FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the guess under which the network sees it
-# fitted to 1,149 edits of 384 photographs (docs/results/photographed-edits)
-WITH_BACKGROUND = Line(-2.8, 0.0, 0.61, -0.75)
-CUT_OUT = Line(-1.03, 0.0, 0.55)
-# the 5th and the 95th percentile of their backgrounds: a black one says no more than a dark one
+# fitted to 1,149 edits of 383 photographs (docs/results/photographed-edits)
+WITH_BACKGROUND = Line(-2.8, again=0.61, background=-0.75)
+CUT_OUT = Line(-1.03, again=0.55)
+# about the 5th and the 95th percentile of their backgrounds: black says no more than dark
 BACKGROUNDS = (-3.5, -1.0)
 USUAL = 2.0  # of `again`, in these photographs, for one that says nothing of it
 

@@ -1,9 +1,9 @@
 """A predicted light's green or magenta, which lights do not have, is taken back.
 
 Lamps and skies are reddish or bluish, as black bodies are; across that, from magenta to green, they
-differ little. Predicted lights differ there, and the material that was read has the opposite cast,
-so that the object looks right, and nothing else does: of an edit's error on that axis the light's
-explains three quarters (`python -m learn.experiments photographed-edits`).
+differ little. Predicted lights differ there. The material that was read has the opposite cast, so
+that the object looks right in it and has the light's cast in every other material
+(`python -m learn.experiments photographed-edits` measures both).
 """
 
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from learn.editing.decomposition import Parts
 
 SMALL = 1e-4  # of κ
+MOST = 1.0  # stops of green that are taken back at most: a coloured lamp keeps the rest
 
 
 def green_of(colour: np.ndarray) -> float:
@@ -37,7 +38,7 @@ def without_green(parts: "Parts") -> "Parts":
     mean = envmap.mean_radiance(array(parts.light[0].movedim(0, -1)))
     if not (mean > 0).all():
         return parts
-    factor = 2 ** (np.array([1.0, -2.0, 1.0]) * green_of(mean) / 3)
+    factor = 2 ** (np.array([1.0, -2.0, 1.0]) * np.clip(green_of(mean), -MOST, MOST) / 3)
     factor *= (mean @ LUMINANCE) / (mean * factor @ LUMINANCE)
     scale = torch.as_tensor(factor, dtype=parts.light.dtype, device=parts.light.device)
     return parts._replace(

@@ -1,6 +1,7 @@
-"""material.json: the labels of an object's regions, as `predict` and `edit` write them."""
+"""material.json: the labels of an object's regions, as `predict`, `edit` and the app write them."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -24,16 +25,34 @@ Label = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 
 
 class MaterialFile(msgspec.Struct, frozen=True):
-    """What is read of a material.json. label: of one region; labels: of several, one each."""
+    """What is taken from a material.json.
+
+    label   of one region
+    labels  of several, one each
+    read    for each label, whether it was read from a picture; None: all were
+    """
 
     label: Label | None = None
     labels: Annotated[list[Label], msgspec.Meta(min_length=1, max_length=MOST_REGIONS)] | None = (
         None
     )
+    read: Annotated[list[bool], msgspec.Meta(min_length=1, max_length=MOST_REGIONS)] | None = None
 
 
 def read(path: Path) -> np.ndarray:
     """Return the labels (S, 108) float32 of a material.json. Raises InputError."""
+    return _opened(path)[0]
+
+
+def were_read(path: Path) -> list[bool]:
+    """Return for each label of a material.json whether it was read from a picture.
+
+    Raises InputError
+    """
+    return _opened(path)[1]
+
+
+def _opened(path: Path) -> tuple[np.ndarray, list[bool]]:
     require_file(path, "a material.json", REMEDY, LARGEST_JSON)
     rule = f'JSON with "label": {SIZE} numbers'
     try:
@@ -51,7 +70,12 @@ def read(path: Path) -> np.ndarray:
     stored = report.labels or ([] if report.label is None else [report.label])
     if not stored:
         raise InputError(path, rule, "none", REMEDY)
-    return require_label(np.asarray(stored, np.float64), path)
+    labels = require_label(np.asarray(stored, np.float64), path)
+    were = report.read or [True] * len(labels)
+    if len(were) != len(labels):
+        rule = f'"read" with {len(labels)} values, one for each label'
+        raise InputError(path, rule, f"{len(were)}", REMEDY)
+    return labels, were
 
 
 def require_label(labels: np.ndarray, where: object) -> np.ndarray:
@@ -68,11 +92,19 @@ def require_label(labels: np.ndarray, where: object) -> np.ndarray:
     return labels.astype(np.float32)
 
 
-def write(path: Path, labels: np.ndarray, framed: Framed, metadata: dict, weights: Path) -> None:
+def write(
+    path: Path,
+    labels: np.ndarray,
+    framed: Framed,
+    metadata: dict,
+    weights: Path,
+    were_read: Sequence[bool] | None = None,
+) -> None:
     """Write a material.json: labels, the nearest materials, and how the picture was framed.
 
-    labels    (S, 108) of an object's regions
-    metadata  of the weights that predicted them
+    labels     (S, 108) of an object's regions
+    metadata   of the weights that predicted them
+    were_read  for each label, whether it was read from a picture; None: all were
     """
     near = [nearest(label, metadata["ranges"]) for label in labels]
     each = [[round(float(x), 6) for x in label] for label in labels]
@@ -80,6 +112,8 @@ def write(path: Path, labels: np.ndarray, framed: Framed, metadata: dict, weight
     report = (
         {"labels": each, "nearest": near} if several else {"label": each[0], "nearest": near[0]}
     )
+    if were_read is not None and not all(were_read):
+        report |= {"read": list(were_read)}
     report |= {
         "box": framed.box,
         "exposure": framed.exposure,

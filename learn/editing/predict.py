@@ -93,10 +93,12 @@ def compute(
     batch, predicted = predict_framed(framed, network)
     batch = replace(batch, elevation=opened.elevation)
     parts = light_colour.without_green(parts_of(predicted))
-    rendering = rendered_again(batch, predicted)
     if opened.exposure is None:
-        framed, batch, _ = corrected(framed, batch, rendering, opened.background)
-    return PredictedPicture(framed, batch, predicted, parts, rendering, metadata)
+        again = rendered_again(batch, predicted)
+        framed, batch, _ = corrected(framed, batch, again, opened.background)
+    shown = predicted._replace(label=parts.label, light=parts.light)
+    rendering = rendered_again(batch, shown)
+    return PredictedPicture(framed, batch, shown, parts, rendering, metadata)
 
 
 def write(out: Path, result: PredictedPicture, weights: Path) -> None:

@@ -45,9 +45,17 @@ def label_of(
     return find(text).label.reshape(1, SIZE).astype(np.float32)
 
 
-def is_read(text: str) -> bool:
-    """Return whether a text names a material that was read from a picture: a file, of any kind."""
-    return text != KEEP and (Path(text).suffix.lower() == ".json" or is_file(text))
+def is_read(text: str, region: int = 0) -> bool:
+    """Return whether a text names a material that was read from a picture.
+
+    It is a picture's file, or a material.json that does not say otherwise of this region.
+    """
+    if text == KEEP or is_expression(text):
+        return False
+    if Path(text).suffix.lower() == ".json":
+        were = material_file.were_read(Path(text))
+        return were[region if len(were) > 1 else 0]
+    return is_file(text)
 
 
 def is_expression(text: str) -> bool:
@@ -91,7 +99,9 @@ def of_regions(
 def read_labels(text: str, labels: Sequence[np.ndarray | None]) -> list[np.ndarray]:
     """Return the labels (108,) of a target material that were read from pictures."""
     return [
-        label for part, label in of_regions(text, labels) if label is not None and is_read(part)
+        label
+        for region, (part, label) in enumerate(of_regions(text, labels))
+        if label is not None and is_read(part, region)
     ]
 
 

@@ -1,7 +1,8 @@
 """Tables of `photographed-edits`: rules for an edit's brightness, and the line of exposures.
 
 Edits were made under one exposure and are known at others: SCALES of photographed_edits, between
-which L2 is interpolated. So every rule is applied to the same decompositions. E: number of edits.
+which L2 is interpolated, and beyond which it is that of the last. So every rule is applied to the
+same decompositions. E: number of edits.
 """
 
 from __future__ import annotations
@@ -34,11 +35,13 @@ TRUST_BEFORE, MOST_BEFORE = 0.75, 3.0
 class Edits:
     """The edits of a report whose photographs have all cues; arrays over E.
 
+    rows       what a photograph's row and an edit's say
     cues       (E, 5) 1, object, again, background as a line sees it, the target's narrow share
     used       exposure of the photograph, stops
     darkened   stops by which the target was rendered darker
     true       exposure of the photograph that is right, stops
     stops, l2  of the edits beside their truth: (E,), (E, SCALES)
+    unchanged  L2 of the photograph as it was
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -84,7 +87,7 @@ def edits_of(report: Report) -> Edits:
                 cues.append([1.0, known["object"], known["again"], behind, edit["narrow"]])
     return Edits(
         rows,
-        np.array(cues),
+        np.array(cues).reshape(-1, len(TERMS)),
         used=np.array([row["exposure"]["used"] for row in rows]),
         true=np.array([row["exposure"]["true"] for row in rows]),
         **{
@@ -166,15 +169,19 @@ def rules_of(edits: Edits) -> dict[str, np.ndarray]:
 def page(report: Report) -> str:
     """Return the report's tables in Markdown."""
     edits = edits_of(report)
+    if not edits.rows:
+        return "# Edits of photographs\n\nNo photograph has all cues.\n"
     weights = _weights(edits)
     refused = sum("refused" in row for row in report["rows"])
+    unknown = sum(None in row.get("cues", {}).values() for row in report["rows"])
     metals = np.isin(edits.names("family"), METALS)
     result = ["# Edits of photographs\n", *(f"**{sentence}**\n" for sentence in report["seen"])]
     result.append(
         f"Weights {report['weights']}; {len(edits.rows)} edits of"
         f" {len({row['photograph'] for row in edits.rows})} photographs,"
         f" {len(set(edits.names('shape')))} shapes, {len(set(edits.names('light')))} lights;"
-        f" {refused} photographs were refused, because their object is black or white.\n\n"
+        f" {refused} further photographs were refused, and {unknown} left out because a cue is"
+        " missing.\n\n"
         "*Brightness*: mean luminance of the edit over the object, in stops above the truth's."
         " *Off by*: its root mean square. L2 is that of display values, in the photograph's own"
         " exposure. Fitted lines are fitted to edits of other shapes under other lights. Brackets"

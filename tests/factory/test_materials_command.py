@@ -329,6 +329,8 @@ def test_a_name_of_two_different_materials_is_refused_unless_a_set_says_which(tm
     (mine,) = chosen_entries(["mine/chrome"], [own])
     (built_in,) = chosen_entries(["chrome"])
     assert mine.name == built_in.name == "chrome" and mine.hash != built_in.hash
+    with pytest.raises(InputError, match="one material of a name"):
+        chosen_entries(["merl/chrome", "mine/chrome"], [own])
     # a copy of the built-in one is no other material
     same = materials.read_catalogue(materials.BUILT_IN[0]).materials[0].name
     copy = catalogue_of(tmp_path, same, "copy.json")

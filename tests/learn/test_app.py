@@ -177,7 +177,7 @@ def test_a_metal_is_as_bright_in_the_view_as_in_full_named_or_read_from_a_pictur
     mask = result.photograph.mask
     metal = chosen("chrome-steel")
     bright = []
-    for each in (metal, Chosen("other.png", label_of("ss440")[0], named=False)):
+    for each in (metal, Chosen("other.png", label_of("ss440")[0], False, read=True)):
         edit = Edit((Painted(each),))
         linear, display = viewer.full(edit)
         exact = viewer.view(edit, exact=True).astype(float)
@@ -265,7 +265,7 @@ def test_a_coarse_map_is_read_at_the_nodes_of_a_finer_one() -> None:
 
 @pytest.mark.parametrize("map_of_own", [False, True])
 def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None:
-    read = Chosen("other.png", label_of("brass")[0], named=False)
+    read = Chosen("other.png", label_of("brass")[0], named=False, read=True)
     light = choices.light_of(next(iter(choices.light_names())), 45.0)
     if map_of_own:
         light = choices.LightChoice("mine.exr", 45.0, light.map)
@@ -274,6 +274,7 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
     choices.write(tmp_path / "edit.json", edit)
     again = choices.read(tmp_path / "edit.json")
     assert again.regions == edit.regions and again.hide_background
+    assert again.regions[0].second.read and not again.regions[0].first.read
     assert again.light.rotation_deg == 45.0
     assert again.light.map is not None and light.map is not None
     assert np.allclose(again.light.map, light.map, rtol=1e-5)

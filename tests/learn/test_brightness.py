@@ -1,11 +1,17 @@
 """Mirror-like target materials are rendered darker; materials of the photograph itself are not."""
 
+import json
+
 import numpy as np
 import pytest
 
 from learn.editing import brightness, decomposition, targets
 from learn.editing.compositor import Compositor
+from learn.editing.edit import EditOptions, compute
+from learn.layer import predictions
+from manifests.errors import InputError
 from manifests.materials import load_catalogue
+from manifests.progress import tqdm
 from shaders.dsbrdf import SHAPE
 from tests.support.known_ball import NETWORK, Knowing, label_of, lit, opened
 
@@ -60,7 +66,7 @@ def test_a_target_is_darkened_once_and_the_photographs_own_material_never() -> N
     )
 
 
-def test_a_material_that_was_read_from_another_picture_is_not_darkened(tmp_path) -> None:
+def test_a_material_that_was_read_from_another_picture_is_not_darkened() -> None:
     own, metal = label_of("blue-rubber"), label_of("chrome-steel")[0]
     radiance, inside = lit(own, 0.5)
     painter = Compositor(
@@ -74,10 +80,35 @@ def test_a_material_that_was_read_from_another_picture_is_not_darkened(tmp_path)
     assert ratio == pytest.approx(1 / brightness.factor(metal), rel=0.02)
 
 
+def test_edit_darkens_a_name_and_not_a_file_of_the_same_label(tmp_path) -> None:
+    own, metal = label_of("blue-rubber"), label_of("chrome-steel")[0]
+    radiance, inside = lit(own, 0.5)
+    file = tmp_path / "material.json"
+    file.write_text(json.dumps({"label": [float(x) for x in metal]}))
+    picture = opened(radiance, inside.astype(np.int64))
+    options = EditOptions(tmp_path / "weights", None, predictions.SHOWN.tolerance, 0.0)
+    texts = ["chrome-steel", str(file)]
+    with tqdm(total=9, disable=True) as progress:
+        labels = {text: [metal] for text in texts}
+        size = {"size": NETWORK}
+        edits = compute(picture, labels, Knowing(own), size, options, progress).edits
+    named, read = (each.picture[inside].mean() for each in edits)
+    assert named / read == pytest.approx(brightness.factor(metal), rel=0.02)
+
+
 def test_files_are_read_and_names_are_not(tmp_path) -> None:
-    picture = tmp_path / "brass.png"
+    picture, file = tmp_path / "brass.png", tmp_path / "material.json"
     picture.write_bytes(b"")
-    assert targets.is_read(str(picture)) and targets.is_read("material.json")
+    label = [float(x) for x in label_of("chrome")[0]]
+    file.write_text(json.dumps({"label": label}))
+    assert targets.is_read(str(picture)) and targets.is_read(str(file))
+    file.write_text(json.dumps({"labels": [label, label], "read": [True, False]}))
+    both = [np.zeros(108, np.float32), np.ones(108, np.float32)]
+    assert targets.read_labels(str(file), both)[0] is both[0]
+    assert len(targets.read_labels(str(file), both)) == 1
+    file.write_text(json.dumps({"label": label, "read": [True, False]}))
+    with pytest.raises(InputError, match="one for each label"):
+        targets.is_read(str(file))
     for text in ("brass", "keep", "principled(metallic=1)"):
         assert not targets.is_read(text)
     labels = [np.zeros(108, np.float32), None, np.ones(108, np.float32)]

@@ -17,6 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.editing import (
+    brightness,
     decomposition,
     edit,
     edit_files,
@@ -166,6 +167,24 @@ def test_radiance_from_the_stored_maps_is_the_layers(made, name):
     truth = compositor.radiance(label_of(name))
     a, b = (tone.display(x, 1.0) for x in (picture, truth))
     assert b[mask].std() > 5 and distance(a, b, mask) < LIMIT
+
+
+def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypatch):
+    label = label_of("nickel")[0]
+    file = tmp_path / "material.json"
+    file.write_text(json.dumps({"label": [float(x) for x in label]}))
+    catalogue = load_catalogue()
+    monkeypatch.setattr(interactive, "load_catalogue", lambda: {"nickel": catalogue["nickel"]})
+    monkeypatch.setattr(interactive, "MEASURED", {})
+    monkeypatch.setattr(interactive.spheres, "preview_lighting", lambda: np.ones((64, 128, 3)))
+    result = result_of()
+    # a label that differs by nothing that shows, because equal ones are one material
+    read = label + np.float32(1e-4)
+    result.edits[:] = [edit.Edit(str(file), [read, None], result.edits[0].picture, None)]
+    page = Page(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)))
+    for light in range(len(page.header["lights"])):
+        named, own = (np.median(page.values(light, name)) for name in ("nickel", "material.json"))
+        assert named / own == pytest.approx(brightness.factor(label), rel=0.05)
 
 
 def test_a_matte_material_takes_fewer_nodes_than_a_sharp_one(made):

@@ -73,6 +73,14 @@ def test_lobes_that_reflect_nothing_stay_so_and_numbers_stay_finite() -> None:
     assert (abs(nothing + 60) < 1).all()
 
 
+def test_of_a_coloured_lamp_one_stop_is_taken_back() -> None:
+    before = parts("blue-rubber", (0.05, 1.0, 0.05))
+    green = [
+        light_colour.green_of(mean(of.light)) for of in (before, light_colour.without_green(before))
+    ]
+    assert green[0] - green[1] == pytest.approx(light_colour.MOST, abs=1e-4)
+
+
 def test_a_light_without_a_channel_is_left_alone() -> None:
     before = parts("brass", (1, 0, 1))
     assert light_colour.without_green(before) is before

@@ -1,6 +1,8 @@
 """Photographs of rendered pictures, and the line of exposures that is fitted to their edits."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,6 +76,7 @@ def edits(count: int, slopes: np.ndarray, noise: float = 0.0) -> Edits:
     return Edits(rows, cues, used, darkened, true, stops, l2, np.ones(count))
 
 
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 SLOPES = np.array([-2.0, 0.1, 0.7, -0.5, 0.8])
 
 
@@ -121,7 +124,21 @@ def test_errors_at_other_exposures_are_interpolated() -> None:
     assert brighter[inside] == pytest.approx(abs(some.stops + 0.6)[inside], abs=0.13)
 
 
-def test_what_is_in_use_is_what_the_program_does() -> None:
+@pytest.mark.parametrize("name", ["", "-development", "-other-metals"])
+def test_what_is_in_use_is_how_the_published_edits_were_made(name) -> None:
+    report = json.loads((RESULTS / f"photographed-edits{name}" / "report.json").read_text())
+    made = photographed_fit.edits_of(report)
+    assert len(made.rows) > 100
+    assert photographed_fit.in_use(made) == pytest.approx(made.used + made.darkened, abs=1e-5)
+
+
+def test_a_report_without_cues_is_a_sentence() -> None:
+    row = {"photograph": "a", "cues": {"object": 0.0, "again": None, "background": 0.0}}
+    report = {"rows": [row | {"edits": [{"narrow": 0.0}]}], "weights": "w", "seen": []}
+    assert "No photograph" in photographed_fit.page(report)
+
+
+def test_what_is_in_use_for_a_cut_out_has_no_part_of_the_background() -> None:
     some = edits(20, SLOPES)
     expected = [
         np.log2(exposure.exposure_of(exposure.Cues(*row[1:4]))) + brightness.STOPS * row[4]
