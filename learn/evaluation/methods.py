@@ -98,6 +98,33 @@ class Refined(Layered):
         return self.refined.prediction
 
 
+class AsEdited(Layered):
+    """Another method's parts with the corrections by which `edit` shows them.
+
+    The light's green is taken back, and mirror-like targets are darkened.
+    """
+
+    def __init__(self, method: Layered):
+        super().__init__(f"{method.name}, as edited", self._corrected)
+        self.method = method
+
+    def _corrected(self, batch: ExampleBatch) -> Prediction:
+        from learn.editing.decomposition import parts_of
+        from learn.editing.light_colour import without_green
+
+        prediction = self.method.parts(batch)
+        parts = without_green(parts_of(prediction))
+        return prediction._replace(label=parts.label, light=parts.light)
+
+    def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
+        """Return radiance (H, W, 3) of the object in other materials (S, 108)."""
+        from learn.editing import brightness
+
+        factors = np.array([1.0, *(brightness.factor(array(row)) for row in label)])
+        segments = array(batch.segments[0]).clip(0, len(factors) - 1)
+        return super().edit(batch, label) * factors[segments][..., None].astype(np.float32)
+
+
 class Unchanged:
     """The input picture, whatever the target material is."""
 
@@ -262,7 +289,9 @@ def entrants(
             rows += (
                 [method, Refined(method, refine)] if refine and method.name in REFINED else [method]
             )
-    rows += [ours, Refined(ours, refine)] if refine else [ours]
+    best: Layered = Refined(ours, refine) if refine else ours
+    rows += [ours, best] if refine else [ours]
+    rows.append(AsEdited(best))
     rows.append(with_true_normals(ours))
     if refine_lit:
         rows.append(Refined(rows[-1], refine_lit))

@@ -4,10 +4,12 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
-from learn.editing import brightness, decomposition, targets
+from learn.editing import brightness, decomposition, light_colour, targets
 from learn.editing.compositor import Compositor
 from learn.editing.edit import EditOptions, compute
+from learn.evaluation.methods import AsEdited, Layered, rendered
 from learn.layer import predictions
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
@@ -115,3 +117,24 @@ def test_files_are_read_and_names_are_not(tmp_path) -> None:
     found = targets.read_labels(f"brass+keep+{picture}", labels)
     assert len(found) == 1 and found[0] is labels[2]
     assert targets.read_labels(str(picture), [labels[0]] * 3) == [labels[0]] * 3
+
+
+def test_the_row_as_edited_has_the_corrections_of_edit() -> None:
+    own, metal = label_of("blue-rubber"), label_of("chrome-steel")[0]
+    radiance, inside = lit(own, 0.5)
+    result = decomposition.decompose(
+        opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK
+    )
+    tint = torch.tensor([1.0, 1.4, 0.9])[:, None, None]
+    read = result.start._replace(light=result.start.light * tint)
+    corrected = AsEdited(Layered("ours", lambda batch: read))
+    assert corrected.name == "ours, as edited"
+    right = light_colour.without_green(decomposition.parts_of(read))
+    assert torch.equal(corrected.parts(result.batch).light, right.light)
+    assert not torch.equal(right.light, read.light)
+    target = torch.from_numpy(metal)[None]
+    shown = rendered(right.n, target, right.light, result.batch)
+    assert shown.max() > 0
+    np.testing.assert_allclose(
+        corrected.edit(result.batch, target), brightness.factor(metal) * shown, rtol=1e-5
+    )
