@@ -154,6 +154,7 @@ def test_everyone_who_is_there_has_a_row_and_of_the_baselines_the_second_alone_i
         "constant light, true normals",
     ]
     networks = ["Baseline 1", "Baseline 2", "Baseline 2, refined", OURS, OURS_REFINED]
+    networks += [f"{OURS_REFINED}, as edited"]
     networks += [f"{OURS}, true normals", f"{OURS}, true normals, refined"]
     assert list(finished.edit["methods"]) == [
         *trivial,
@@ -260,7 +261,7 @@ def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
         run.make(options),
         run.make(replace(options, out=tmp_path / "two", processes=2)),
     )
-    assert len(alone["tables"]["edits"]["rows"]) == 7
+    assert len(alone["tables"]["edits"]["rows"]) == 8
     assert together["tables"] == alone["tables"]
     for name in ("edits.jsonl", "pictures.jsonl"):
         one, two = (run.rows_of(out / name) for out in (options.out, tmp_path / "two"))
