@@ -225,7 +225,7 @@ class Session:
         Raises  InputError: no picture with transparency, no material, another number of them
         """
         if sent.suffix.lower() == ".json":
-            labels, were = material_file.read(sent), material_file.were_read(sent)
+            labels, were = material_file.read_with_origin(sent)
             count = len(self.decomposed()[1].regions)
             if len(labels) not in (1, count):
                 rule = "one material" if count == 1 else f"one material, or {count}: one a region"

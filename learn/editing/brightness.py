@@ -14,8 +14,8 @@ from learn.layer.albedo import lobe_albedos
 from shaders.dsbrdf import MAX_EXPONENT, SHAPE, lobe_sharpness
 from shaders.tone import LUMINANCE
 
-STOPS = 0.8  # by which a material of nothing but narrow lobes is too bright
-HALF = 10.0  # sharpness of a lobe of which half counts as narrow
+STOPS = 0.8  # by which a material of nothing but narrow lobes is too bright, by that experiment
+HALF = 10.0  # sharpness of a lobe of which half counts as narrow; 3 and 30 explain as much
 
 
 def narrow_share(label: np.ndarray) -> float:

@@ -98,7 +98,9 @@ def decompose(
     cues = None
     if photograph.exposure is None:
         again = exposure.rendered_again(batch, start)
-        framed, batch, cues = exposure.corrected(framed, batch, again, photograph.background)
+        framed, batch, cues = exposure.corrected(
+            framed, batch, again, exposure.background_of(photograph)
+        )
     batch = replace(batch, elevation=photograph.elevation)
     labels: np.ndarray | None = getattr(network, "training_labels", None)
     refined = None if settings is None else refine(batch, start, settings, labels, watch)

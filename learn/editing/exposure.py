@@ -20,12 +20,15 @@ import numpy as np
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.framing import DEPENDENCE, TYPICAL, Framed
+from learn.editing.photograph import CLEAR, Photograph
 from learn.layer import predictions
 from learn.networks.prediction import Prediction, required
 from shaders.tone import LUMINANCE
 
 MOST = 4.0  # stops by which a first exposure is corrected at most
 LEAST_PIXELS = 16
+LEAST_BACKGROUND = 0.05  # of a picture that shows more than its object
+DARKEST = 1 / 256  # of the background's mean: 8 bits hold no finer ratio
 LEAST_LUMINANCE = 1e-6
 
 
@@ -81,6 +84,23 @@ def exposure_of(cues: Cues) -> float:
         line = WITH_BACKGROUND
         known = replace(known, background=float(np.clip(cues.background, *BACKGROUNDS)))
     return float(2 ** np.clip(line(known), first - MOST, first + MOST))
+
+
+def background_of(photograph: Photograph) -> float | None:
+    """Return the background of a photograph's Cues; None where it shows hardly any.
+
+    What is far darker than its mean counts as DARKEST of it.
+    """
+    there = photograph.coverage < CLEAR
+    if photograph.alpha is not None:
+        there = there & (photograph.alpha > 0.5)
+    if photograph.cut_out or there.mean() < LEAST_BACKGROUND:
+        return None
+    luminance = photograph.balanced[there] @ LUMINANCE
+    mean = float(luminance.mean())
+    if not mean > 0:
+        return None
+    return float(np.log2(np.maximum(luminance, DARKEST * mean)).mean())
 
 
 def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:

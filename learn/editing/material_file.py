@@ -41,18 +41,14 @@ class MaterialFile(msgspec.Struct, frozen=True):
 
 def read(path: Path) -> np.ndarray:
     """Return the labels (S, 108) float32 of a material.json. Raises InputError."""
-    return _opened(path)[0]
+    return read_with_origin(path)[0]
 
 
-def were_read(path: Path) -> list[bool]:
-    """Return for each label of a material.json whether it was read from a picture.
+def read_with_origin(path: Path) -> tuple[np.ndarray, list[bool]]:
+    """Return the labels (S, 108) of a material.json, and for each whether it is from a picture.
 
     Raises InputError
     """
-    return _opened(path)[1]
-
-
-def _opened(path: Path) -> tuple[np.ndarray, list[bool]]:
     require_file(path, "a material.json", REMEDY, LARGEST_JSON)
     rule = f'JSON with "label": {SIZE} numbers'
     try:

@@ -28,8 +28,6 @@ GREY = 1e-3
 SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
 STRONGEST_BALANCE = 8.0
 CLEAR = 0.02  # coverage under which a pixel is background
-LEAST_BACKGROUND = 0.05  # of a picture that shows more than its object
-DARKEST = 1 / 256
 
 
 @dataclass(frozen=True)
@@ -75,21 +73,6 @@ class Photograph:
     def clipped(self) -> np.ndarray | None:
         """Channels (H, W, 3) bool that are white in the file; None where it holds radiance."""
         return None if self.linear else photographs.saturated(self.radiance)
-
-    @property
-    def background(self) -> float | None:
-        """Mean logarithm to base 2 of the background's luminance; None where there is hardly any.
-
-        What is far darker than its mean counts as DARKEST of it.
-        """
-        there = (self.coverage < CLEAR) & (True if self.alpha is None else self.alpha > 0.5)
-        if self.cut_out or there.mean() < LEAST_BACKGROUND:
-            return None
-        luminance = self.balanced[there] @ LUMINANCE
-        mean = float(luminance.mean())
-        if not mean > 0:
-            return None
-        return float(np.log2(np.maximum(luminance, DARKEST * mean)).mean())
 
     @property
     def elevation(self) -> float:

@@ -16,7 +16,7 @@ from learn.data.devices import array
 from learn.editing import light_colour, material_file, photograph
 from learn.editing.decomposition import Parts, parts_of, predict_framed
 from learn.editing.edit_files import save
-from learn.editing.exposure import corrected, rendered_again
+from learn.editing.exposure import background_of, corrected, rendered_again
 from learn.figures import montage
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
@@ -95,7 +95,7 @@ def compute(
     parts = light_colour.without_green(parts_of(predicted))
     if opened.exposure is None:
         again = rendered_again(batch, predicted)
-        framed, batch, _ = corrected(framed, batch, again, opened.background)
+        framed, batch, _ = corrected(framed, batch, again, background_of(opened))
     shown = predicted._replace(label=parts.label, light=parts.light)
     rendering = rendered_again(batch, shown)
     return PredictedPicture(framed, batch, shown, parts, rendering, metadata)

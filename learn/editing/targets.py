@@ -53,7 +53,7 @@ def is_read(text: str, region: int = 0) -> bool:
     if text == KEEP or is_expression(text):
         return False
     if Path(text).suffix.lower() == ".json":
-        were = material_file.were_read(Path(text))
+        _, were = material_file.read_with_origin(Path(text))
         return were[region if len(were) > 1 else 0]
     return is_file(text)
 

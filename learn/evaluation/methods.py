@@ -19,6 +19,9 @@ import torch
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
+from learn.editing import brightness
+from learn.editing.decomposition import parts_of
+from learn.editing.light_colour import without_green
 from learn.layer import predictions
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementResult
@@ -109,17 +112,12 @@ class AsEdited(Layered):
         self.method = method
 
     def _corrected(self, batch: ExampleBatch) -> Prediction:
-        from learn.editing.decomposition import parts_of
-        from learn.editing.light_colour import without_green
-
         prediction = self.method.parts(batch)
         parts = without_green(parts_of(prediction))
         return prediction._replace(label=parts.label, light=parts.light)
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in other materials (S, 108)."""
-        from learn.editing import brightness
-
         factors = np.array([1.0, *(brightness.factor(array(row)) for row in label)])
         segments = array(batch.segments[0]).clip(0, len(factors) - 1)
         return super().edit(batch, label) * factors[segments][..., None].astype(np.float32)

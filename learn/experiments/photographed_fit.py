@@ -29,6 +29,7 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.01)
 METALS = ("metal", "metallic paint")
 # until 2026-11-28: share of the ratio that corrected exposures, and stops by which at most
 TRUST_BEFORE, MOST_BEFORE = 0.75, 3.0
+BEFORE, IN_USE = "corrected by three quarters of the ratio, as before", "in use"
 
 
 @dataclass(frozen=True)
@@ -152,9 +153,8 @@ def rules_of(edits: Edits) -> dict[str, np.ndarray]:
     share = edits.cues[:, 4]
     return {
         "the first guess": first,
-        "corrected by three quarters of the ratio, as before": first
-        + (TRUST_BEFORE * edits.cues[:, 2]).clip(-MOST_BEFORE, MOST_BEFORE),
-        "in use": in_use(edits),
+        BEFORE: first + (TRUST_BEFORE * edits.cues[:, 2]).clip(-MOST_BEFORE, MOST_BEFORE),
+        IN_USE: in_use(edits),
         "in use, for a cut-out": in_use(edits, cut_out=True),
         "in use, mirror-like targets not darker": in_use(edits) - brightness.STOPS * share,
         "one exposure for all, fitted": by_others(edits, ("constant", "narrow")),
@@ -214,7 +214,7 @@ def page(report: Report) -> str:
         )
     result.append(runner.table(head, lines))
     result.append(f"Metals: {', '.join(METALS)}; {metals.sum()} edits.\n")
-    before, now = (edits.error(shown[name]) for name in list(shown)[1:3])
+    before, now = (edits.error(shown[name]) for name in (BEFORE, IN_USE))
     ratio = runner.interval(bootstrap.relative(before, now, weights), 2)
     result.append(
         f"In use, L2 is {ratio} times what it was before; {(now < before).sum()} of"

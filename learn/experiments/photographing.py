@@ -18,9 +18,14 @@ from shaders.tone import LUMINANCE
 
 FIELD_OF_VIEW = np.radians(40.0)  # of the frame
 FRAME = 1.5  # sides of the object's picture along a side of the frame
-METERED = 0.2  # weighted mean luminance of a frame, where white is 1
-CENTRE = 0.4  # standard deviation of the weight about the middle, in halves of the frame's side
-SPREAD = 0.5  # standard deviation in stops of exposures about that
+# Weighted mean luminance of a frame, where white is 1: meters assume a grey of about a fifth, and
+# the photographs of docs/results/photographs have about that
+METERED = 0.2
+# The object fills the frame to two thirds, and centre-weighted meters see little beyond that:
+# standard deviation of the weight about the middle, in halves of the frame's side
+CENTRE = 0.4
+# standard deviation in stops of exposures about the metered one: our choice
+SPREAD = 0.5
 
 
 @dataclass(frozen=True)

@@ -74,9 +74,13 @@ def test_the_background_is_a_mean_logarithm_that_neither_lamps_nor_black_pixels_
     mask = np.zeros((40, 40), bool)
     mask[12:28, 12:28] = True
     picture[mask] = 0.9
-    assert photograph.from_arrays(picture, mask).background == pytest.approx(-2, abs=1e-3)
+    assert exposure.background_of(photograph.from_arrays(picture, mask)) == pytest.approx(
+        -2, abs=1e-3
+    )
     picture[0, 0], picture[0, 1] = 1.0, 0.0
-    assert photograph.from_arrays(picture, mask).background == pytest.approx(-2, abs=0.01)
+    assert exposure.background_of(photograph.from_arrays(picture, mask)) == pytest.approx(
+        -2, abs=0.01
+    )
 
 
 def test_a_cut_out_a_close_up_and_a_black_ground_have_no_background() -> None:
@@ -84,12 +88,12 @@ def test_a_cut_out_a_close_up_and_a_black_ground_have_no_background() -> None:
     mask = np.zeros((40, 40), bool)
     mask[5:35, 5:35] = True
     cut_out = np.concatenate([picture, mask[..., None].astype(np.float32)], -1)
-    assert photograph.from_arrays(cut_out).background is None
-    assert photograph.from_arrays(picture, mask).background is not None
+    assert exposure.background_of(photograph.from_arrays(cut_out)) is None
+    assert exposure.background_of(photograph.from_arrays(picture, mask)) is not None
     black = picture * mask[..., None]
-    assert photograph.from_arrays(black, mask).background is None
+    assert exposure.background_of(photograph.from_arrays(black, mask)) is None
     mask[1:39, 1:39] = True
-    assert photograph.from_arrays(picture, mask).background is None
+    assert exposure.background_of(photograph.from_arrays(picture, mask)) is None
 
 
 class Grey(torch.nn.Module):
@@ -131,7 +135,7 @@ def test_an_estimated_exposure_is_corrected_and_a_given_one_is_kept(tmp_path, gi
         cues = exposure.Cues(
             float(np.log2(seen / result.framed.exposure)),
             float(np.log2(again * factor / seen)),
-            opened.background,
+            exposure.background_of(opened),
         )
         assert result.framed.exposure == pytest.approx(exposure.exposure_of(cues), rel=1e-3)
         assert abs(math.log(factor)) > 0.1
