@@ -22,6 +22,9 @@ CURRENT_NAMES = {
     "together": "joint_iterations",
 }
 
+# {a key: (a later one beside it, the value that it had before it could be set)}
+LATER_KEYS = {"trust_region": ("b_colour", 0.0)}  # of refinement
+
 
 def current_name(name: str) -> str:
     """Return the name that a key has today."""
@@ -29,7 +32,7 @@ def current_name(name: str) -> str:
 
 
 def with_current_names(values: Any, where: object = "settings", path: str = "") -> Any:
-    """Return JSON values whose keys, at any depth, have the names of today.
+    """Return JSON values whose keys, at any depth, have the names of today, and LATER_KEYS.
 
     where   what names the file in an InputError; path: of these values in it, "stages[0]."
     Raises  InputError: a key that stands there under both names
@@ -43,7 +46,11 @@ def with_current_names(values: Any, where: object = "settings", path: str = "") 
         if old in values and new in values:
             rule, both = f"one of '{old}' and '{new}', its name of today", "both"
             raise InputError(f"{where}: {path}{old}", rule, both, f"leave out '{old}'")
-    return {
+    result = {
         current_name(name): with_current_names(value, where, f"{path}{name}.")
         for name, value in values.items()
     }
+    for beside, (name, value) in LATER_KEYS.items():
+        if beside in result:
+            result.setdefault(name, value)
+    return result

@@ -34,6 +34,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "edit-cost": "chart the error of edits against seconds and hours of training",
         "edit-brightness": "measure how bright edits are beside their truth",
         "photographed-edits": "measure edits of photographs, and how to expose them",
+        "painted-photographs": "measure edits of objects in colours that no catalogue has",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",

@@ -21,10 +21,14 @@ from learn.experiments import runner
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
     import torch
 
     from learn.data.records import Records
     from learn.experiments.photographing import Photographed
+    from learn.refinement import RefinementSettings
     from manifests.schema import Record
 
 ON_RAY = True
@@ -53,10 +57,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_seed(parser, "seed by which photographs and target materials are drawn")
 
 
+class Opened(NamedTuple):
+    """What edits of photographs are made with.
+
+    records        the data set's
+    cases          as of `cases_of`
+    network, size  of the weights
+    seen           sentences about what the weights saw of it in training
+    """
+
+    records: Records
+    cases: list[Case]
+    network: torch.nn.Module
+    size: int
+    seen: list[str]
+
+
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows", "weights", "seen"}; rows as of `rows_of`, and "source_id" and "target_id".
+    """Return {"rows", "weights", "seen"}; rows as of `row_of`, and "photograph".
 
     Raises InputError for a data set without pictures of one scene in two materials.
+    """
+    from dataclasses import asdict
+
+    from learn.refinement import PHOTOGRAPHS
+
+    records, cases, network, size, seen = opened(arguments, asdict(PHOTOGRAPHS))
+    todo = [({"photograph": case.source.id}, case) for case in cases]
+    rows = runner.resume(
+        arguments.out / "rows.jsonl",
+        todo,
+        lambda case: row_of(records, network, size, case, PHOTOGRAPHS),
+        "photograph",
+    )
+    return {"rows": rows, "weights": arguments.weights.name, "seen": seen}
+
+
+def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
+    """Return what the options name, and pin it with the settings of refinement in --out.
+
+    Raises InputError: no picture of one scene in two materials, or --out has results of others
     """
     import torch
 
@@ -82,17 +122,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": file_hash(arguments.data / "materials.json"),
         "weights": file_hash(arguments.weights),
         "seed": arguments.seed,
+        "refinement": refinement,
     }
     files.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
-    todo = [({"photograph": case.source.id}, case) for case in cases]
-    rows = runner.resume(
-        arguments.out / "rows.jsonl",
-        todo,
-        lambda case: row_of(records, network, metadata["size"], case),
-        "photograph",
-    )
-    return {"rows": rows, "weights": arguments.weights.name, "seen": seen}
+    return Opened(records, cases, network, metadata["size"], seen)
 
 
 def cases_of(records: Records, count: int, seed: int) -> list[Case]:
@@ -135,8 +169,18 @@ def cases_of(records: Records, count: int, seed: int) -> list[Case]:
     return [order[k] for k in np.argsort(turns, kind="stable")[:count]]
 
 
-def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) -> dict[str, Any]:
+def row_of(
+    records: Records,
+    network: torch.nn.Module,
+    size: int,
+    case: Case,
+    settings: RefinementSettings | None,
+    paint: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> dict[str, Any]:
     """Return what a photograph shows, its cues, and the figures of its edits.
+
+    settings  of refinement; None: none
+    paint     from radiance (H, H, 3) and normals (H, H, 3) to the radiance that is photographed
 
     {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "light_green": of
     the light that was read, before it was taken back, "cues": of learn.editing.exposure, "edits":
@@ -154,14 +198,14 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
     from learn.editing.compositor import Compositor
     from learn.evaluation.ladder_design import group_of
     from learn.experiments.photographing import photographed
-    from learn.refinement import PHOTOGRAPHS
     from manifests.errors import InputError
     from shaders.envmap import mean_radiance
 
     record = case.source
     sample = records.load(record)
+    radiance = sample.image.numpy()
     photo = photographed(
-        sample.image.numpy(),
+        radiance if paint is None else paint(radiance, sample.n.numpy()),
         sample.mask.numpy(),
         sample.light.numpy(),
         np.radians(record.camera.elevation_deg),
@@ -174,13 +218,13 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
         "source": record.materials[0],
     }
     try:
-        opened = photograph.from_arrays(photo.pixels, photo.mask, name=record.id)
-        parts = decomposition.decompose(opened, network, size, PHOTOGRAPHS)
+        read = photograph.from_arrays(photo.pixels, photo.mask, name=record.id)
+        parts = decomposition.decompose(read, network, size, settings)
     except InputError as error:  # an object that is black or white in the photograph
         return about | {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
-    read = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start)
+    light = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start).light
     compositor = Compositor(parts)
     edits = [edit_of(records, compositor, photo, target) for target in case.targets]
     return about | {
@@ -188,7 +232,7 @@ def row_of(records: Records, network: torch.nn.Module, size: int, case: Case) ->
             "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
-        "light_green": light_colour.green_of(mean_radiance(array(read.light[0].movedim(0, -1)))),
+        "light_green": light_colour.green_of(mean_radiance(array(light[0].movedim(0, -1)))),
         "cues": asdict(parts.cues),
         "edits": edits,
     }

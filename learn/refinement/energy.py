@@ -1,11 +1,12 @@
 """The energy that refinement lowers (Eq. 6): misfit of the picture and distance moved.
 
-    E = image + a · normals + b · light + c · material
+    E = image + a · normals + b · light + b_colour · colour + c · material
 
 Each term is a mean, so that a weight means the same at any size of picture and light map.
 image     mean over pixels and channels of (C(I*) − C(I))²
 normals   mean over pixels of |n* − n'|²
 light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
+colour    the same of what each channel's difference is beyond the mean of the three; not in Eq. 6
 material  mean over regions of |z|²/K, the distance from the prediction in units of the training
           materials' spread; not in Eq. 6, c = 0 there
 
@@ -30,6 +31,8 @@ from learn.networks.coding import compressed
 from learn.refinement.settings import RefinementSettings
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
+
+TERMS = ("image", "normals", "light", "colour", "material")
 
 
 @dataclass(frozen=True)
@@ -147,11 +150,13 @@ class Energy:
             state, where, light, method, self.settings.tolerance if tolerance is None else tolerance
         )
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
-        relit = (torch.log1p(state.light) - self.log_light) ** 2 * self.share
+        relit = torch.log1p(state.light) - self.log_light
+        coloured = relit - relit.mean(1, keepdim=True)
         return {
             "image": image,
             "normals": (moved**2).sum(0).mean(),
-            "light": relit.sum((2, 3)).mean(),
+            "light": (relit**2 * self.share).sum((2, 3)).mean(),
+            "colour": (coloured**2 * self.share).sum((2, 3)).mean(),
             "material": (state.z["material"] ** 2).mean(),
         }
 
@@ -159,7 +164,11 @@ class Energy:
         """Return the weighted sum of the terms."""
         s = self.settings
         return (
-            terms["image"] + s.a * terms["normals"] + s.b * terms["light"] + s.c * terms["material"]
+            terms["image"]
+            + s.a * terms["normals"]
+            + s.b * terms["light"]
+            + s.b_colour * terms["colour"]
+            + s.c * terms["material"]
         )
 
     def finest(self, state: State) -> dict[str, float]:
@@ -168,7 +177,9 @@ class Energy:
         This total accepts or rejects a step; it is inf for a state that cannot be rendered.
         """
         if not state.is_renderable:
-            return dict.fromkeys(("image", "normals", "light", "material", "total"), math.inf)
+            return dict.fromkeys(
+                ("image", "normals", "light", "colour", "material", "total"), math.inf
+            )
         with torch.no_grad():
             terms = self.terms(state, self.inside)
             return {name: float(value) for name, value in terms.items()} | {

@@ -70,7 +70,7 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     batch, start = flat()
     n, light = start.n.clone(), start.light.clone()
     n[0, :, 3, 5] = torch.tensor([0.6, 0.0, 0.8])
-    light[:, 0, :32] = math.e**2 - 1
+    light[:, :2, :32] = math.e**2 - 1
     moved = replace(start, n=n, light=light, z={"material": torch.tensor([[1.0, 2.0, 2.0]])})
     # 2 where n moved, else 1
     monkeypatch.setattr(
@@ -80,16 +80,19 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     expected = {
         "image": (math.log(17 / 9) / math.log(9)) ** 2 / pixels,
         "normals": (0.6**2 + 0.2**2) / pixels,
-        "light": 1 / 6,  # one channel of three, half of the sphere
+        "light": 2 / 6,  # 1 in two channels of three, half of the sphere
+        "colour": 1 / 9,  # 1/3, 1/3 and −2/3 beyond the mean of the channels, half of the sphere
         "material": 3.0,
     }
     expected["total"] = (
         expected["image"]
         + 2 * expected["normals"]
         + 3 * expected["light"]
+        + 7 * expected["colour"]
         + 5 * expected["material"]
     )
-    result = Energy(batch, start, replace(RefinementSettings(), a=2.0, b=3.0, c=5.0)).finest(moved)
+    settings = replace(RefinementSettings(), a=2.0, b=3.0, b_colour=7.0, c=5.0)
+    result = Energy(batch, start, settings).finest(moved)
     assert result == pytest.approx(expected, rel=1e-5)  # float32
 
 

@@ -1,0 +1,107 @@
+"""Measure edits of photographs of objects in colours and prints that no catalogue has.
+
+The photographs of `photographed-edits` are taken three times: of the object as it was rendered, of
+the object in one strong colour, and with a print (learn.experiments.painting). Each is decomposed
+without refinement, with it, and with a refinement in which the light may take on any colour. It is
+edited as `edit` does it and compared with Cycles' picture of the same object in the target's
+material, on which paint leaves no trace. So whatever colour or print an edit shows is an error.
+rows.jsonl keeps a line per photograph, paint and method: the same command continues, and a larger
+--photographs adds to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn.commands import options
+from learn.experiments import painting, runner
+from learn.experiments.photographed_edits import SCALES, Case
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    import torch
+
+    from learn.data.records import Records
+    from learn.refinement import RefinementSettings
+
+ON_RAY = True
+PREDICTED, ANY, IN_USE = "not refined", "refined, light of any colour", "refined, in use"
+METHODS = (PREDICTED, ANY, IN_USE)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the data, the weights and the number of photographs."""
+    options.add_data(parser, "a data set of objects in several materials")
+    options.add_weights(parser)
+    parser.add_argument(
+        "--photographs",
+        type=positive,
+        default=96,
+        metavar="N",
+        help="number of photographs, each taken in three paints (default 96)",
+    )
+    options.add_seed(parser, "seed by which photographs and target materials are drawn")
+
+
+def settings_of(method: str) -> RefinementSettings | None:
+    """Return how one of METHODS refines."""
+    from learn.refinement import PHOTOGRAPHS
+
+    refined = {ANY: replace(PHOTOGRAPHS, b_colour=0.0), IN_USE: PHOTOGRAPHS}
+    return refined.get(method)
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows", "weights", "seen"}; rows as of `row_of`.
+
+    Raises InputError for a data set without pictures of one scene in two materials.
+    """
+    from learn.experiments import photographed_edits
+
+    opened = photographed_edits.opened(arguments, {m: _as_json(m) for m in METHODS})
+    todo = [
+        ({"photograph": case.source.id, "paint": paint, "method": method}, (case, paint, method))
+        for case in opened.cases
+        for paint in painting.KINDS
+        for method in METHODS
+    ]
+    rows = runner.resume(
+        arguments.out / "rows.jsonl",
+        todo,
+        lambda of: row_of(opened.records, opened.network, opened.size, *of),
+        "photograph",
+    )
+    return {"rows": rows, "weights": arguments.weights.name, "seen": opened.seen}
+
+
+def _as_json(method: str) -> dict[str, Any] | None:
+    settings = settings_of(method)
+    return None if settings is None else asdict(settings)
+
+
+def row_of(
+    records: Records, network: torch.nn.Module, size: int, case: Case, paint: str, method: str
+) -> dict[str, Any]:
+    """Return the row of `photographed_edits.row_of` for a painted object and one method."""
+    from learn.experiments import photographed_edits
+
+    def in_paint(radiance: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return painting.painted(paint, radiance, n, case.source.id)
+
+    return photographed_edits.row_of(records, network, size, case, settings_of(method), in_paint)
+
+
+def tables(report: runner.Report) -> str:
+    """Return the error of edits by paint and method, and how refinement changes it."""
+    from learn.experiments import painted_tables
+
+    return painted_tables.page(report)
+
+
+def at_truth_brightness(edit: dict[str, Any]) -> float:
+    """Return an edit's L2 if it were as bright as its truth, interpolated between SCALES."""
+    return float(np.interp(-edit["stops"], SCALES, edit["l2"]))
