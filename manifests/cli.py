@@ -2,9 +2,10 @@
 
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a
 function of the parsed arguments. That function returns an exit status: 0 done, 1 failed, 2 wrong
-usage, or another one that the command's help explains. A command sets `continues=False` if a second
-run does not continue the first. Only argparse and the standard library may be imported at its top:
-heavy libraries are imported inside `run`, so that `--help` is quick.
+usage, or another one that the command's help explains; 141 if the output's reader has gone. A
+command sets `continues=False` if a second run does not continue the first. Only argparse and the
+standard library may be imported at its top: heavy libraries are imported inside `run`, so that
+`--help` is quick.
 """
 
 import argparse
@@ -16,6 +17,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from manifests.errors import InputError, closest, missing_package, printable
+
+OUTPUT = "standard output"
+READER_GONE = 141  # what a shell reports of a program that SIGPIPE ends
 
 
 def main(
@@ -100,6 +104,8 @@ def main(
         return _failed(program, missing, debug, reword)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
+        if isinstance(error, BrokenPipeError) and error.filename == OUTPUT:
+            return READER_GONE  # `| head` has read enough: nothing to report
         return _failed(program, error, debug, reword)
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
@@ -173,7 +179,7 @@ def _flush_output() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
-        raise OSError(error.errno, error.strerror, "standard output") from None
+        raise OSError(error.errno, error.strerror, OUTPUT) from None
 
 
 def _failed(program: str, error: Exception, debug: bool, reword: Callable[[str], str]) -> int:
