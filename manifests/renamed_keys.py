@@ -22,8 +22,8 @@ CURRENT_NAMES = {
     "together": "joint_iterations",
 }
 
-# {a key: (a later one beside it, the value that it had before it could be set)}
-LATER_KEYS = {"trust_region": ("b_colour", 0.0)}  # of refinement
+# {a key: {a later one beside it: the value that it had before it could be set}}
+LATER_KEYS = {"trust_region": {"b_colour": 0.0, "half_weight_chroma": None}}  # of refinement
 
 
 def current_name(name: str) -> str:
@@ -50,7 +50,7 @@ def with_current_names(values: Any, where: object = "settings", path: str = "") 
         current_name(name): with_current_names(value, where, f"{path}{name}.")
         for name, value in values.items()
     }
-    for beside, (name, value) in LATER_KEYS.items():
+    for beside, later in LATER_KEYS.items():
         if beside in result:
-            result.setdefault(name, value)
+            result = later | result
     return result

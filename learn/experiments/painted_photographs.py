@@ -2,9 +2,10 @@
 
 The photographs of `photographed-edits` are taken three times: of the object as it was rendered, of
 the object in one strong colour, and with a print (learn.experiments.painting). Each is decomposed
-without refinement, with it, and with a refinement in which the light may take on any colour. It is
-edited as `edit` does it and compared with Cycles' picture of the same object in the target's
-material, on which paint leaves no trace. So whatever colour or print an edit shows is an error.
+without refinement, with it, and with refinements in which the light may take on any colour, and all
+pixels count alike whatever their colour. It is edited as `edit` does it and compared with Cycles'
+picture of the same object in the target's material, on which paint leaves no trace. So whatever
+colour or print an edit shows is an error.
 rows.jsonl keeps a line per photograph, paint and method: the same command continues, and a larger
 --photographs adds to it.
 """
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
     from learn.refinement import RefinementSettings
 
 ON_RAY = True
-PREDICTED, ANY, IN_USE = "not refined", "refined, light of any colour", "refined, in use"
-METHODS = (PREDICTED, ANY, IN_USE)
+PREDICTED, BEFORE = "not refined", "refined as before 2026-11-28"
+LIGHT_HELD, IN_USE = "refined, light's colours held", "refined, in use"
+METHODS = (PREDICTED, BEFORE, LIGHT_HELD, IN_USE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +53,9 @@ def settings_of(method: str) -> RefinementSettings | None:
     """Return how one of METHODS refines."""
     from learn.refinement import PHOTOGRAPHS
 
-    refined = {ANY: replace(PHOTOGRAPHS, b_colour=0.0), IN_USE: PHOTOGRAPHS}
-    return refined.get(method)
+    light_held = replace(PHOTOGRAPHS, half_weight_chroma=None)
+    before = replace(light_held, b_colour=0.0)
+    return {BEFORE: before, LIGHT_HELD: light_held, IN_USE: PHOTOGRAPHS}.get(method)
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from learn.experiments import runner
-from learn.experiments.painted_photographs import ANY, IN_USE, METHODS, PREDICTED
+from learn.experiments.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
 from learn.experiments.painting import KINDS
 from learn.metrics import bootstrap
 
@@ -18,7 +18,7 @@ FIGURES = {
     "green off by": "green",
     "red over blue off by": "red_blue",
 }
-COMPARED = ((PREDICTED, ANY), (PREDICTED, IN_USE), (ANY, IN_USE))
+COMPARED = ((PREDICTED, BEFORE), (PREDICTED, IN_USE), (BEFORE, IN_USE))
 
 Edits = dict[tuple[str, str], list[dict[str, Any]]]  # by paint and method
 

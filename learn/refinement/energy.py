@@ -14,6 +14,8 @@ C(I) = log(1 + 8 e I)/log 9, with the exposure e that brings the object's 99th p
 curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
+Where a picture has another colour than its object, it is likely to show a print or something in
+front, which one material cannot explain: its misfit counts less by `ordinary`.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -32,6 +34,7 @@ from learn.refinement.settings import RefinementSettings
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
+DARK = 0.02  # of white: colours of what is darker count as grey
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -76,6 +79,21 @@ def misfit(
     return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
 
 
+def ordinary(image: torch.Tensor, segments: torch.Tensor, half: float) -> torch.Tensor:
+    """Return weights (P,) of pixels, 1 where a pixel has the colour of its region.
+
+    image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
+    half      distance from that colour at which the weight is a half, as `half_weight_chroma`
+    """
+    logarithm = (image + DARK).log()
+    chroma = logarithm - logarithm.mean(-1, keepdim=True)
+    distance = torch.zeros_like(chroma)
+    for region in segments.unique():
+        of = segments == region
+        distance[of] = chroma[of] - chroma[of].median(0).values
+    return 1 / (1 + (distance / half).square().sum(-1))
+
+
 class Energy:
     """The energy of one picture.
 
@@ -94,6 +112,13 @@ class Energy:
         self.clipped = (
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
         )
+        self.weights = None
+        if settings.half_weight_chroma is not None:
+            self.weights = ordinary(
+                image[self.inside] * exposure,
+                self.segments.flatten()[self.inside],
+                settings.half_weight_chroma,
+            )
         self.log_light = torch.log1p(start.light)
         self.share = solid_angles(start.light)
 
@@ -135,7 +160,11 @@ class Energy:
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
         clipped = None if self.clipped is None else self.clipped[where]
-        return misfit(compressed(shown * self.exposure), self.seen[where], clipped).mean()
+        cost = misfit(compressed(shown * self.exposure), self.seen[where], clipped)
+        if self.weights is None:
+            return cost.mean()
+        at = torch.searchsorted(self.inside, where)
+        return (cost * self.weights[at][:, None]).mean()
 
     def terms(
         self,

@@ -99,7 +99,8 @@ def test_a_settings_file_by_earlier_names_holds_the_settings_of_today(tmp_path):
         for part in (old["refine"], *old["refine"]["levels"]):
             if new in part:
                 part[name] = part.pop(new)
-    assert old["refine"].pop("b_colour") == 0  # which could not be set then
+    assert old["refine"].pop("b_colour") == 0  # which could not be set then, as the next one
+    assert old["refine"].pop("half_weight_chroma") is None
     assert old != today and with_current_names(old) == today
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(old))
