@@ -64,7 +64,7 @@ def page(report: runner.Report) -> str:
         + ", ".join(
             f"{count} edits of objects in {paint}" for paint, count in counts.items()
         ).replace("objects in as it was", "objects as they were")
-        + f"; {refused} decompositions were refused.\n\n"
+        + f"; decompositions that were refused: {refused}.\n\n"
         "L2 is that of display values, in the photograph's own exposure; *as bright as the truth*:"
         " if the edit's mean luminance over the object were right. *Off by*: root mean square, in"
         " stops, of the mean over the object beyond the truth's; *green* is above the mean of red"

@@ -208,6 +208,15 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(e["l2"][-1] > e["l2"][16] for row in r["rows"] for e in row["edits"])
         ),
     ),
+    "painted-photographs": (
+        "--data {room}/ladder --weights {room}/weights.safetensors --photographs 1",
+        lambda r: (
+            len(r["rows"]) == 12
+            # paint changes what the object shows, and not what it is compared with
+            and len({tuple(row["cues"].values()) for row in r["rows"]}) == 3
+            and len({row["edits"][0]["target"] for row in r["rows"]}) == 1
+        ),
+    ),
     "exposure": (
         "--data {room}/exposed",
         lambda r: set(r["missed"]["exposed"]) == {"fitted", "in use", "one factor for all"},

@@ -1,0 +1,103 @@
+"""Painted objects: what paint does to a picture, and the tables of edits by paint and method."""
+
+import numpy as np
+import pytest
+
+from learn.experiments import painted_photographs, painted_tables, painting
+from learn.experiments.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
+from learn.experiments.painting import COLOUR, KINDS, NONE, PRINT
+from learn.experiments.photographed_edits import SCALES
+
+SIZE = 48
+
+
+@pytest.fixture
+def ball(rng):
+    """Radiance (SIZE, SIZE, 3) and normals of a ball that fills two thirds of the picture."""
+    y, x = np.mgrid[1 : -1 : SIZE * 1j, -1 : 1 : SIZE * 1j] * 1.5
+    z = 1 - x * x - y * y
+    inside = z > 0
+    n = np.stack([x, y, np.sqrt(np.maximum(z, 0))], -1) * inside[..., None]
+    radiance = rng.uniform(0.1, 1, (SIZE, SIZE, 3)) * inside[..., None]
+    return radiance.astype(np.float32), n.astype(np.float32)
+
+
+def factors(kind, ball, name="a"):
+    """What paint multiplies the radiance of the ball's pixels (P, 3) by."""
+    radiance, n = ball
+    painted = painting.painted(kind, radiance, n, name)
+    inside = (n != 0).any(-1)
+    assert np.array_equal(painted[~inside], radiance[~inside])
+    return painted[inside] / radiance[inside]
+
+
+def test_an_object_without_paint_is_as_it_was(ball):
+    assert (factors(NONE, ball) == 1).all()
+
+
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_one_colour_is_the_same_everywhere_and_strong(ball, name):
+    of = factors(COLOUR, ball, name)
+    assert of == pytest.approx(np.broadcast_to(of[0], of.shape), rel=1e-5)
+    assert of.max() <= 1 + 1e-6 and of[0].max() / of[0].min() > 2
+    assert of[0] != pytest.approx(factors(COLOUR, ball, f"not {name}")[0], rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_a_print_leaves_bare_pixels_and_darkens_others(ball, name):
+    of = factors(PRINT, ball, name)
+    bare = (of > 0.999).all(-1).mean()
+    assert 0.1 < bare < 0.99 and of.max() <= 1 + 1e-6
+    assert of == pytest.approx(factors(PRINT, ball, name))
+
+
+def report_of(l2):
+    """A report of three photographs, two edits each; L2 is l2[paint, method], a stop too bright."""
+    at = SCALES.index(0.0)
+    rows = []
+    for photograph in "abc":
+        for paint in KINDS:
+            for method in METHODS:
+                figures = [float(l2[paint, method]) + 100 * abs(k - at + 4) for k in range(33)]
+                edit = {"l2": figures, "stops": 1.0, "green": 0.5, "red_blue": -0.5}
+                edits = [edit | {"target": target} for target in ("brass", "felt")]
+                about = {"shape": photograph, "light": "city", "group": "own"}
+                row = about | {"photograph": photograph, "paint": paint, "method": method}
+                rows.append(row | {"edits": edits})
+    return {"rows": rows, "weights": "w", "seen": []}
+
+
+def test_tables_have_the_figures_of_each_paint_and_method_and_their_ratios():
+    l2 = {(paint, method): 200.0 for paint in KINDS for method in METHODS}
+    l2[COLOUR, IN_USE], l2[COLOUR, BEFORE] = 100.0, 900.0
+    report = report_of(l2)
+    edits = painted_tables.edits_of(report)
+    assert {key: len(of) for key, of in edits.items()} == dict.fromkeys(l2, 6)
+    assert {edit["as_bright"] for edit in edits[COLOUR, IN_USE]} == {100.0}
+    assert {edit["l2"] for edit in edits[COLOUR, IN_USE]} == {500.0}  # a stop is four of SCALES
+    page = painted_tables.page(report)
+    assert f"| {COLOUR} | {IN_USE} | 500 [500, 500] | 100 [100, 100] | 1.00 | 0.50 | 0.50 |" in page
+    ratio = "0.38 [0.38, 0.38] | 0.11 [0.11, 0.11] | 6 of 6"
+    assert f"| {COLOUR} | {IN_USE} ÷ {BEFORE} | {ratio} |" in page
+    assert (
+        f"| {PRINT} | {IN_USE} ÷ {PREDICTED} | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] | 0 of 6"
+        in page
+    )
+
+
+def test_a_photograph_that_one_method_cannot_edit_is_left_out_for_all():
+    report = report_of({(paint, method): 200.0 for paint in KINDS for method in METHODS})
+    refused = next(r for r in report["rows"] if (r["paint"], r["method"]) == (PRINT, BEFORE))
+    refused["edits"], refused["refused"] = [], "the object is black"
+    edits = painted_tables.edits_of(report)
+    assert {len(edits[PRINT, method]) for method in METHODS} == {4}
+    assert len(edits[COLOUR, BEFORE]) == 6
+    assert "decompositions that were refused: 1." in painted_tables.page(report)
+
+
+def test_methods_differ_in_refinement_as_their_names_say():
+    of = {method: painted_photographs.settings_of(method) for method in METHODS}
+    assert of[PREDICTED] is None
+    assert (of[BEFORE].b_colour, of[BEFORE].half_weight_chroma) == (0, None)
+    assert of[painted_photographs.LIGHT_HELD].half_weight_chroma is None
+    assert of[painted_photographs.LIGHT_HELD].b_colour == of[IN_USE].b_colour > 0
