@@ -3,6 +3,18 @@
 An object cannot if all of it lies below the plane of every facet that is visible: no ray that
 leaves such a facet meets the object again. Direct light without shadows is then all light there is.
 
+what      no shadow rays and no bounces: the paths of the tier `direct` are traced for `shadow` and
+          `full` (factory.render.estimators.choice), and the record's `accuracy` says so in `traced`
+bias      what TOLERANCE and WIDER let pass: Cycles' pictures of `full` and `direct` differ by a
+          display L2 of .012 at most on 91 recognised shots, and on most of them not at all
+checked   against rays: of 1,150 shots none is recognised whose facets see the object
+          (factory.render.validation.self_shading_check)
+cost      once per view, a product of visible facets and vertices: a few ms where the first facets
+          decide, 0.7 s on a sphere of 41,000 vertices at 256². Per mesh a few ms, at most 0.1 s
+fails     by missing what it could save: 91 of 122 shots without self-shading are recognised, nearly
+          all of them spheres, cubes and discs. In perspective a facet seen edge-on may face either
+          way (`are_known`), so that the shot is traced as usual
+
 vertices  (V, 3) of the mesh, in the frame of the facets
 facets    (P, 3) unit normals of the facets that are visible, which face outwards
 points    (P, 3) one point on each of them

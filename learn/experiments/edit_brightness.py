@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from learn.evaluation.ladder_design import Scene
     from learn.evaluation.ladder_pictures import Shown
 
+ON_RAY = True
 FACTORS = tuple(2 ** (k / 4) for k in range(-8, 5))  # on radiance: two stops darker to one brighter
 UNCHANGED = FACTORS.index(1.0)
 METHODS = ("predicted", "refined")

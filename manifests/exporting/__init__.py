@@ -7,6 +7,7 @@ webdataset   tar files that the package `webdataset` decodes without code of our
 tables       Parquet files, plain or in the layout of Hugging Face's `datasets`
 blenderproc  HDF5 files with the keys of BlenderProc's writer, and a reader of both programs' files
 card         the data card: what, how many, rendered by what, licences, known limits
+card_errors  its part on the error and the bias of pictures
 """
 
 from typing import Literal, get_args

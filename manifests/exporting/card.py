@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 
+from manifests.exporting import card_errors
 from manifests.exporting.samples import Samples, licences, split_of_line
 from manifests.schema import Record
 
@@ -33,7 +34,6 @@ LIMITS = (
     "Materials have no textures: each segment has one reflectance.",
     "The light is a distant environment map; there is no floor and no background.",
     "`radiance` is in half precision, at most 65504; the PNG is clipped at white and in 8 bits.",
-    "Noise of path tracing is in the pictures: the records give the samples of each pixel.",
     "Labels and the Blender mixtures are fitted to measured reflectance; `materials.json` has the"
     " errors of each fit.",
     "`mixed` samples have a shape for training and a material for testing, or the reverse: they"
@@ -96,8 +96,8 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     for split in sorted(splits):
         yield f"| of the split {split} | {splits[split]} |"
     yield f"| shapes | {len({line.shape for line in lines})} |"
+    records = [line for line in lines if isinstance(line, Record)]
     if samples.pictures:
-        records = [line for line in lines if isinstance(line, Record)]
         yield f"| materials | {len({name for line in records for name in line.materials})} |"
         yield f"| lights | {len({line.light for line in records})} |"
         tiers = Counter(line.tier for line in records)
@@ -106,6 +106,7 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     for size, number in sorted(Counter(line.camera.size for line in lines).items()):
         yield f"| of {size[0]} × {size[1]} pixels | {number} |"
     yield ""
+    yield from card_errors.section(records)
     yield "## Rendered by"
     yield ""
     programs = {"brdfactory": _version(), **dataset.versions}
@@ -125,7 +126,7 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     yield ""
     yield "## Known limits"
     yield ""
-    limits = LIMITS if samples.pictures else LIMITS[1:2]
+    limits = [*LIMITS, *card_errors.limits(records)] if samples.pictures else LIMITS[1:2]
     yield from (f"- {limit}" for limit in limits)
 
 

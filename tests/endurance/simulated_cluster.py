@@ -29,6 +29,7 @@ from factory.execution.run import RunOptions, assign, planned, shape_sources, wo
 from factory.execution.worker import Chunk, Reply
 from factory.planning import jobs
 from factory.planning.assets import resolve
+from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from manifests.subprocesses import processors
 
@@ -125,6 +126,8 @@ def main():
     parser.add_argument("--workers", type=int, default=640)
     parser.add_argument("--out", help="write the figures into this file too")
     options = parser.parse_args()
+    words = " ".join(map(shortened, sys.argv[1:]))
+    made_by = provenance(f"PYTHONPATH=. python tests/endurance/simulated_cluster.py {words}")
     with open(options.report) as file:
         cost = json.load(file)["presets"][options.preset]["processor"]["kinds"]
     job, folder = jobs.load(jobs.presets()[options.preset])
@@ -145,6 +148,7 @@ def main():
         views.add((shot.shape, shot.viewpoint))
     spent = time.process_time() - begun
     figures = {
+        "made_by": made_by,
         "preset": options.preset,
         "workers": options.workers,
         "pictures": made,

@@ -6,6 +6,7 @@ one test starts a cluster.
 
 import json
 import os
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from tests.support.tetrahedron import ROOT
 SIZE = 32
 PROGRAMS = {
     "evaluate": ("learn", "--no-refine --edits 4 --gallery 1 --data {room}/data", "edits.jsonl"),
+    "edit-brightness": ("learn.experiments", "--scenes 2 --data {room}/ladder", "rows.jsonl"),
     "relighting": ("learn.experiments", "--pictures 2 --data {room}/ladder", "rows.jsonl"),
     "upsampling": ("learn.experiments", "--edits 2 --data {room}/large", "rows.jsonl"),
     "unseen-shapes": (
@@ -212,6 +214,18 @@ def test_what_a_cluster_does_not_use_is_refused(words, problem, room, tmp_path, 
     words += f" --ray auto --data {room}/data {weights} {room}/weights.safetensors"
     assert main("learn", "", LEARN, [*words.split(), "--out", str(tmp_path / "out")]) == 1
     assert problem in capsys.readouterr().err
+
+
+def test_the_page_on_clusters_names_the_experiments_that_have_the_option():
+    table = (ROOT / "docs" / "clusters.md").read_text("utf-8").split("\n## Evaluation and", 1)[1]
+    listed = [
+        name
+        for line in table.splitlines()
+        if line.startswith("| the experiment")
+        for name in re.findall(r"`([a-z-]+)`", line.split("|")[1])
+    ]
+    with_option = [name for name in EXPERIMENTS if getattr(runner.find(name), "ON_RAY", False)]
+    assert sorted(listed) == sorted(with_option)
 
 
 def test_experiments_with_a_clock_have_no_such_option(room, tmp_path, capsys):

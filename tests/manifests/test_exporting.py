@@ -137,6 +137,53 @@ def test_the_tables_say_how_exact_a_picture_is_where_its_record_does(whole, form
     assert list(rows.values()) == [{f"accuracy.{key}": None for key in accuracy}] * 7
 
 
+LIMITED = (
+    {"requested": 5.0, "estimator": "denoised", "estimated": 3.0},
+    {"requested": 5.0, "estimator": "path-tracing", "estimated": 6.0},
+    {"requested": 5.0, "estimator": "denoised", "estimated": 4.5},
+    {"requested": 20.0, "estimator": "closed-form", "estimated": 7.25},
+)
+UNLIMITED = "Noise of path tracing is in the pictures: the records give the samples of each pixel."
+
+
+def with_limits(folder, accuracies):
+    """A data set's folder after its first records have been given accuracies."""
+    path = Store(folder).record_files()[0]
+    lines = path.read_bytes().splitlines(keepends=True)
+    for k, accuracy in enumerate(accuracies):
+        rest = {"predicted": 4.0, "standard_error": 0.5, "seconds": 0.2}
+        line = msgspec.json.decode(lines[k]) | {"accuracy": accuracy | rest}
+        lines[k] = msgspec.json.encode(line) + b"\n"
+    path.write_bytes(b"".join(lines))
+    return folder
+
+
+def test_the_card_says_which_errors_were_allowed_and_what_is_known_of_bias(whole, tmp_path):
+    folder = with_limits(shutil.copytree(whole(), tmp_path / "data"), LIMITED)
+    export(Store(folder), tmp_path / "out", "webdataset")
+    card = (tmp_path / "out" / "README.md").read_text("utf-8")
+    part = card.partition("\n## Error of the pictures\n")[2].partition("\n## ")[0]
+    assert "| 5 | 3 | 4.5 | 6 | 1 |" in part and "| 20 | 1 | 7.25 | 7.25 | 0 |" in part
+    assert "| none | 4 |" in part
+    for name, count in (("path-tracing", 1), ("denoised", 2), ("closed-form", 1)):
+        assert f"| {name} | {count} |" in part
+    assert "| ratio |" not in part and "at most a third of the\nlimit" in part
+    assert UNLIMITED not in card and "without a limit on their error, which are 4: the" in card
+
+
+def test_a_card_says_nothing_of_path_tracing_alone_where_every_picture_has_a_limit(whole, tmp_path):
+    folder = with_limits(shutil.copytree(whole(), tmp_path / "data"), 2 * LIMITED)
+    export(Store(folder), tmp_path / "out", "webdataset")
+    card = (tmp_path / "out" / "README.md").read_text("utf-8")
+    assert "Noise of path tracing" not in card and "| none |" not in card
+
+
+def test_a_card_of_pictures_without_limits_says_that_noise_is_in_them(whole, tmp_path):
+    export(Store(whole()), tmp_path / "out", "webdataset")
+    card = (tmp_path / "out" / "README.md").read_text("utf-8")
+    assert UNLIMITED in card and "Error of the pictures" not in card
+
+
 def test_the_hugging_face_layout_names_its_splits_and_features(whole, tmp_path):
     parquet = package("pyarrow")
     store = Store(whole())
