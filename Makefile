@@ -102,7 +102,7 @@ site: $(VENV)/installed
 # The site's gallery is made of index.html, report.json and hero.jpg, once they are copied to docs/results/photographs/.
 GALLERY ?= out/gallery
 gallery: $(VENV)/editor
-	PYTHONPATH=. $(VENV)/bin/python tests/learn/measure_photographs.py $(GALLERY)/packages $(GALLERY) --no-refine --download
+	PYTHONPATH=. $(VENV)/bin/python tests/learn/measure_photographs.py $(GALLERY)/packages $(GALLERY) --download
 
 test: $(VENV)/installed
 	$(VENV)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(PYTEST_FLAGS)

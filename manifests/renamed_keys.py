@@ -23,7 +23,7 @@ CURRENT_NAMES = {
 }
 
 # {a key: {a later one beside it: the value that it had before it could be set}}
-LATER_KEYS = {"trust_region": {"b_colour": 0.0, "half_weight_chroma": None}}  # of refinement
+LATER_KEYS = {"trust_region": {"b_colour": 0.0, "half_weight_colour": None}}  # of refinement
 
 
 def current_name(name: str) -> str:

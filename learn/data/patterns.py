@@ -57,7 +57,7 @@ def printed(
     """
     base, widest = albedos(label)
     is_paint = not all(map(_can_be_dyed, label, widest)) or rng.random() < PAINT
-    carried = pictures(np.stack([_white() if is_paint else _widest(m) for m in label]))
+    carried = pictures(np.stack([_white() if is_paint else widest_lobe(m) for m in label]))
     points = surface_points(n, segments)
     result = np.empty_like(images)
     for i, image in enumerate(images):
@@ -82,16 +82,21 @@ def printed(
 
 def albedos(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the albedo (S, 3) of labels (S, 108), and that of the widest lobe alone."""
-    both = np.stack([label, np.stack([_widest(m) for m in label])])
+    both = np.stack([label, np.stack([widest_lobe(m) for m in label])])
     whole, widest = np.exp(log_albedo(torch.from_numpy(both)).numpy()) - 1e-3
     return whole, np.maximum(widest, 1e-3)
 
 
-def _widest(label: np.ndarray) -> np.ndarray:
+def widest_lobe(label: np.ndarray) -> np.ndarray:
     """Return the label (108,) of the widest lobe alone."""
     result = label.reshape(SHAPE).copy()
     result[:, 1:, 0] = NO_LOBE
     return result.reshape(-1)
+
+
+def can_be_dyed(label: np.ndarray) -> bool:
+    """Return whether the widest lobe of a label (108,) is a matte part, which dye recolours."""
+    return _can_be_dyed(label, albedos(label[None])[1][0])
 
 
 def _can_be_dyed(label: np.ndarray, widest: np.ndarray) -> bool:

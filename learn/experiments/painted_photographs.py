@@ -26,7 +26,7 @@ from manifests.option_types import positive
 if TYPE_CHECKING:
     import torch
 
-    from learn.data.records import Records
+    from learn.data.records import Records, Sample
     from learn.refinement import RefinementSettings
 
 ON_RAY = True
@@ -53,7 +53,7 @@ def settings_of(method: str) -> RefinementSettings | None:
     """Return how one of METHODS refines."""
     from learn.refinement import PHOTOGRAPHS
 
-    light_held = replace(PHOTOGRAPHS, half_weight_chroma=None)
+    light_held = replace(PHOTOGRAPHS, half_weight_colour=None)
     before = replace(light_held, b_colour=0.0)
     return {BEFORE: before, LIGHT_HELD: light_held, IN_USE: PHOTOGRAPHS}.get(method)
 
@@ -92,8 +92,8 @@ def row_of(
     """Return the row of `photographed_edits.row_of` for a painted object and one method."""
     from learn.experiments import photographed_edits
 
-    def in_paint(radiance: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return painting.painted(paint, radiance, n, case.source.id)
+    def in_paint(sample: Sample) -> np.ndarray:
+        return painting.painted(paint, sample, case.source.id)
 
     return photographed_edits.row_of(records, network, size, case, settings_of(method), in_paint)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
-    from learn.data.records import Records
+    from learn.data.records import Records, Sample
     from learn.experiments.photographing import Photographed
     from learn.refinement import RefinementSettings
     from manifests.schema import Record
@@ -175,12 +175,12 @@ def row_of(
     size: int,
     case: Case,
     settings: RefinementSettings | None,
-    paint: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    paint: Callable[[Sample], np.ndarray] | None = None,
 ) -> dict[str, Any]:
     """Return what a photograph shows, its cues, and the figures of its edits.
 
     settings  of refinement; None: none
-    paint     from radiance (H, H, 3) and normals (H, H, 3) to the radiance that is photographed
+    paint     from the picture to the radiance (H, H, 3) that is photographed; None: its own
 
     {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "light_green": of
     the light that was read, before it was taken back, "cues": of learn.editing.exposure, "edits":
@@ -203,9 +203,8 @@ def row_of(
 
     record = case.source
     sample = records.load(record)
-    radiance = sample.image.numpy()
     photo = photographed(
-        radiance if paint is None else paint(radiance, sample.n.numpy()),
+        sample.image.numpy() if paint is None else paint(sample),
         sample.mask.numpy(),
         sample.light.numpy(),
         np.radians(record.camera.elevation_deg),

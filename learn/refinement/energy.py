@@ -15,7 +15,7 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `ordinary`.
+front, which one material cannot explain: its misfit counts less by `explained`.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
@@ -34,7 +35,7 @@ from learn.refinement.settings import RefinementSettings
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
-DARK = 0.02  # of white: colours of what is darker count as grey
+DARK = 0.02  # of white: colours of what is darker count little
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -79,19 +80,39 @@ def misfit(
     return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
 
 
-def ordinary(image: torch.Tensor, segments: torch.Tensor, half: float) -> torch.Tensor:
-    """Return weights (P,) of pixels, 1 where a pixel has the colour of its region.
+def explained(image: torch.Tensor, segments: torch.Tensor, half: float) -> torch.Tensor:
+    """Return weights (P,) of pixels, 1 where the own colour of their region and white explain them.
+
+    A surface of one material shows its own colour, more or less shaded, and in highlights that of
+    the light, which is taken to be white (Shafer 1985). What no sum of both explains is a print, or
+    something in front. A print in black or white is not recognised.
 
     image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
-    half      distance from that colour at which the weight is a half, as `half_weight_chroma`
+    half      share of a pixel that neither explains at which its weight is a half, as
+              `half_weight_colour`
     """
-    logarithm = (image + DARK).log()
-    chroma = logarithm - logarithm.mean(-1, keepdim=True)
-    distance = torch.zeros_like(chroma)
+    share = torch.zeros_like(image[:, 0])
     for region in segments.unique():
         of = segments == region
-        distance[of] = chroma[of] - chroma[of].median(0).values
-    return 1 / (1 + (distance / half).square().sum(-1))
+        share[of] = _unexplained(image[of])
+    return 1 / (1 + (share / half) ** 2)
+
+
+def _unexplained(image: torch.Tensor) -> torch.Tensor:
+    """Return the share (P,) of pixels (P, 3) of one region that is neither its colour nor white.
+
+    Sums of both colours are a sector of the plane that they span; what counts is the distance to
+    its nearest point.
+    """
+    length = image.norm(dim=-1)
+    own = F.normalize((image / length.clamp(min=DARK)[:, None]).median(0).values, dim=0)
+    white = F.normalize(torch.ones_like(own), dim=0)
+    across = F.normalize(white - (white @ own) * own, dim=0, eps=1e-4)
+    along, aside = image @ own, (image @ across).clamp(min=0)
+    nearest = along[:, None] * own + aside[:, None] * across
+    beyond_white = aside * (white @ own) > along * (white @ across)
+    nearest[beyond_white] = (image[beyond_white] @ white)[:, None] * white
+    return (image - nearest).norm(dim=-1) / (length + DARK)
 
 
 class Energy:
@@ -113,11 +134,11 @@ class Energy:
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
         )
         self.weights = None
-        if settings.half_weight_chroma is not None:
-            self.weights = ordinary(
+        if settings.half_weight_colour is not None:
+            self.weights = explained(
                 image[self.inside] * exposure,
                 self.segments.flatten()[self.inside],
-                settings.half_weight_chroma,
+                settings.half_weight_colour,
             )
         self.log_light = torch.log1p(start.light)
         self.share = solid_angles(start.light)

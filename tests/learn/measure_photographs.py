@@ -35,7 +35,7 @@ from learn.editing import decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
 from learn.figures import html, montage
 from learn.networks import weights
-from learn.refinement import RefinementSettings
+from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.provenance import provenance, shortened
 from shaders import tone
@@ -147,7 +147,7 @@ def main(arguments):
         arguments.root.mkdir(parents=True, exist_ok=True)
         download(arguments.root)
     network, metadata = weights.load_parts(arguments.weights, "cpu")
-    settings = None if arguments.no_refine else RefinementSettings()
+    settings = None if arguments.no_refine else PHOTOGRAPHS
     digest = hashlib.sha256(arguments.weights.read_bytes()).hexdigest()
     about = {
         "weights": f"{arguments.weights.name} {digest[:12]}",

@@ -17,7 +17,7 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import DARK, Energy, ordinary
+from learn.refinement.energy import DARK, Energy, explained
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -96,21 +96,22 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
     assert result == pytest.approx(expected, rel=1e-5)  # float32
 
 
-def test_a_pixel_counts_less_the_farther_it_is_from_the_colour_of_its_own_region():
-    half = 0.2
+def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
+    half = 0.1
     red, blue = torch.tensor([0.8, 0.2, 0.2]), torch.tensor([0.1, 0.1, 0.7])
-    step = torch.tensor([2.0, -1.0, -1.0]) / math.sqrt(6)
-    orange = (red + DARK) * (half * step).exp() - DARK
-    image = torch.stack([red, red, red, orange, blue, blue, blue, red])
-    regions = torch.tensor([1, 1, 1, 1, 2, 2, 2, 2])
-    weights = ordinary(image, regions, half).numpy()
-    assert weights[:3] == pytest.approx(1) and weights[4:7] == pytest.approx(1)
-    assert float(weights[3]) == pytest.approx(0.5, rel=1e-5)
-    assert float(weights[7]) < 0.05
-    darker = 0.5 * (image + DARK) - DARK  # shading is no colour
-    assert ordinary(darker, regions, half).numpy() == pytest.approx(weights, rel=1e-4)
-    alike = ordinary(image, torch.ones(8, dtype=torch.long), half).numpy()
-    assert (alike[4:7] < 0.05).all()  # of one region, whose colour is about red
+    strange = F.normalize(torch.linalg.cross(red, torch.ones(3)), dim=0)
+    off = red + half * (red.norm() + DARK) / (1 - half**2) ** 0.5 * strange
+    share = half * (red.norm() + DARK) / (1 - half**2) ** 0.5 / (off.norm() + DARK)
+    image = torch.stack([red, red, 0.3 * red, red + 0.4, off, blue, blue, blue, red])
+    regions = torch.tensor([1, 1, 1, 1, 1, 2, 2, 2, 2])
+    weights = explained(image, regions, half).numpy()
+    assert weights[:4] == pytest.approx(1) and weights[5:8] == pytest.approx(1)
+    assert weights[4] == pytest.approx(float(1 / (1 + (share / half) ** 2)), rel=1e-4)
+    assert weights[4] == pytest.approx(0.5, abs=0.01) and weights[8] < 0.05
+    alike = explained(image, torch.ones(9, dtype=torch.long), half).numpy()
+    assert (alike[5:8] < 0.05).all() and alike[8] > 0.5  # of one region, about red
+    grey = explained(torch.full((5, 3), 0.4) + 0.01 * torch.eye(5, 3), torch.ones(5), half)
+    assert (grey > 0.95).all()
 
 
 def test_a_print_counts_less_in_the_misfit_and_no_less_where_all_pixels_count_alike(monkeypatch):
@@ -123,14 +124,14 @@ def test_a_print_counts_less_in_the_misfit_and_no_less_where_all_pixels_count_al
         energy = Energy(
             replace(batch, image=image),
             start,
-            replace(RefinementSettings(), half_weight_chroma=half),
+            replace(RefinementSettings(), half_weight_colour=half),
         )
         terms = energy.terms(start, energy.inside)
         some = energy.terms(start, energy.inside[8 * 4 :])  # the yellow row and two others
         assert float(some["image"]) == pytest.approx(float(terms["image"]) * 7 / 3, rel=1e-5)
         return float(terms["image"])
 
-    assert 0 < misfit(0.2) < 0.1 * misfit(None)
+    assert 0 < misfit(0.1) < 0.1 * misfit(None)
     assert misfit(1e6) == pytest.approx(misfit(None), rel=1e-5)
 
 
@@ -238,9 +239,9 @@ def test_defaults_are_those_that_the_documentation_tells(root):
         NAMED["paper"],
     )
     assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in report
-    photographs = f"`b_colour` = {PHOTOGRAPHS.b_colour:g} and `half_weight_chroma` ="
-    assert f"{photographs} {PHOTOGRAPHS.half_weight_chroma:g}" in report
-    assert (s.b_colour, s.half_weight_chroma) == (0, None)
+    photographs = f"`b_colour` = {PHOTOGRAPHS.b_colour:g} and `half_weight_colour` ="
+    assert f"{photographs} {PHOTOGRAPHS.half_weight_colour:g}" in report
+    assert (s.b_colour, s.half_weight_colour) == (0, None)
     assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in report
     assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
     assert f"spherical harmonics up to degree {s.degree}," in report
