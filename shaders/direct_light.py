@@ -293,9 +293,10 @@ class DirectLight:
         if len(lacking):
             nodes = np.argwhere(at.known == 2)
             at.set(nodes, compute(at.normals(nodes)))
-            radiance = np.zeros((len(lacking), 3), np.float32)
+            # added as where the nodes were known, so that what was asked before changes no bit
+            radiance = out[lacking]
             at.add(n[lacking], horizon, table, radiance)
-            out[lacking] += radiance
+            out[lacking] = radiance
         (low,) = np.nonzero(n[:, 2] < np.float32(horizon))
         if len(low):
             weights = table_look_up(table[:, 2:], 1 - n[low, 2])

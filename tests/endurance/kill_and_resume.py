@@ -28,8 +28,9 @@ from manifests.store import Store
 
 # relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding
 SAME_PICTURE = 2e-3
-# of a record: what Cycles' repeatability leaves open
-VARYING = {"image_hash", "geometry_hash", "seconds", "statistics"}
+SAME_ERROR = 1e-3  # of a job's limit: what the same does to an error
+# of a record: what Cycles' repeatability leaves open, and what _same_accuracy compares
+VARYING = {"image_hash", "geometry_hash", "seconds", "statistics", "accuracy"}
 
 
 def disturbed(command, folder, kills, window, seed, environment=None, working=False):
@@ -86,6 +87,9 @@ def compared(whole, killed):
         lines += [
             f"{id_}: {key} {a[key]} and {b[key]}" for key in a.keys() - VARYING if a[key] != b[key]
         ]
+        accuracies = a.get("accuracy"), b.get("accuracy")
+        if not _same_accuracy(*accuracies):
+            lines.append(f"{id_}: accuracy {accuracies[0]} and {accuracies[1]}")
         first, second = (
             read_picture(Path(whole) / a["image"]),
             read_picture(Path(killed) / b["image"]),
@@ -94,6 +98,17 @@ def compared(whole, killed):
         if not apart <= SAME_PICTURE:
             lines.append(f"{id_}: pixels {apart:.2g} of the largest apart")
     return lines
+
+
+def _same_accuracy(one, other):
+    """Whether two records of one shot had the same estimator and errors, in whatever time."""
+    if one is None or other is None:
+        return one is other
+    errors, most = ("predicted", "estimated", "standard_error"), SAME_ERROR * one["requested"]
+    return all(
+        abs(one[key] - other[key]) <= most if key in errors else one[key] == other[key]
+        for key in one.keys() - {"seconds"}
+    )
 
 
 def main():

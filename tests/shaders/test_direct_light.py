@@ -77,6 +77,24 @@ def test_maps_are_kept_between_calls(light, monkeypatch):
     np.testing.assert_array_equal(direct.at(normals(50, 80)), first)
 
 
+def test_normals_asked_for_before_change_no_bit(light):
+    """A continued run begins with empty maps: what it shows is what an undisturbed run does."""
+    kinds = ("diffuse", "ggx", "sheen")
+    mixture = Mixture(
+        kinds,
+        np.array([0.0, 1.0]),
+        np.log(np.full((2, 3), [1.0, 0.3, 0.6])),
+        np.zeros((2, 3)),
+        np.random.default_rng(2).uniform(0.1, 0.5, (2, 3, 3)),
+    )
+    n = normals(300, 80)
+    fresh, asked = (DirectLight(mixture, light, ROTATION) for _ in range(2))
+    asked.at(n[::3])
+    first = fresh.at(n)
+    np.testing.assert_array_equal(asked.at(n), first)
+    np.testing.assert_array_equal(fresh.at(n), first)
+
+
 @pytest.mark.parametrize("kind, alpha", [("diffuse", 1.0), ("ggx", 0.5), ("sheen", 0.6)])
 @pytest.mark.parametrize("tilt", [0.0, -0.1])
 def test_near_the_horizon_no_map_blurs_where_a_closure_ends(light, kind, alpha, tilt):
