@@ -612,6 +612,18 @@ def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
     assert 0.5 * spread < np.mean([each.standard_error for each in measured]) < 2 * spread
 
 
+def test_points_are_enough_and_do_not_depend_on_the_last_bits_of_their_parts(rng):
+    levels = np.array([16, 32, 64, 256, 1024])
+    for _ in range(50):
+        parts = rng.lognormal(0, 2, 200)
+        own = np.full(200, 16)
+        most = rng.uniform(0.05, 0.5) * parts.mean()
+        points = closed_form._counts(parts, own, levels, most)
+        assert (parts * 16 / points).mean() <= most
+        rounded = parts * (1 + 1e-7 * rng.standard_normal(200))
+        assert np.array_equal(closed_form._counts(rounded, own, levels, most), points)
+
+
 def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
     expected = Estimate(2.0, 3.0)
     vague, sharp = (closed_form.weighed(Estimate(6.0, s), expected) for s in (100.0, 0.1))

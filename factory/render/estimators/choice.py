@@ -24,7 +24,7 @@ from factory.render.estimators.renderer import EFFORTS, DirectPicture, Shown
 from manifests.schema import Estimator, Tier
 
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
-VERSION = 15  # of the rules and of shaders.direct_light; a change makes new pictures
+VERSION = 16  # of the rules and of shaders.direct_light; a change makes new pictures
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 MORE = 1.5  # times the samples of a try that failed, at least

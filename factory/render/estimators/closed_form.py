@@ -170,7 +170,7 @@ def _counts(parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: flo
     roots = np.sqrt(parts)
     steps = np.sqrt(levels[1:] * levels[:-1].astype(float)) / levels[0]
     low, high = 1e-6 * (float(roots.max()) + 1e-12), float(roots.max()) + 1e-12
-    largest = counts
+    largest, settled = counts, False
     for _ in range(30):  # halvings, on a log scale, of the root that more points are worth
         middle = math.sqrt(low * high)
         known = np.maximum(counts, levels[np.searchsorted(steps, roots / middle)])
@@ -178,7 +178,9 @@ def _counts(parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: flo
         if int(known[known > counts].sum()) > MOST_POINTS:
             low = middle
             continue
-        largest = known
+        # the last step that is enough: the last one of all would depend on the last bit of a part
+        if enough or not settled:
+            largest, settled = known, enough
         low, high = (middle, high) if enough else (low, middle)
     return largest
 
