@@ -6,7 +6,9 @@ Each term is a mean, so that a weight means the same at any size of picture and 
 image     mean over pixels and channels of (C(I*) − C(I))²
 normals   mean over pixels of |n* − n'|²
 light     mean over the sphere (solid angle) and channels of (log(1 + L*) − log(1 + L'))²
-colour    the same of what each channel's difference is beyond the mean of the three; not in Eq. 6
+colour    the same of log(FAINT + L) in place of log(1 + L), and of what a channel's difference is
+          beyond the mean of the three; not in Eq. 6. The dark parts of a light have to be held to
+          their colours too, for they are most of it
 material  mean over regions of |z|²/K, the distance from the prediction in units of the training
           materials' spread; not in Eq. 6, c = 0 there
 
@@ -35,6 +37,7 @@ from learn.refinement.settings import RefinementSettings
 from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
+FAINT = 0.05  # of a light's mean: ratios of what is darker count little
 DARK = 0.02  # of white: colours of what is darker count little
 TERMS = ("image", "normals", "light", "colour", "material")
 
@@ -141,6 +144,7 @@ class Energy:
                 settings.half_weight_colour,
             )
         self.log_light = torch.log1p(start.light)
+        self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)
 
     def pixels(self, count: int) -> torch.Tensor:
@@ -201,7 +205,8 @@ class Energy:
         )
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = torch.log1p(state.light) - self.log_light
-        coloured = relit - relit.mean(1, keepdim=True)
+        ratio = (FAINT + state.light).log() - self.log_ratio
+        coloured = ratio - ratio.mean(1, keepdim=True)
         return {
             "image": image,
             "normals": (moved**2).sum(0).mean(),

@@ -17,7 +17,7 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import DARK, Energy, explained
+from learn.refinement.energy import DARK, FAINT, Energy, explained
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -81,7 +81,8 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
         "image": (math.log(17 / 9) / math.log(9)) ** 2 / pixels,
         "normals": (0.6**2 + 0.2**2) / pixels,
         "light": 2 / 6,  # 1 in two channels of three, half of the sphere
-        "colour": 1 / 9,  # 1/3, 1/3 and −2/3 beyond the mean of the channels, half of the sphere
+        # twice 1/3 and once −2/3 of it beyond the mean of the channels, half of the sphere
+        "colour": math.log((FAINT + math.e**2 - 1) / (FAINT + math.e - 1)) ** 2 / 9,
         "material": 3.0,
     }
     expected["total"] = (
