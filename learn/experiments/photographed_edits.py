@@ -243,9 +243,10 @@ def edit_of(
     """Return a row of "edits" of `row_of`. Brightness is the mean luminance over the object."""
     import numpy as np
 
-    from learn.editing import brightness, light_colour
+    from learn.editing import light_colour
     from learn.editing.photograph import CLEAR
     from learn.experiments.photographing import placed
+    from learn.layer.albedo import narrow_share
     from shaders import tone
     from shaders.tone import LUMINANCE
 
@@ -261,7 +262,7 @@ def edit_of(
     return {
         "target": name,
         "family": records.material(name).family,
-        "narrow": brightness.narrow_share(label),
+        "narrow": narrow_share(label),
         "darkened": -float(np.log2(compositor.brightness(label))),
         "stops": float(np.log2(mine / its)),
         "green": light_colour.green_of(colours[0]) - light_colour.green_of(colours[1]),

@@ -3,10 +3,14 @@
 import numpy as np
 import torch
 
-from shaders.dsbrdf import SHAPE
+from shaders.dsbrdf import MAX_EXPONENT, SHAPE, lobe_sharpness
 from shaders.spline import basis
+from shaders.tone import LUMINANCE
 
 KAPPA_CEILING = 12.0  # of κ c^γ, so that expm1 of a wild prediction stays finite
+# sharpness of a lobe of which half counts as narrow; for brightness of edits (learn.editing), 3 and
+# 30 explain as much
+HALF_NARROW = 10.0
 _NODES = 48
 
 
@@ -37,3 +41,15 @@ def lobe_albedos(label: torch.Tensor) -> torch.Tensor:
     )
     weight = torch.as_tensor(weight, dtype=label.dtype).to(label.device)
     return (lobes * weight).sum(-1)
+
+
+def narrow_share(label: np.ndarray) -> float:
+    """Return the share, 0 to 1, of a material's albedo that lies in narrow lobes.
+
+    label  (108,) natural logarithms
+    """
+    lobes = torch.as_tensor(np.asarray(label, np.float64).reshape(-1))
+    kappa, gamma = np.exp(lobes.numpy()).reshape(SHAPE)[..., 0].transpose(2, 0, 1)
+    sharpness = lobe_sharpness(np.minimum(kappa, MAX_EXPONENT), gamma)
+    albedo = lobe_albedos(lobes).numpy() * np.asarray(LUMINANCE)[:, None]
+    return float((albedo * sharpness / (sharpness + HALF_NARROW)).sum() / max(albedo.sum(), 1e-9))

@@ -17,7 +17,8 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `explained`.
+front, which one material cannot explain: its misfit counts less by `explained`, the less the more
+matte the predicted material is.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -31,6 +32,7 @@ import torch.nn.functional as F
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
+from learn.layer.albedo import narrow_share
 from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
 from learn.refinement.settings import RefinementSettings
@@ -138,11 +140,12 @@ class Energy:
         )
         self.weights = None
         if settings.half_weight_colour is not None:
-            self.weights = explained(
-                image[self.inside] * exposure,
-                self.segments.flatten()[self.inside],
-                settings.half_weight_colour,
-            )
+            regions = self.segments.flatten()[self.inside]
+            weights = explained(image[self.inside] * exposure, regions, settings.half_weight_colour)
+            # what is mirrored has the colours of what is around
+            narrow = [narrow_share(array(label)) for label in start.label[0].detach()]
+            mirrored = torch.tensor([0.0, *narrow]).to(weights)[regions]
+            self.weights = mirrored + (1 - mirrored) * weights
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)

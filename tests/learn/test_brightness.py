@@ -11,6 +11,7 @@ from learn.editing.compositor import Compositor
 from learn.editing.edit import EditOptions, compute
 from learn.evaluation.methods import AsEdited, Layered, rendered
 from learn.layer import predictions
+from learn.layer.albedo import narrow_share
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from manifests.progress import tqdm
@@ -28,16 +29,16 @@ def lobes(*shapes: tuple[float, float]) -> np.ndarray:
 
 def test_the_share_is_that_of_albedo_in_narrow_lobes() -> None:
     matte, narrow = (0.1, 1e-3), (3.0, 1000.0)
-    assert brightness.narrow_share(lobes(matte)) < 0.01
-    assert brightness.narrow_share(lobes(narrow)) > 0.99
-    both = brightness.narrow_share(lobes(matte, narrow))
-    twice = brightness.narrow_share(lobes(matte, narrow, narrow))
+    assert narrow_share(lobes(matte)) < 0.01
+    assert narrow_share(lobes(narrow)) > 0.99
+    both = narrow_share(lobes(matte, narrow))
+    twice = narrow_share(lobes(matte, narrow, narrow))
     # of albedos a and b the share is b / (a + b), and 2b / (a + 2b)
     assert twice / (1 - twice) == pytest.approx(2 * both / (1 - both), rel=0.05)
 
 
 def test_a_black_material_has_a_share_too() -> None:
-    assert 0 <= brightness.narrow_share(np.full(108, -40.0)) <= 1
+    assert 0 <= narrow_share(np.full(108, -40.0)) <= 1
 
 
 def test_metals_are_darkened_and_matte_materials_are_not() -> None:

@@ -115,24 +115,27 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     assert (grey > 0.95).all()
 
 
-def test_a_print_counts_less_in_the_misfit_and_no_less_where_all_pixels_count_alike(monkeypatch):
+@pytest.mark.parametrize(("gamma", "least", "most"), [(0.5, 0.0, 0.15), (3000.0, 0.95, 1.0)])
+def test_a_print_counts_less_in_the_misfit_the_more_matte_the_material_is(
+    monkeypatch, gamma, least, most
+):
     batch, start = flat()
     image = batch.image.clone()
     image[0, 2, 5] = 0.1  # a yellow row of eight
+    label = torch.zeros(1, 1, 3, 3, 2, 6, dtype=torch.float64)
+    label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(gamma)
+    start = replace(start, label=label.reshape(1, 1, 108))
     monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
 
     def misfit(half):
-        energy = Energy(
-            replace(batch, image=image),
-            start,
-            replace(RefinementSettings(), half_weight_colour=half),
-        )
+        settings = replace(RefinementSettings(), half_weight_colour=half)
+        energy = Energy(replace(batch, image=image), start, settings)
         terms = energy.terms(start, energy.inside)
         some = energy.terms(start, energy.inside[8 * 4 :])  # the yellow row and two others
         assert float(some["image"]) == pytest.approx(float(terms["image"]) * 7 / 3, rel=1e-5)
         return float(terms["image"])
 
-    assert 0 < misfit(0.1) < 0.1 * misfit(None)
+    assert least < misfit(0.1) / misfit(None) < most
     assert misfit(1e6) == pytest.approx(misfit(None), rel=1e-5)
 
 
