@@ -18,6 +18,7 @@ from manifests.files import write_bytes
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
 LIMIT = "limit on the error"
 PEER_NAME = "BlenderProc"
+UNLIKE = "no denoiser"  # of a setting that differs in more than samples from its family
 PEER_DEFAULTS = "defaults"  # of its settings
 OURS = ("path tracing", "denoised", "ratio", LIMIT)
 BIASED = ("denoised", "ratio")
@@ -226,16 +227,24 @@ def chart(figures: list[dict[str, Any]], path: Path) -> None:
                 (each for each in figures if each["family"] == family),
                 key=lambda each: each["seconds"],
             )
-            x = [1 / each["seconds"] for each in of]
-            y = [max(each[key], 1e-2) for each in of]
-            mine = family == LIMIT
-            joined = "" if family == PEER_NAME else "-"
-            axes.plot(x, y, "o" + joined, label=family, lw=2.5 if mine else 1.2, ms=5)
+            points = [(1 / each["seconds"], max(each[key], 1e-2)) for each in of]
+            # more samples, and whether they are denoised, are two things: one line has the first
+            joined = [
+                point
+                for each, point in zip(of, points, strict=True)
+                if UNLIKE not in each["setting"]
+            ]
+            width = 2.5 if family == LIMIT else 1.2
+            (line,) = axes.plot(*zip(*joined, strict=True), "o-", label=family, lw=width, ms=5)
+            alone = [point for point in points if point not in joined]
+            axes.plot(
+                [x for x, _ in alone], [y for _, y in alone], "o", color=line.get_color(), ms=5
+            )
             if family == PEER_NAME:
-                for each, a, b in zip(of, x, y, strict=True):
+                for each, point in zip(of, points, strict=True):
                     axes.annotate(
                         each["setting"],
-                        (a, b),
+                        point,
                         xytext=(5, 4),
                         textcoords="offset points",
                         fontsize=7,
