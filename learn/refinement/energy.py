@@ -85,39 +85,49 @@ def misfit(
     return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
 
 
-def explained(image: torch.Tensor, segments: torch.Tensor, half: float) -> torch.Tensor:
+def explained(
+    image: torch.Tensor, segments: torch.Tensor, half: float, clipped: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return weights (P,) of pixels, 1 where the own colour of their region and white explain them.
 
     A surface of one material shows its own colour, more or less shaded, and in highlights that of
     the light, which is taken to be white (Shafer 1985). What no sum of both explains is a print, or
-    something in front. A print in black or white is not recognised.
+    something in front. A print in black or white is not recognised, and a side that is lit in
+    another colour is taken for a print.
 
     image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
     half      share of a pixel that neither explains at which its weight is a half, as
               `half_weight_colour`
+    clipped   (P,) shares that are clipped, whose colour is not known: they weigh 1
     """
+    clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
     share = torch.zeros_like(image[:, 0])
     for region in segments.unique():
         of = segments == region
-        share[of] = _unexplained(image[of])
-    return 1 / (1 + (share / half) ** 2)
+        sure = of & (clipped == 0)
+        share[of] = _unexplained(image[of], _own_colour(image[sure if sure.any() else of]))
+    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
 
 
-def _unexplained(image: torch.Tensor) -> torch.Tensor:
-    """Return the share (P,) of pixels (P, 3) of one region that is neither its colour nor white.
+def _own_colour(image: torch.Tensor) -> torch.Tensor:
+    """Return the median direction (3,), of unit length, of pixels (P, 3) of one region."""
+    length = image.norm(dim=-1, keepdim=True).clamp(min=DARK)
+    return F.normalize((image / length).median(0).values, dim=0)
 
-    Sums of both colours are a sector of the plane that they span; what counts is the distance to
-    its nearest point.
+
+def _unexplained(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+    """Return the share (P,) of pixels (P, 3) that no sum of a colour (3,) and white explains.
+
+    Sums of both are a sector of the plane that they span; what counts is the distance to its
+    nearest point.
     """
-    length = image.norm(dim=-1)
-    own = F.normalize((image / length.clamp(min=DARK)[:, None]).median(0).values, dim=0)
     white = F.normalize(torch.ones_like(own), dim=0)
     across = F.normalize(white - (white @ own) * own, dim=0, eps=1e-4)
     along, aside = image @ own, (image @ across).clamp(min=0)
     nearest = along[:, None] * own + aside[:, None] * across
     beyond_white = aside * (white @ own) > along * (white @ across)
     nearest[beyond_white] = (image[beyond_white] @ white)[:, None] * white
-    return (image - nearest).norm(dim=-1) / (length + DARK)
+    return (image - nearest).norm(dim=-1) / (image.norm(dim=-1) + DARK)
 
 
 class Energy:
@@ -140,8 +150,11 @@ class Energy:
         )
         self.weights = None
         if settings.half_weight_colour is not None:
-            regions = self.segments.flatten()[self.inside]
-            weights = explained(image[self.inside] * exposure, regions, settings.half_weight_colour)
+            regions = self.segments.flatten()[self.inside].clamp(max=self.regions)
+            clipped = None if self.clipped is None else self.clipped[self.inside].amax(-1)
+            weights = explained(
+                image[self.inside] * exposure, regions, settings.half_weight_colour, clipped
+            )
             # what is mirrored has the colours of what is around
             narrow = [narrow_share(array(label)) for label in start.label[0].detach()]
             mirrored = torch.tensor([0.0, *narrow]).to(weights)[regions]
@@ -235,9 +248,7 @@ class Energy:
         This total accepts or rejects a step; it is inf for a state that cannot be rendered.
         """
         if not state.is_renderable:
-            return dict.fromkeys(
-                ("image", "normals", "light", "colour", "material", "total"), math.inf
-            )
+            return dict.fromkeys((*TERMS, "total"), math.inf)
         with torch.no_grad():
             terms = self.terms(state, self.inside)
             return {name: float(value) for name, value in terms.items()} | {

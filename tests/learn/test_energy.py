@@ -115,6 +115,23 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     assert (grey > 0.95).all()
 
 
+def test_clipped_pixels_are_no_print_and_say_nothing_of_the_objects_colour():
+    orange = torch.tensor([1.0, 0.45, 0.08])
+    image = torch.stack([0.5 * orange, 0.6 * orange, *[(2 * orange).clamp(max=1)] * 5])
+    regions, clipped = torch.ones(7, dtype=torch.long), torch.tensor([0.0, 0.0] + 5 * [1.0])
+    assert explained(image, regions, 0.1, clipped).numpy() == pytest.approx(1, abs=1e-3)
+    assert (explained(image, regions, 0.1)[:2] < 0.5).all()  # as if not known to be clipped
+    partly = explained(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 0.5]))
+    whole = explained(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 1e-9]))
+    assert float(partly[1]) == pytest.approx(0.5 + float(whole[1]) / 2, rel=1e-4)
+
+
+def test_grey_and_black_regions_count_whole():
+    image = torch.cat([torch.full((4, 3), 0.4), torch.zeros(4, 3)])
+    regions = torch.tensor([1] * 4 + [2] * 4)
+    assert explained(image, regions, 0.1).numpy() == pytest.approx(1)
+
+
 @pytest.mark.parametrize(("gamma", "least", "most"), [(0.5, 0.0, 0.15), (3000.0, 0.95, 1.0)])
 def test_a_print_counts_less_in_the_misfit_the_more_matte_the_material_is(
     monkeypatch, gamma, least, most
