@@ -11,6 +11,7 @@ standard library may be imported at its top: heavy libraries are imported inside
 import argparse
 import importlib
 import os
+import select
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -104,7 +105,8 @@ def main(
         return _failed(program, missing, debug, reword)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
-        if isinstance(error, BrokenPipeError) and error.filename == OUTPUT:
+        if isinstance(error, BrokenPipeError) and (error.filename == OUTPUT or _reader_has_gone()):
+            _drop_output()
             return READER_GONE  # `| head` has read enough: nothing to report
         return _failed(program, error, debug, reword)
     except (MemoryError, RuntimeError) as error:
@@ -176,10 +178,24 @@ def _flush_output() -> None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
+        _drop_output()
         raise OSError(error.errno, error.strerror, OUTPUT) from None
+
+
+def _drop_output() -> None:
+    """Send what is still to be printed nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+def _reader_has_gone() -> bool:
+    """Return whether the standard output is a pipe that nobody reads any more."""
+    if sys.stdout is None or not hasattr(select, "poll"):
+        return False
+    poll = select.poll()
+    poll.register(sys.stdout.fileno(), select.POLLOUT)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _failed(program: str, error: Exception, debug: bool, reword: Callable[[str], str]) -> int:

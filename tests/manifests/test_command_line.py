@@ -48,6 +48,26 @@ def test_a_reader_that_has_gone_ends_a_command_in_silence_as_the_signal_does(roo
     assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
 
 
+def test_a_reader_that_leaves_in_the_middle_of_much_output_is_no_error_either(root):
+    many = "print(*range(200000), sep='\\n')"
+    program = (
+        "import sys; from manifests.cli import main; from types import SimpleNamespace as S\n"
+        f"def run(options): {many}\n"
+        "sys.exit(main('much', 'x', {'print': lambda sub: sub.add_parser('print')"
+        ".set_defaults(run=run)}, ['print']))"
+    )
+    command = f'{sys.executable} -c "$PROGRAM" | head -1; echo ${{PIPESTATUS[0]}}'
+    done = subprocess.run(
+        ["bash", "-c", command],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=ENVIRONMENT | {"PROGRAM": program},
+    )
+    assert (done.stdout, done.stderr) == ("0\n141\n", "")
+
+
 HAS_BLENDER = importlib.util.find_spec("bpy") is not None
 WITH_BLENDER = pytest.mark.skipif(
     not HAS_BLENDER, reason="the job's light maps come with Blender (pip install .[factory])"
