@@ -53,7 +53,7 @@ demo:
 	$(call stage,1,Installing the editor,a minute, and the download of 400 MB; five minutes are left without downloads)
 	@$(MAKE) --no-print-directory $(VENV)/editor
 	$(call stage,2,Editing a photograph,half a minute; four and a half are left)
-	$(VENV)/bin/python -m learn edit example:espresso-cup --material dark-blue-paint+keep silver-metallic-paint+green-latex --out $(OUT)/cup --overwrite
+	$(VENV)/bin/python -m learn edit example:espresso-cup --material dark-blue-paint+keep orange-paint+dark-blue-paint --out $(OUT)/cup --overwrite
 	@echo "The first edited photograph: $(OUT)/cup/sheet.png"
 	$(call stage,3,Installing Blender and the rest,half a minute, and the download of 600 MB; four are left)
 	@$(MAKE) --no-print-directory $(VENV)/installed

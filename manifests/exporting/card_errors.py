@@ -36,7 +36,7 @@ percentile of luminance to 1. It is estimated from two halves of the picture wit
 # docs/error-limit.md has the figures: 285 of 300 pictures, and 380 of 400 of other meshes
 BIAS = """\
 By its estimate, the squared bias of each picture that is not path-traced is at most a third of the
-limit. Some of these have a share of the noisy picture in them, which lowers their bias. No estimate
+limit. Some of these are blended with the noisy picture, which lowers their bias. No estimate
 includes light that hardly any sample finds, such as highlights of small lamps.
 
 Compared with references of many samples, 95 % of 700 random pictures of this program kept both the
@@ -88,8 +88,8 @@ def limits(records: Sequence[Record]) -> Iterator[str]:
     )
     if left := len(records) - limited:
         yield (
-            "Noise of path tracing is in the pictures without a limit on their error, which are"
-            f" {left}: {SAMPLES}"
+            f"Noise of path tracing is in the {left} pictures without a limit on their error:"
+            f" {SAMPLES}"
         )
 
 

@@ -133,7 +133,7 @@ def hero(path, weights_path):
     pictures = [
         tone.display(parts.photograph.radiance, 1.0),
         parts.paint("dark-blue-paint", None).display,
-        parts.paint("silver-metallic-paint", "green-latex").display,
+        parts.paint("orange-paint", "dark-blue-paint").display,
     ]
     gap = np.full((len(pictures[0]), 8, 3), 255.0)
     row = [part for picture in pictures for part in (gap, picture)][1:]
