@@ -190,7 +190,7 @@ def _drop_output() -> None:
 
 
 def _reader_has_gone() -> bool:
-    """Return whether the standard output is a pipe that nobody reads any more."""
+    """Return whether the standard output is a pipe whose reader has gone."""
     if sys.stdout is None or not hasattr(select, "poll"):
         return False
     poll = select.poll()

@@ -16,14 +16,11 @@ import argparse
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from learn.commands import options
-from learn.experiments import painting, runner
-from learn.experiments.photographed_edits import SCALES, Case
-from manifests.option_types import positive
+from learn.experiments import painting, photographed_edits, runner
+from learn.experiments.photographed_edits import Case
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
 
     from learn.data.records import Records, Sample
@@ -36,17 +33,8 @@ METHODS = (PREDICTED, BEFORE, LIGHT_HELD, IN_USE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the data, the weights and the number of photographs."""
-    options.add_data(parser, "a data set of objects in several materials")
-    options.add_weights(parser)
-    parser.add_argument(
-        "--photographs",
-        type=positive,
-        default=96,
-        metavar="N",
-        help="number of photographs, each taken in three paints (default 96)",
-    )
-    options.add_seed(parser, "seed by which photographs and target materials are drawn")
+    """Add the data, the weights and the number of photographs, each of which is in all paints."""
+    photographed_edits.add_arguments(parser, photographs=96)
 
 
 def settings_of(method: str) -> RefinementSettings | None:
@@ -63,8 +51,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     Raises InputError for a data set without pictures of one scene in two materials.
     """
-    from learn.experiments import photographed_edits
-
     opened = photographed_edits.opened(arguments, {m: _as_json(m) for m in METHODS})
     todo = [
         ({"photograph": case.source.id, "paint": paint, "method": method}, (case, paint, method))
@@ -90,7 +76,6 @@ def row_of(
     records: Records, network: torch.nn.Module, size: int, case: Case, paint: str, method: str
 ) -> dict[str, Any]:
     """Return the row of `photographed_edits.row_of` for a painted object and one method."""
-    from learn.experiments import photographed_edits
 
     def in_paint(sample: Sample) -> np.ndarray:
         return painting.painted(paint, sample, case.source.id)
@@ -103,8 +88,3 @@ def tables(report: runner.Report) -> str:
     from learn.experiments import painted_tables
 
     return painted_tables.page(report)
-
-
-def at_truth_brightness(edit: dict[str, Any]) -> float:
-    """Return an edit's L2 if it were as bright as its truth, interpolated between SCALES."""
-    return float(np.interp(-edit["stops"], SCALES, edit["l2"]))

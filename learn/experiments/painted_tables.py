@@ -9,6 +9,7 @@ import numpy as np
 from learn.experiments import runner
 from learn.experiments.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
 from learn.experiments.painting import KINDS
+from learn.experiments.photographed_edits import SCALES
 from learn.metrics import bootstrap
 
 FIGURES = {
@@ -28,9 +29,6 @@ def edits_of(report: runner.Report) -> Edits:
 
     An edit: {"shape", "light", "target", "group", "l2", "as_bright", "stops", "green", "red_blue"}
     """
-    from learn.experiments.painted_photographs import at_truth_brightness
-    from learn.experiments.photographed_edits import SCALES
-
     rows = {(row["paint"], row["method"], row["photograph"]): row for row in report["rows"]}
     result: Edits = {}
     for paint in KINDS:
@@ -49,6 +47,11 @@ def edits_of(report: runner.Report) -> Edits:
                 for edit in rows[paint, method, name]["edits"]
             ]
     return result
+
+
+def at_truth_brightness(edit: dict[str, Any]) -> float:
+    """Return an edit's L2 if it were as bright as its truth, interpolated between SCALES."""
+    return float(np.interp(-edit["stops"], SCALES, edit["l2"]))
 
 
 def page(report: runner.Report) -> str:

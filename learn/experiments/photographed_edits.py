@@ -43,16 +43,16 @@ class Case(NamedTuple):
     targets: tuple[Record, ...]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the data, the weights and the number of photographs."""
+def add_arguments(parser: argparse.ArgumentParser, photographs: int = 200) -> None:
+    """Add the data, the weights and the number of photographs, whose default may be given."""
     options.add_data(parser, "a data set of objects in several materials")
     options.add_weights(parser)
     parser.add_argument(
         "--photographs",
         type=positive,
-        default=200,
+        default=photographs,
         metavar="N",
-        help="number of photographs (default 200)",
+        help="number of photographs (default %(default)s)",
     )
     options.add_seed(parser, "seed by which photographs and target materials are drawn")
 

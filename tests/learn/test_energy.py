@@ -126,6 +126,17 @@ def test_clipped_pixels_are_no_print_and_say_nothing_of_the_objects_colour():
     assert float(partly[1]) == pytest.approx(0.5 + float(whole[1]) / 2, rel=1e-4)
 
 
+def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_documentation_says(
+    root,
+):
+    lamplight, daylight = torch.tensor([0.5, 0.42, 0.33]), torch.tensor([0.3, 0.36, 0.45])
+    image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
+    weights = explained(image, torch.ones(100), 0.1)
+    report = (root / "docs" / "editing.md").read_text(encoding="utf-8")
+    assert f"a grey one in lamplight and daylight {float(weights[-1]):.2f}." in report
+    assert float(weights[0]) == pytest.approx(1)
+
+
 def test_grey_and_black_regions_count_whole():
     image = torch.cat([torch.full((4, 3), 0.4), torch.zeros(4, 3)])
     regions = torch.tensor([1] * 4 + [2] * 4)

@@ -107,7 +107,7 @@ def test_portions_leave_no_setting_behind(chair):
 
 def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):
     """As long as the object stays Cycles draws from the longest sequence that it has made: pictures
-    are compared that follow a portion, and pictures of the object set anew.
+    are compared that follow a portion, and pictures of the object when it is set again.
     """
     alone = chair.picture(4, 3, "full")[0]
     chair.portion(0, 1, 3, "full")

@@ -227,24 +227,17 @@ def chart(figures: list[dict[str, Any]], path: Path) -> None:
                 (each for each in figures if each["family"] == family),
                 key=lambda each: each["seconds"],
             )
-            points = [(1 / each["seconds"], max(each[key], 1e-2)) for each in of]
             # more samples, and whether they are denoised, are two things: one line has the first
-            joined = [
-                point
-                for each, point in zip(of, points, strict=True)
-                if UNLIKE not in each["setting"]
-            ]
+            alike = [each for each in of if UNLIKE not in each["setting"]]
             width = 2.5 if family == LIMIT else 1.2
-            (line,) = axes.plot(*zip(*joined, strict=True), "o-", label=family, lw=width, ms=5)
-            alone = [point for point in points if point not in joined]
-            axes.plot(
-                [x for x, _ in alone], [y for _, y in alone], "o", color=line.get_color(), ms=5
-            )
+            (line,) = axes.plot(*_places(alike, key), "o-", label=family, lw=width, ms=5)
+            others = [each for each in of if each not in alike]
+            axes.plot(*_places(others, key), "o", color=line.get_color(), ms=5)
             if family == PEER_NAME:
-                for each, point in zip(of, points, strict=True):
+                for each, x, y in zip(of, *_places(of, key), strict=True):
                     axes.annotate(
                         each["setting"],
-                        point,
+                        (x, y),
                         xytext=(5, 4),
                         textcoords="offset points",
                         fontsize=7,
@@ -256,3 +249,8 @@ def chart(figures: list[dict[str, Any]], path: Path) -> None:
     buffer = io.BytesIO()
     drawing.savefig(buffer, dpi=110)
     write_bytes(path, buffer.getvalue())
+
+
+def _places(of: list[dict[str, Any]], key: str) -> tuple[list[float], list[float]]:
+    """Return pictures per second and the errors `key` of settings."""
+    return [1 / each["seconds"] for each in of], [max(each[key], 1e-2) for each in of]
