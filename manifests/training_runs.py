@@ -66,6 +66,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
                        as one of the others, for example {"chair": 4}; 0: never
     validation_lights, test_lights   names of light maps that training never sees; where a run
                        names none at all, a map's hash decides
+    all_materials_and_lights   whether training draws from every material and every light, those of
+                       the test side too; shapes stay held out. For weights that edit photographs:
+                       evaluations of held-out materials or lights refuse such weights
     """
 
     materials: Literal["dataset", "built-in"] = "dataset"
@@ -92,6 +95,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     category_weights: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = {}
     validation_lights: tuple[str, ...] = ()
     test_lights: tuple[str, ...] = ()
+    all_materials_and_lights: bool = False
 
 
 class Losses(Struct, frozen=True, forbid_unknown_fields=True):

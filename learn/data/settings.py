@@ -160,6 +160,14 @@ def require_trainable(run: Run, where: str | Path) -> None:
             f"{sum(shares):g}",
             "lower one of them; the rest are training materials",
         )
+    held_out = (*run.data.validation_lights, *run.data.test_lights)
+    if run.data.all_materials_and_lights and held_out:
+        raise InputError(
+            f"{where}: data",
+            "no held-out lights in a run of all materials and lights",
+            ", ".join(held_out),
+            "leave out validation_lights and test_lights, or all_materials_and_lights",
+        )
     if run.network in WITH_PRETRAINED_ENCODER and run.size % 32:
         raise InputError(
             f"{where}: size",

@@ -71,7 +71,7 @@ def data_splits(
         maps = joined(maps, read_maps(maps_file), where, remedy)
     all_maps = maps
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
-    held = _held_out(data, maps, records.dataset.lights)
+    held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
     materials, bad = materials_of(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
@@ -216,6 +216,8 @@ def _rendered_splits(
     for record in good:
         of_materials = {_side_of_material(records, name, side_of) for name in record.materials}
         others = of_materials | {light[record.light]}
+        if data.all_materials_and_lights:
+            others = {"train"}
         side = shape[record.geometry_hash]
         if others == {side} or (side == "validation" and "test" not in others):
             chosen[side].append(record)
@@ -265,7 +267,7 @@ def materials_of(
     """Return ({side: materials that a run draws from}, {name: what is wrong} of those left out).
 
     Some of the training materials are for validation instead: one in ten, eight at most. A data set
-    with fewer than ten keeps all of them for training.
+    with fewer than ten keeps all of them for training, and so does a run of all materials.
 
     data      determines whose materials: the data set's own, or the built-in ones
     records   of the data set; may be None for the built-in ones
@@ -286,6 +288,8 @@ def materials_of(
                 if not skip_bad:
                     raise preflight.skippable(problem) from None
                 bad[name] = str(problem)
+    if data.all_materials_and_lights:
+        known = [(m, "train") for m, _ in known]
     train = sorted(
         (m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30)
     )
@@ -301,7 +305,8 @@ def materials_of(
             result,
             remedy,
         )
-    chosen = train[: min(VALIDATION_MATERIALS, len(train) // LEAST_FOR_VALIDATION)]
+    count = min(VALIDATION_MATERIALS, len(train) // LEAST_FOR_VALIDATION)
+    chosen = [] if data.all_materials_and_lights else train[:count]
     names = {m.name for m in chosen}
     rest = [m for m in train if m.name not in names]
     return {

@@ -15,7 +15,7 @@ from learn.data.records import Records
 from learn.data.settings import Data
 from learn.experiments import refinement_initialisations
 from learn.training import loop
-from manifests import JOBS, reading
+from manifests import JOBS, RUNS, reading
 from manifests import materials as catalogue
 from manifests.cli import main
 from manifests.errors import InputError
@@ -227,3 +227,23 @@ def test_a_run_takes_the_measured_maps_beside_the_data_sets_own(metals):
     assert {"blender_city", "drei_lebombo"} <= training and not training & {"pmndrs_lab"}
     assert len(training) >= 24
     assert not any("pmndrs" in name for name in own["train"].map_names)
+
+
+def test_a_run_of_all_materials_and_lights_holds_out_shapes_alone(metals):
+    every = Data(materials="built-in", measured_lights=True, all_materials_and_lights=True)
+    data_splits = sources.data_splits(every, metals.folder, progress=False)
+    train = data_splits["train"]
+    assert len(train.labels) == sum(BUILT_IN.values())
+    assert {"pmndrs_lab", "blender_city", "blender_courtyard"} <= set(train.map_names)
+    assert set(data_splits["test"].map_names) == set(train.map_names)
+    shapes = {side: {s.geometry.views[v].hash for v in s.views} for side, s in data_splits.items()}
+    assert not shapes["train"] & (shapes["test"] | shapes["validation"])
+
+
+def test_a_run_of_all_materials_and_lights_cannot_hold_out_lights(tmp_path):
+    run = json.loads((RUNS / "photographs-compact.json").read_text())
+    run["data"]["test_lights"] = ["pmndrs_lab"]
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps(run))
+    with pytest.raises(InputError, match=r"expected no held-out lights .* found pmndrs_lab"):
+        settings.read_run(path)
