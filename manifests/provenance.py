@@ -54,16 +54,29 @@ def shortened(argument: str) -> str:
 def commit() -> str:
     """Return the short hash of this checkout's commit, "none" outside a checkout.
 
-    Git is run in this file's folder, not in the caller's.
+    "0123abcd, with changes" says that Python files in it differ from that commit. Git is run in
+    this file's folder, not in the caller's.
     """
-    command = ["git", "rev-parse", "--short", "HEAD"]
+    result = _git("rev-parse", "--short", "HEAD")
+    if not result:
+        return "none"
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/*.py")
+    return f"{result}, with changes" if changed else result
+
+
+def _git(*arguments: str) -> str:
+    """Return what git prints in this file's folder, "" where there is none or it fails."""
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, cwd=Path(__file__).parent, check=False
+            ["git", *arguments],
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).parent,
+            check=False,
         )
     except OSError:  # no git
-        return "none"
-    return done.stdout.strip() or "none"
+        return ""
+    return done.stdout.strip()
 
 
 def versions() -> dict:
