@@ -18,12 +18,22 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from manifests.errors import InputError
+from manifests.store_sessions import Sessions
 
 T = TypeVar("T")
 # Path("s3://bucket") has lost a slash; a scheme has two letters or more, a Windows drive has one
 # plug-ins in front of a scheme ("simplecache::s3://…") are recognised, to be refused
 URL = re.compile(r"((?:[A-Za-z]\w*::)*[A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
-BY_OBSTORE = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az")
+# protocols that obstore serves, and the first word of their variables
+BY_OBSTORE = {
+    "s3": "AWS",
+    "s3a": "AWS",
+    "gs": "GOOGLE",
+    "gcs": "GOOGLE",
+    "abfs": "AZURE",
+    "abfss": "AZURE",
+    "az": "AZURE",
+}
 # protocols of file systems, where a file that is being written can be seen: it is renamed at last
 RENAMED = ("file", "local", "sftp", "ssh", "smb", "ftp", "hdfs", "webdav")
 PATIENCE = 300.0  # seconds for which a request is tried again
@@ -43,6 +53,10 @@ LASTING = (
     AttributeError,
     NotImplementedError,
 )
+DENIED = ("credential", "403 forbidden", "401 unauthorized", "account must be specified")
+METADATA = "169.254.169.254"  # where obstore asks for credentials if the environment has none
+PLUG_IN = "install fsspec's plug-in for it"
+PLUG_INS = {"sftp": "pip install paramiko", "ssh": "pip install paramiko"}
 EXTRA = "pip install 'brdfactory[stores]', or '.[stores]' in a checkout"
 
 
@@ -87,8 +101,9 @@ class ObjectFolder:
         self.url = normalised(url)
         self._patience = _patience() if patience is None else patience
         self._scheme = self.url.partition(":")[0]
-        self._files = _file_system(self._scheme, self.url)
-        self._base = str(self._files._strip_protocol(self.url)).rstrip("/")
+        self._answered = False  # whether the store has ever answered
+        self._files, base = _file_system(self._scheme, self.url)
+        self._base = base.rstrip("/")
 
     def names(self, folder: str, deep: bool = False) -> dict[str, int | None]:
         """Return {path: size in bytes} of the objects in a folder, paths relative to the URL's.
@@ -140,10 +155,14 @@ class ObjectFolder:
                 self._files.pipe_file(place, data)
                 return
             draft = f"{self._base}/partial/{uuid.uuid4().hex}"
-            for path in (draft, place):
-                self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-            self._files.pipe_file(draft, data)
-            self._files.mv(draft, place)
+            try:
+                self._files.pipe_file(draft, data)
+                self._files.mv(draft, place)
+            except FileNotFoundError:  # the first file of a folder
+                for path in (draft, place):
+                    self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
+                self._files.pipe_file(draft, data)
+                self._files.mv(draft, place)
 
         try:
             self._tried(f"{self.url}/{relative}", written)
@@ -172,32 +191,49 @@ class ObjectFolder:
         end, pause = time.monotonic() + self._patience, FIRST_PAUSE
         while True:
             try:
-                return request()
+                result = request()
             except FileNotFoundError:
+                self._answered = True
                 raise
-            except LASTING as error:
-                raise Unreachable(
-                    where, "a store that serves this", _said(error), "check the URL and credentials"
-                ) from None
             except Exception as error:  # each plug-in has its own
-                denied = "credential" in str(error).lower() or type(error).__name__ in (
-                    "PermissionDeniedError",
-                    "UnauthenticatedError",
-                )
-                if denied or time.monotonic() + pause > end:
-                    remedy = (
-                        "check the credentials: docs/clusters.md names the variables"
-                        if denied
-                        else "check the network, then run the same command: what was written stays"
-                    )
-                    raise Unreachable(where, "a store that answers", _said(error), remedy) from None
+                expected, remedy = self._lasting(error)
+                if not expected and time.monotonic() + pause > end:
+                    expected = "a store that answers"
+                    remedy = "check the network, then run the same command: what was written stays"
+                if expected:
+                    raise Unreachable(where, expected, _said(error), remedy) from None
+            else:
+                self._answered = True
+                return result
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _lasting(self, error: Exception) -> tuple[str, str]:
+        """Return (what was expected, a remedy) of an error that another try does not mend.
+
+        Both are empty for one that it may mend.
+        """
+        text, variables = str(error), BY_OBSTORE.get(self._scheme)
+        if isinstance(error, LASTING):
+            return "a store that serves this", "check the URL and credentials"
+        if (
+            type(error).__name__ in ("PermissionDeniedError", "UnauthenticatedError")
+            or any(word in text.lower() for word in DENIED)
+            or (METADATA in text and not self._answered)
+        ):
+            remedy = "check the credentials: docs/clusters.md names the variables"
+            return "a store that answers", remedy
+        if "BadScheme" in text:
+            return "a server with TLS", f"export {variables}_ALLOW_HTTP=true to do without"
+        if "404 Not Found" in text:  # of a list, which is empty where only the folder is missing
+            return "a bucket that exists", "make it, or check its name"
+        return "", ""
 
 
 def _said(error: Exception) -> str:
     """Return an error as a short line."""
-    words = " ".join(f"{type(error).__name__}: {error}".split())
+    text = str(error).partition("Debug source:")[0]  # obstore's, of many lines
+    words = " ".join(f"{type(error).__name__}: {text}".split())
     return words if len(words) <= 200 else f"{words[:200]}…"
 
 
@@ -210,26 +246,35 @@ def _patience() -> float:
         ) from None
 
 
-def _file_system(scheme: str, url: str) -> Any:
-    """Return fsspec's file system of a protocol. Raises InputError."""
+def _file_system(scheme: str, url: str) -> tuple[Any, str]:
+    """Return fsspec's file system of a protocol, and a URL's path there. Raises InputError."""
     try:
         import fsspec
     except ModuleNotFoundError:
         raise InputError(url, "the package fsspec", "that it is not installed", EXTRA) from None
     try:
         if scheme in BY_OBSTORE:
-            return import_module("obstore.fsspec").FsspecStore(
+            allowed = os.environ.get(f"{BY_OBSTORE[scheme]}_ALLOW_HTTP", "").lower()
+            files = import_module("obstore.fsspec").FsspecStore(
                 scheme,
                 client_options={
                     "timeout": timedelta(seconds=TIMEOUT),
-                    # obstore's own variable has no effect beside other options
-                    "allow_http": os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                    # obstore's own variables have no effect beside other options
+                    "allow_http": allowed in ("1", "true"),
                 },
                 # the pauses are ours: the library's own end sooner
                 retry_config={"max_retries": 1, "retry_timeout": timedelta(seconds=TIMEOUT)},
             )
-        options = {"auto_mkdir": True} if scheme in ("file", "local") else {}
-        return fsspec.filesystem(scheme, **options)
+            return files, str(files._strip_protocol(url))
+        if scheme in ("file", "local", "memory"):
+            files = fsspec.filesystem(scheme, **({} if scheme == "memory" else {"auto_mkdir": True}))
+            return files, str(files._strip_protocol(url))
+        if scheme in ("sftp", "ssh"):
+            kind, options = import_module("manifests.sftp").SSHFileSystem, {"timeout": TIMEOUT}
+        else:
+            kind, options = fsspec.get_filesystem_class(scheme), {}
     except (ValueError, ImportError) as error:
-        remedy = EXTRA if scheme in BY_OBSTORE else "install fsspec's plug-in for it"
+        remedy = EXTRA if scheme in BY_OBSTORE else PLUG_INS.get(scheme, PLUG_IN)
         raise InputError(url, "a protocol that can be used", _said(error), remedy) from None
+    options |= kind._get_kwargs_from_urls(url) | {"skip_instance_cache": True}
+    return Sessions(lambda: kind(**options)), str(kind._strip_protocol(url))

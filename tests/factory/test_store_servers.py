@@ -1,0 +1,208 @@
+"""Rendering into each kind of object store on a real server, as a process of this machine, with a
+studio without Blender: S3 (moto), SSH (asyncssh), Azure (azurite) and Google (fake-gcs-server).
+
+tests/factory/test_object_stores.py has what does not depend on the protocol.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+
+import msgspec
+import pytest
+
+from factory.execution import leases, uploads
+from factory.planning import jobs
+from manifests import object_store
+from manifests.cached_store import CachedStore, open_store
+from manifests.errors import InputError
+from manifests.object_store import ObjectFolder, Unreachable
+from manifests.store import Store
+from manifests.verification import faults_of
+from tests.endurance.kill_and_resume import disturbed
+from tests.support import store_servers
+from tests.support.network_faults import KINDS, Proxy
+from tests.support.tetrahedron import ROOT
+
+pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
+
+
+class Server:
+    """A running server.
+
+    folder  its own
+    proxy   through which clients come
+    """
+
+    def __init__(self, protocol, folder, proxy):
+        self.protocol, self.folder, self.proxy = protocol, folder, proxy
+        self.variables = store_servers.variables(protocol, proxy.port, folder)
+
+    def url(self, name):
+        """The URL of a data set of its own."""
+        return store_servers.url(self.protocol, self.proxy.port, self.folder, name)
+
+
+@pytest.fixture(scope="module", params=store_servers.PROTOCOLS)
+def running(request, tmp_path_factory):
+    """The Server of each protocol, one after the other."""
+    protocol = request.param
+    if protocol == "sftp":
+        pytest.importorskip("paramiko", reason="paramiko is not installed (for sftp://)")
+    else:
+        pytest.importorskip("obstore", reason="obstore is not installed (extra stores)")
+    if (reason := store_servers.missing(protocol)) is not None:
+        pytest.skip(reason)
+    folder = tmp_path_factory.mktemp(protocol)
+    with store_servers.started(protocol, folder) as port, Proxy(port) as proxy:
+        yield Server(protocol, folder, proxy)
+
+
+@pytest.fixture
+def server(running, monkeypatch, tmp_path):
+    """The same, with the environment of its clients; scratch folders and copies are in tmp_path."""
+    for name, value in running.variables.items():
+        monkeypatch.setenv(name, value)
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    monkeypatch.setenv("BRDFACTORY_STORE_CACHE", str(tmp_path / "copies"))
+    monkeypatch.setattr(leases, "EXPIRED", 1.0)
+    monkeypatch.setattr(leases, "RENEWED", 0.2)
+    monkeypatch.setattr(leases, "PAUSE", 0.1)
+    return running
+
+
+@pytest.fixture
+def url(server, request):
+    """The URL of an empty data set there."""
+    return server.url(request.node.originalname)
+
+
+def content(store):
+    """{id: record without its seconds} of a store; each id is there once."""
+    records = list(store.records())
+    assert max(Counter(record.id for record in records).values(), default=1) == 1
+    return {record.id: msgspec.structs.replace(record, seconds=0.0) for record in records}
+
+
+def test_objects_are_listed_read_replaced_and_removed(url):
+    remote = ObjectFolder(url)
+    assert remote.names("records") == {}
+    with pytest.raises(FileNotFoundError):
+        remote.read("records/a b.jsonl")
+    for data in (b"1\n", b"12\n"):
+        remote.write("records/a b.jsonl", data)
+    large = bytes(range(256)) * 2000
+    remote.write("images/ab/x.exr", large)
+    remote.write("images/ab/y.exr", b"")
+    assert remote.names("records") == {"records/a b.jsonl": 3}
+    assert remote.names("images") == {}
+    assert remote.names("images", deep=True) == {"images/ab/x.exr": 512000, "images/ab/y.exr": 0}
+    names = ["records/a b.jsonl", "images/ab/x.exr", "images/ab/y.exr"] * 20
+    assert list(remote.read_all(names)) == list(zip(names, [b"12\n", large, b""] * 20, strict=True))
+    for _ in range(2):
+        remote.remove("records/a b.jsonl")
+    assert remote.names("records") == {}
+
+
+def test_a_store_holds_what_a_folder_would(url, render, small_job, tmp_path):
+    expected = render(small_job, tmp_path / "folder")
+    assert render(small_job, url, limit=5).made == 5
+    assert render(small_job, url, workers=2).already_there == 5
+    theirs = open_store(url, fresh=True)
+    assert expected.made == 12 and content(theirs) == content(Store(tmp_path / "folder"))
+    assert faults_of(theirs) == [] and theirs.remote.names(leases.FOLDER) == {}
+
+
+def test_copies_for_reading_are_bounded(url, render, small_job):
+    render(small_job, url)
+    whole = open_store(url, fresh=True)
+    records = list(whole.records())
+    sizes = {name: len(whole.remote.read(name)) for name in {record.image for record in records}}
+    store = CachedStore(url, limit_bytes=sum(sizes.values()) // 2)
+    old = time.time() - 1000
+    for name in sizes:
+        path = store.fetch(name)
+        assert path.read_bytes() == whole.remote.read(name)
+        os.utime(path, (old, old))
+    held = [name for name in sizes if (store.folder / name).exists()]
+    assert 0 < len(held) < len(sizes)
+
+
+@pytest.mark.long
+def test_nothing_is_lost_or_doubled_when_the_connection_is_disturbed(
+    server, url, render, small_job, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(uploads, "SECONDS", 0.05)
+    monkeypatch.setattr(object_store, "TIMEOUT", 5)
+    monkeypatch.setenv("FAKE_STUDIO", "slow")
+    job = msgspec.structs.replace(small_job, views=tuple(range(24)))
+    render(job, tmp_path / "folder")
+    kinds, made = list(KINDS), 0
+
+    def watch(event, value):
+        nonlocal made
+        made += event == "made"
+        if event == "made" and made % 30 == 0 and kinds:
+            with server.proxy.fault(kinds.pop()):
+                while not server.proxy.disturbed:
+                    time.sleep(0.01)
+
+    outcome = render(job, url, watch, workers=2)
+    assert (outcome.made, outcome.failed, kinds) == (144, 0, [])
+    theirs = open_store(url, fresh=True)
+    assert content(theirs) == content(Store(tmp_path / "folder"))
+    # a draft whose renaming was not answered stays
+    said = [fault.text for fault in faults_of(theirs)]
+    assert [text for text in said if not text.startswith("partial/")] == []
+
+
+@pytest.mark.long
+def test_a_run_that_is_killed_is_continued(server, url, render, small_job, tmp_path, catalogue):
+    job = msgspec.structs.replace(small_job, views=tuple(range(24)))
+    shutil.copy(small_job.lights[0], tmp_path / "lamp.exr")
+    (tmp_path / "job.json").write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(job, lights=("lamp.exr",)))
+    )
+    command = [sys.executable, "-m", "tests.support.fake_render", str(tmp_path / "job.json")]
+    command += [url, str(catalogue), "0.1"]
+    environment = {"PYTHONPATH": str(ROOT), "FAKE_STUDIO": "slow", "TMPDIR": str(tmp_path)}
+    kills = disturbed(
+        command,
+        tmp_path / "unused",
+        kills=2,
+        window=(2.0, 3.0),
+        seed=0,
+        environment=environment,
+    )
+    assert kills == 2
+    loaded, folder = jobs.load(tmp_path / "job.json")
+    loaded = msgspec.structs.replace(loaded, lights=(str(folder / "lamp.exr"),))
+    render(loaded, tmp_path / "whole")
+    theirs = open_store(url, fresh=True)
+    assert content(theirs) == content(Store(tmp_path / "whole"))
+
+
+def test_a_store_that_does_not_answer_is_said_in_a_line(server, url, render, small_job, monkeypatch):
+    monkeypatch.setattr(object_store, "TIMEOUT", 5)
+    monkeypatch.setenv(object_store.VARIABLE, "1")
+    with server.proxy.fault("cut"), pytest.raises(Unreachable) as caught:
+        render(small_job, url)
+    assert "a store that answers" in str(caught.value) and "\n" not in str(caught.value)
+    assert render(small_job, url).made == 12
+
+
+def test_a_bucket_that_is_missing_is_said_at_once(server, render, small_job, monkeypatch):
+    if server.protocol == "sftp":
+        pytest.skip("needs buckets")
+    monkeypatch.setattr(object_store.time, "sleep", lambda _: pytest.fail("it waits"))
+    url = f"{server.protocol}://no-such-bucket/x"
+    for request in (
+        lambda: ObjectFolder(url).names("records"),
+        lambda: ObjectFolder(url).write("records/x", b""),
+    ):
+        with pytest.raises(InputError, match="a bucket that exists"):
+            request()
