@@ -264,6 +264,8 @@ def _file_system(scheme: str, url: str) -> tuple[Any, str]:
                 },
                 # the pauses are ours: the library's own end sooner
                 retry_config={"max_retries": 1, "retry_timeout": timedelta(seconds=TIMEOUT)},
+                # one that fsspec kept would have the variables of its first use
+                skip_instance_cache=True,
             )
             return files, str(files._strip_protocol(url))
         if scheme in ("file", "local", "memory"):

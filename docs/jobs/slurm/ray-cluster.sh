@@ -6,9 +6,13 @@
 # JOB and OUT are as in `python -m factory render JOB --out OUT`; OUT lies on a file system that all
 # nodes share at the same path. PYTHON names the interpreter (default: python3). Submit it again to
 # continue: pictures that exist are not rendered twice.
+#
+# --no-kill lets the job go on when a node is lost: others make its pictures. If the first node is
+# lost, on which the cluster's head and this script run, Slurm ends the job and queues it again.
 #SBATCH --job-name=brdfactory
 #SBATCH --ntasks-per-node=1
 #SBATCH --exclusive
+#SBATCH --no-kill
 set -euo pipefail
 
 if [ "$#" -lt 2 ]; then
