@@ -27,6 +27,10 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"webdataset is not installed": "extra `export`",
     r"ray is not installed": "extra `ray`: 260 MB",
     r"(fsspec|obstore) is not installed \(extra stores\)": "extra `stores`",
+    r"paramiko is not installed": "a plug-in of fsspec, for sftp://",
+    r"(asyncssh|azurite|fake-gcs-server) is not installed": (
+        "servers of object stores, in an environment of their own (300 MB)"
+    ),
     r"moto is not installed": "an S3 server, with a virtual environment of its own (140 MB)",
     r"the package datasets is not installed": "brings pandas; the layout is tested without it",
     r"needs the package lpips": "brings torchvision and downloads weights",
