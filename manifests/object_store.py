@@ -55,8 +55,8 @@ LASTING = (
 )
 DENIED = ("credential", "403 forbidden", "401 unauthorized", "account must be specified")
 METADATA = "169.254.169.254"  # where obstore asks for credentials if the environment has none
+SFTP = "pip install 'brdfactory[sftp]', or '.[sftp]' in a checkout"
 PLUG_IN = "install fsspec's plug-in for it"
-PLUG_INS = {"sftp": "pip install paramiko", "ssh": "pip install paramiko"}
 EXTRA = "pip install 'brdfactory[stores]', or '.[stores]' in a checkout"
 
 
@@ -276,7 +276,7 @@ def _file_system(scheme: str, url: str) -> tuple[Any, str]:
         else:
             kind, options = fsspec.get_filesystem_class(scheme), {}
     except (ValueError, ImportError) as error:
-        remedy = EXTRA if scheme in BY_OBSTORE else PLUG_INS.get(scheme, PLUG_IN)
+        remedy = EXTRA if scheme in BY_OBSTORE else SFTP if scheme in ("sftp", "ssh") else PLUG_IN
         raise InputError(url, "a protocol that can be used", _said(error), remedy) from None
     options |= kind._get_kwargs_from_urls(url) | {"skip_instance_cache": True}
     return Sessions(lambda: kind(**options)), str(kind._strip_protocol(url))

@@ -27,7 +27,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"webdataset is not installed": "extra `export`",
     r"ray is not installed": "extra `ray`: 260 MB",
     r"(fsspec|obstore) is not installed \(extra stores\)": "extra `stores`",
-    r"paramiko is not installed": "a plug-in of fsspec, for sftp://",
+    r"paramiko is not installed \(extra sftp\)": "extra `sftp`",
     r"(asyncssh|azurite|fake-gcs-server) is not installed": (
         "servers of object stores, in an environment of their own (300 MB)"
     ),

@@ -50,7 +50,7 @@ def running(request, tmp_path_factory):
     """The Server of each protocol, one after the other."""
     protocol = request.param
     if protocol == "sftp":
-        pytest.importorskip("paramiko", reason="paramiko is not installed (for sftp://)")
+        pytest.importorskip("paramiko", reason="paramiko is not installed (extra sftp)")
     else:
         pytest.importorskip("obstore", reason="obstore is not installed (extra stores)")
     if (reason := store_servers.missing(protocol)) is not None:
