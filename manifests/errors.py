@@ -1,7 +1,9 @@
 """Errors in what a user gave, as one line: where, what was expected, what was found, the remedy."""
 
 import difflib
+import re
 from collections.abc import Iterable
+from pathlib import Path
 
 # packages of the extras that commands need, and the extras that bring them
 EXTRAS = {
@@ -19,6 +21,7 @@ EXTRAS = {
     "ray": "ray",
     "fsspec": "stores",
     "obstore": "stores",
+    "paramiko": "sftp",
 }
 
 
@@ -34,11 +37,18 @@ class InputError(ValueError):
     """
 
     def __init__(self, where: object, expected: str, found: str, remedy: str):
-        self.where, self.expected, self.found, self.remedy = str(where), expected, found, remedy
+        where = _shown(where)
+        self.where, self.expected, self.found, self.remedy = where, expected, found, remedy
         super().__init__(printable(f"{where}: expected {expected}, found {found} ({remedy})"))
 
     def __reduce__(self) -> tuple:  # crosses process borders whole
         return InputError, (self.where, self.expected, self.found, self.remedy)
+
+
+def _shown(where: object) -> str:
+    """Return where an error is as text; a URL that was held as a path has lost a slash."""
+    text = str(where)
+    return re.sub(r"^(\w[\w+.-]+):/(?=[^/])", r"\1://", text) if isinstance(where, Path) else text
 
 
 def missing_package(error: ModuleNotFoundError) -> InputError | None:

@@ -269,7 +269,9 @@ def _file_system(scheme: str, url: str) -> tuple[Any, str]:
             )
             return files, str(files._strip_protocol(url))
         if scheme in ("file", "local", "memory"):
-            files = fsspec.filesystem(scheme, **({} if scheme == "memory" else {"auto_mkdir": True}))
+            files = fsspec.filesystem(
+                scheme, **({} if scheme == "memory" else {"auto_mkdir": True})
+            )
             return files, str(files._strip_protocol(url))
         if scheme in ("sftp", "ssh"):
             kind, options = import_module("manifests.sftp").SSHFileSystem, {"timeout": TIMEOUT}

@@ -149,7 +149,7 @@ def _faults(verification: Verification, quick: bool) -> list[Fault]:
 
     faults = list(verification.in_records())
     if not quick:
-        what = f"verifying {verification.store.folder}"
+        what = f"verifying {verification.store.name}"
         with tqdm(
             total=verification.count, desc=what, unit="record", leave=False, delay=1.0
         ) as bar:

@@ -33,6 +33,7 @@ from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock, ray_tasks
+from manifests.cached_store import open_store
 from manifests.line_files import Lines
 from manifests.progress import tqdm
 from manifests.provenance import provenance
@@ -192,7 +193,7 @@ def tested(records: Records, scenes: Sequence[Scene]) -> overlap.Tested:
 def settings(options: Options) -> dict:
     """Return what a line's figures depend on; files count by their bytes."""
     result = {
-        "data": file_hash(Path(options.data) / "materials.json"),
+        "data": file_hash(open_store(options.data).fetch("materials.json")),
         "weights": file_hash(options.weights),
         "side": options.side,
         "refine": asdict(RefinementSettings()),

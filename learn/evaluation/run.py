@@ -28,6 +28,7 @@ from learn.layer.predictions import MEASURED
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
 from manifests import files, lock, ray_tasks, subprocesses
+from manifests.cached_store import open_store
 from manifests.errors import InputError
 from manifests.line_files import Lines, encoded
 from manifests.progress import tqdm
@@ -176,7 +177,7 @@ def settings(options: Options) -> dict:
     )
     result = {
         "data": Path(options.data).resolve().name,
-        "materials": file_hash(Path(options.data) / "materials.json"),
+        "materials": file_hash(open_store(options.data).fetch("materials.json")),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
         "refine": asdict(RefinementSettings()) if options.refine else False,

@@ -102,7 +102,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
     seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
     about = {
-        "data": file_hash(Path(arguments.data) / "materials.json"),
+        "data": file_hash(records.store.fetch("materials.json")),
         "weights": file_hash(weights),
         "seed": arguments.seed,
     }

@@ -12,7 +12,6 @@ per picture: the same command continues.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
@@ -53,7 +52,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     torch.set_num_threads(1)
     records = Records(arguments.data)
     scenes = scenes_of(records)
-    about = {"data": file_hash(Path(arguments.data) / "materials.json")}
+    about = {"data": file_hash(records.store.fetch("materials.json"))}
     files.pin_settings(arguments.out / "settings.json", about)
     spread = scenes[:: max(1, len(scenes) // arguments.pictures)][: arguments.pictures]
     todo = [({"picture": scene["full"].id}, scene) for scene in spread]

@@ -74,9 +74,8 @@ def array_disturbed(slurm, job, folder):
     losses.after(5, "kill -9 of task 2", lambda: kill(f"--out {folder} --shard 2/2"))
     small_slurm.wait_until_ended(slurm)
     number = submit()
-    losses.after(
-        20, "scontrol requeue of task 2", lambda: losses.control("scontrol", "requeue", f"{number}_2")
-    )
+    again = ("scontrol", "requeue", f"{number}_2")
+    losses.after(20, "scontrol requeue of task 2", lambda: losses.control(*again))
     small_slurm.wait_until_ended(slurm)
     return losses.made
 

@@ -189,7 +189,9 @@ def test_a_run_that_is_killed_is_continued(url, render, small_job, tmp_path, cat
     assert content(open_store(url, fresh=True)) == content(Store(tmp_path / "whole"))
 
 
-def test_a_store_that_does_not_answer_is_said_in_a_line(server, url, render, small_job, monkeypatch):
+def test_a_store_that_does_not_answer_is_said_in_a_line(
+    server, url, render, small_job, monkeypatch
+):
     monkeypatch.setattr(object_store, "TIMEOUT", 5)
     monkeypatch.setenv(object_store.VARIABLE, "1")
     with server.proxy.fault("cut"), pytest.raises(Unreachable) as caught:
@@ -221,7 +223,7 @@ def test_credentials_that_are_refused_are_said_at_once(server, monkeypatch, tmp_
         with pytest.raises(Unreachable, match=r"there is no key in ~/\.ssh or in the agent"):
             ObjectFolder(server.url("x")).names("records")
         (keys / "known_hosts").unlink()
-        with pytest.raises(Unreachable, match="server's key is not in ~/.ssh/known_hosts"):
+        with pytest.raises(Unreachable, match=r"server's key is not in ~/\.ssh/known_hosts"):
             ObjectFolder(server.url("x")).names("records")
     elif server.protocol == "az":
         monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "bm9uZQ==")
@@ -229,5 +231,5 @@ def test_credentials_that_are_refused_are_said_at_once(server, monkeypatch, tmp_
             ObjectFolder(server.url("x")).names("records")
     else:  # their servers let everybody in, but not without TLS
         monkeypatch.delenv(f"{object_store.BY_OBSTORE[server.protocol]}_ALLOW_HTTP")
-        with pytest.raises(Unreachable, match="a server with TLS.*export (AWS|GOOGLE)_ALLOW_HTTP"):
+        with pytest.raises(Unreachable, match=r"a server with TLS.*export (AWS|GOOGLE)_ALLOW_HTTP"):
             ObjectFolder(server.url("x")).names("records")
