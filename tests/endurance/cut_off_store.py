@@ -3,8 +3,9 @@ anything lost, anything twice, and is the end the same as of an undisturbed run?
 
     PYTHONPATH=. python tests/endurance/cut_off_store.py JOB --faults 20 --out DIR
 
-renders JOB into DIR/whole, and into a bucket of an S3 server on this machine (moto, as a process;
-`make s3-server` installs it) through a proxy that disturbs the connection (tests/support/
+renders JOB into DIR/whole, and into a store on this machine, by default a bucket of an S3 server
+(moto, as a process; `make s3-server` installs it; for --protocol sftp, az or gs it is one of
+tests/support/store_servers.py), through a proxy that disturbs the connection (tests/support/
 network_faults.py), with two workers and a stand-in for Blender that takes 20 ms for a picture. Each
 fault lasts a random time of up to --seconds, and on until it has met at least one request. The
 store is then compared with the folder, verified, and read; DIR/report.json has the result.
@@ -28,11 +29,9 @@ from factory.planning.assets import resolve
 from manifests import object_store
 from manifests.cached_store import open_store
 from manifests.verification import faults_of
-from tests.support import s3_server
+from tests.support import store_servers
 from tests.support.network_faults import KINDS, Proxy
 from tests.support.tetrahedron import FAKE, ROOT
-
-URL = f"s3://{s3_server.BUCKET}/disturbed"
 
 
 class Faults:
@@ -74,12 +73,15 @@ def compared(plan, ours, theirs):
     """What was lost, doubled or differs in a store, by an undisturbed one, and what verify says."""
     records = list(theirs.records())
     counts = Counter(record.id for record in records)
+    said = [fault.text for fault in faults_of(theirs)]
     undisturbed = {record.id: _content(record) for record in ours.records()}
     return {
         "lost": len({shot.id for shot in plan} - set(counts)),
         "doubled": sum(count > 1 for count in counts.values()),
         "differing": sum(_content(r) != undisturbed.get(r.id) for r in records),
-        "faults": [fault.text for fault in faults_of(theirs)][:10],
+        "faults": [text for text in said if not text.startswith("partial/")][:10],
+        # of a file system: what was written and not renamed when the connection was lost
+        "drafts": sum(text.startswith("partial/") for text in said),
     }
 
 
@@ -90,6 +92,7 @@ def _content(record):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("job")
+    parser.add_argument("--protocol", choices=store_servers.PROTOCOLS, default="s3")
     parser.add_argument("--faults", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--out", type=Path, required=True)
@@ -105,14 +108,18 @@ def main():
     begun = time.monotonic()
     carry_out(plan, options.out / "whole", run_options)
     alone = time.monotonic() - begun
-    with s3_server.started() as port, Proxy(port) as proxy:
-        os.environ |= s3_server.variables(proxy.port)
+    own, protocol = options.out.resolve() / "server", options.protocol
+    own.mkdir()
+    with store_servers.started(protocol, own) as port, Proxy(port) as proxy:
+        os.environ |= store_servers.variables(protocol, proxy.port, own)
+        url = store_servers.url(protocol, proxy.port, own, "disturbed")
         begun = time.monotonic()
         with Faults(proxy, options.faults, options.seconds, (0.5, 2.0), options.seed) as faults:
-            outcome = carry_out(plan, URL, run_options)
+            outcome = carry_out(plan, url, run_options)
         seconds = time.monotonic() - begun
-        theirs = open_store(URL, fresh=True)
+        theirs = open_store(url, fresh=True)
         report = {
+            "protocol": protocol,
             "shots": len(plan),
             "made": outcome.made,
             "faults_made": dict(faults.made),

@@ -110,11 +110,12 @@ def main():
     os.environ["PYTHON"] = sys.executable
     words = [sys.executable, "-m", "factory", "render", str(job), "--out", str(out / "whole")]
     subprocess.run(words, check=True, stderr=subprocess.DEVNULL)
-    report = {"slurm": small_slurm.said({}, "sbatch", "--version"), "shots": count(out / "whole")}
     with (
         tempfile.TemporaryDirectory(prefix="slurm-") as folder,
         small_slurm.started(folder) as slurm,
     ):
+        report = {"slurm": small_slurm.said(slurm, "sbatch", "--version")}
+        report["shots"] = count(out / "whole")
         for name, disturb in (("array", array_disturbed), ("ray", cluster_disturbed)):
             begun = time.monotonic()
             made = disturb(slurm, job, out / name)

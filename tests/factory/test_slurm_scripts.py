@@ -1,14 +1,21 @@
-"""The Slurm batch scripts: their syntax, and the commands that they give, with stand-ins for
-Slurm's programs.
+"""The Slurm batch scripts: their syntax, the commands that they give, with stand-ins for Slurm's
+programs, and an array on a Slurm of this machine where one can be started.
 """
 
+import json
 import os
 import re
 import stat
 import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
+
+from manifests.store import Store
+from manifests.verification import faults_of
+from tests.support import small_slurm
 
 SCRIPTS = ("ray-cluster.sh", "job-array.sh")
 
@@ -111,3 +118,38 @@ def test_a_task_of_an_array_renders_its_part(folder, slurm):
 def test_an_array_whose_parts_are_not_the_job_is_refused(folder, slurm, array):
     done = run(folder / "job-array.sh", ["job.json", "out"], slurm | array)
     assert done.returncode == 2 and "--array=1-N" in done.stderr
+
+
+@pytest.mark.blender
+@pytest.mark.long
+def test_an_array_renders_on_a_slurm_and_continues_after_a_lost_task(monkeypatch, folder, root):
+    """tests/endurance/slurm_losses.py has more losses, and the Ray cluster."""
+    if not small_slurm.is_possible():
+        pytest.skip(small_slurm.REASON)
+    monkeypatch.setenv("PYTHONPATH", str(root))
+    monkeypatch.setenv("PYTHON", sys.executable)
+    job = {
+        "shapes": ["cube", "blob:0"],
+        "materials": ["brass"],
+        "lights": ["city"],
+        "views": [0, 6, 12, 18],
+        "samples": 1,
+        "camera": {"size": [16, 16]},
+    }
+    # paths of sockets are short
+    with tempfile.TemporaryDirectory(prefix="slurm-") as name:
+        own, out = Path(name), Path(name) / "out"
+        (own / "job.json").write_text(json.dumps(job))
+        words = [own / "job.json", out]
+        (own / "slurm").mkdir()
+        with small_slurm.started(own / "slurm") as slurm:
+            for lost in (True, False):
+                options = ["--array=1-2", f"--output={own}/%A_%a.txt"]
+                small_slurm.submitted(slurm, folder / "job-array.sh", words, options)
+                small_slurm.wait_until_ended(slurm)
+                said = "\n".join(path.read_text() for path in sorted(own.glob("*.txt")))
+                ids = [record.id for record in Store(out).records()]
+                assert len(ids) == len(set(ids)) == 8 and faults_of(Store(out)) == [], said
+                if lost:  # what one task has made
+                    Store(out).record_files()[0].unlink()
+                    assert len(list(Store(out).records())) == 4
