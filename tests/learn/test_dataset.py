@@ -1,5 +1,6 @@
 """Records become tensors in the layer's conventions, and damaged datasets are named in one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -10,6 +11,7 @@ import torch
 from learn.data.geometry import Geometry
 from learn.data.records import Records
 from learn.editing import photograph
+from learn.evaluation import ladder, run
 from learn.layer import render
 from manifests.errors import InputError
 from manifests.line_files import Lines
@@ -45,6 +47,17 @@ def test_records_and_geometry_are_read_by_a_url_as_from_the_folder(folder, tmp_p
     geometry = Geometry(f"file://{folder}", progress=False)
     assert geometry.views == Geometry(folder, progress=False).views
     assert (there.folder / "packed").is_dir()
+
+
+@pytest.mark.parametrize("module", [run, ladder])
+def test_the_settings_of_an_evaluation_are_those_of_the_folder(
+    folder, tmp_path, monkeypatch, module
+):
+    pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
+    monkeypatch.setenv("BRDFACTORY_STORE_CACHE", str(tmp_path / "copies"))
+    here = module.Options(data=folder, weights=folder / "materials.json", out=tmp_path)
+    there = replace(here, data=Path(f"file://{folder}"))
+    assert module.settings(there) == module.settings(here)
 
 
 def test_a_copy_of_what_was_rendered_again_on_a_store_is_replaced(folder, tmp_path, monkeypatch):

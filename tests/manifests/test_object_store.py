@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -74,6 +75,11 @@ def test_a_url_with_credentials_or_another_trick_is_refused_without_being_shown(
     with pytest.raises(InputError) as caught:
         ObjectFolder(url)
     assert "secret" not in str(caught.value)
+
+
+def test_a_url_that_was_held_as_a_path_is_shown_with_two_slashes():
+    assert InputError(Path("s3://bucket/x"), "a", "b", "c").where == "s3://bucket/x"
+    assert InputError(Path("/tmp/x"), "a", "b", "c").where == "/tmp/x"
 
 
 def test_a_protocol_without_a_plug_in_is_refused_in_a_line():
