@@ -57,18 +57,18 @@ class SSHFileSystem(SFTPFileSystem):
         """Return what ~/.ssh/config says of the host, as paramiko's `connect` takes it."""
         path = Path.home() / ".ssh" / "config"
         try:
-            found = paramiko.SSHConfig.from_path(str(path)).lookup(self.host)
+            entry = paramiko.SSHConfig.from_path(str(path)).lookup(self.host)
         except FileNotFoundError:
             return {"hostname": self.host}
         except paramiko.SSHException as error:
             raise ValueError(f"{path}: {error}") from None
-        result: dict[str, Any] = {"hostname": found["hostname"]}
-        if "port" in found:
-            result["port"] = int(found["port"])
-        if "user" in found:
-            result["username"] = found["user"]
-        if "identityfile" in found:
-            result["key_filename"] = found["identityfile"]
+        result: dict[str, Any] = {"hostname": entry["hostname"]}
+        if "port" in entry:
+            result["port"] = int(entry["port"])
+        if "user" in entry:
+            result["username"] = entry["user"]
+        if "identityfile" in entry:
+            result["key_filename"] = entry["identityfile"]
         return result
 
     def close(self) -> None:

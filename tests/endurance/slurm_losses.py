@@ -57,8 +57,8 @@ class Losses:
 
 def kill(pattern):
     """kill -9 the last of the processes whose command has a pattern."""
-    found = subprocess.run(["pgrep", "-f", "--", pattern], capture_output=True, text=True)
-    os.kill(int(found.stdout.split()[-1]), signal.SIGKILL)
+    listed = subprocess.run(["pgrep", "-f", "--", pattern], capture_output=True, text=True)
+    os.kill(int(listed.stdout.split()[-1]), signal.SIGKILL)
 
 
 def array_disturbed(slurm, job, folder):
