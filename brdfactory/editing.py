@@ -23,7 +23,6 @@ from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
-from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
@@ -200,6 +199,7 @@ class Options(TypedDict, total=False):
 
     regions: PictureSource | None
     refine: bool
+    refinement_method: str | None
     detail: float
     exposure: float | None
     white_balance: str | Sequence[float]
@@ -213,6 +213,7 @@ def decompose(
     *,
     regions: PictureSource | None = None,
     refine: bool = True,
+    refinement_method: str | None = None,
     detail: float = KEPT,
     exposure: float | None = None,
     white_balance: str | Sequence[float] = "none",
@@ -227,6 +228,8 @@ def decompose(
                    [0, 1]; None: the photograph's transparency
     regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
     refine         whether the prediction is refined until its rendering looks like the photograph
+    refinement_method  how refinement renders: "auto", by the sum over the light map's texels, or
+                   "quadrature", by the integral; None: auto
     detail         share of the photograph's fine shading that edits keep, 0 to 1
     exposure       factor from the photograph's radiance to the network's; None: estimated
     white_balance  "none", "grey", or three factors
@@ -234,8 +237,14 @@ def decompose(
     device         of the network and the layer: "auto", "cpu", "cuda", or a torch.device
     Raises         InputError
     """
-    from learn.commands.editing_options import balance_of, check, check_exposure
+    from learn.commands.editing_options import (
+        balance_of,
+        check,
+        check_exposure,
+        refinement_of_photographs,
+    )
 
+    settings = refinement_of_photographs(refine, refinement_method, "refinement_method")
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
     chosen = _device(device)
@@ -243,7 +252,6 @@ def decompose(
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))
-    settings = PHOTOGRAPHS if refine else None
     return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
 
 

@@ -23,7 +23,9 @@ CURRENT_NAMES = {
 }
 
 # {a key: {a later one beside it: the value that it had before it could be set}}
-LATER_KEYS = {"trust_region": {"b_colour": 0.0, "half_weight_colour": None}}  # of refinement
+LATER_KEYS = {  # of refinement
+    "trust_region": {"b_colour": 0.0, "half_weight_colour": None, "method": "auto"}
+}
 
 
 def current_name(name: str) -> str:

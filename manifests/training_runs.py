@@ -4,7 +4,7 @@
 Keys that had other names in versions 1 and 2 are listed in manifests.renamed_keys.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
 
@@ -12,6 +12,10 @@ VERSION = 3  # of Run
 LARGEST_COUNT = 100_000_000
 
 Part = Literal["normals", "material", "light"]
+# auto: the paper's sum over the texels of the light, in the way that takes least time; quadrature:
+# the integral over the map, which is what a camera sees of lobes that are narrower than texels
+LayerMethod = Literal["auto", "quadrature"]
+LAYER_METHODS: tuple[str, ...] = get_args(LayerMethod)
 Weight = Annotated[float, Meta(ge=0, le=1e6)]  # of terms that are of the order of 1
 Count = Annotated[int, Meta(ge=1, le=LARGEST_COUNT)]
 CountOrZero = Annotated[int, Meta(ge=0, le=LARGEST_COUNT)]
@@ -31,6 +35,9 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     sharing            number of relit pictures, of different shapes and views, that share one
                        material and one light, so that their reflectance map is computed once
     tolerance          relative error of relit pictures
+    layer_method       of relit pictures: auto, the sum over the light's texels, or quadrature, the
+                       integral, which shows narrow highlights as a camera sees them and takes
+                       longer
     regions            materials per picture, one for each segment
     real_lights        share of pictures lit by one light map; of the rest, one half is lit by a
                        mixture of two maps and one half by a computed sky or room
@@ -76,6 +83,7 @@ class Data(Struct, frozen=True, forbid_unknown_fields=True):
     pictures_share: Annotated[float, Meta(ge=0, le=1)] = 0.25
     sharing: Count = 4
     tolerance: Annotated[float, Meta(gt=0, lt=1)] = 1e-2
+    layer_method: LayerMethod = "auto"
     regions: Annotated[int, Meta(ge=1, le=8)] = 1
     real_lights: Annotated[float, Meta(ge=0, le=1)] = 0.5
     photograph: bool = True
@@ -105,6 +113,8 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     gradient_bound  the largest gradient, weight included, that image and target may each pass to
                     all normals together, so that no highlight outweighs the normals' own loss
     layer_light     (height, width) of the light map under which the layer renders
+    layer_method    by which it renders for image and target, features included: auto, the sum over
+                    the light's texels, or quadrature, the integral, which narrow lobes need
     rendered        sampled: image and target are compared at sampled pixels; all: at all pixels of
                     the mask, through a reflectance map
     image_features, target_features   weights of the same pictures compared by features of
@@ -123,6 +133,7 @@ class Losses(Struct, frozen=True, forbid_unknown_fields=True):
     pixels: Count = 128
     gradient_bound: Weight = 0.5
     layer_light: tuple[Count, Count] = (32, 64)
+    layer_method: LayerMethod = "auto"
     rendered: Literal["sampled", "all"] = "sampled"
     image_features: Weight = 0.0
     target_features: Weight = 0.0

@@ -11,6 +11,7 @@ from learn.commands import options
 
 if TYPE_CHECKING:
     from learn.editing.edit import EditOptions
+    from learn.refinement import RefinementSettings
 
 LARGEST_FACTOR = 100  # of a white balance
 ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
@@ -27,6 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
             " photograph (default: yes); --no-refine saves some seconds per photograph"
         ),
     )
+    options.add_refinement_method(parser)
     parser.add_argument(
         "--tolerance",
         type=float,
@@ -63,7 +65,6 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     """Return the EditOptions of parsed arguments. Raises InputError."""
     from learn.data import devices
     from learn.editing.edit import EditOptions
-    from learn.refinement import PHOTOGRAPHS
 
     check(
         "--tolerance",
@@ -73,7 +74,9 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     )
     check("--detail", 0 <= arguments.detail <= 1, "a number from 0 to 1", arguments.detail)
     check_exposure(arguments.exposure)
-    settings = PHOTOGRAPHS if arguments.refine else None
+    settings = refinement_of_photographs(
+        arguments.refine, arguments.refinement_method, "--refinement-method"
+    )
     balance = balance_of(arguments.white_balance)
     device = devices.choose(arguments.device)
     return EditOptions(
@@ -85,6 +88,30 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
         balance,
         device,
     )
+
+
+def refinement_of_photographs(
+    refine: bool, method: str | None, name: str
+) -> RefinementSettings | None:
+    """Return the settings by which photographs are refined, or None where they are not.
+
+    method  of LAYER_METHODS, or None: auto
+    name    of the option that gives it, for messages
+    Raises  InputError: a method that is not known, or one without refinement
+    """
+    from learn.refinement import PHOTOGRAPHS
+    from manifests.errors import InputError, closest
+    from manifests.training_runs import LAYER_METHODS
+
+    if method is not None and method not in LAYER_METHODS:
+        rule = f"one of {', '.join(LAYER_METHODS)}"
+        raise InputError(name, rule, f"'{method}'", closest(method, LAYER_METHODS))
+    if not refine:
+        if method is not None:
+            remedy = "leave it out: nothing is refined"
+            raise InputError(name, "refinement", f"{method} without it", remedy)
+        return None
+    return PHOTOGRAPHS.rendered_by(method or "auto")
 
 
 def mask_files(given: Iterable[str]) -> list[Path]:

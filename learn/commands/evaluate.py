@@ -48,6 +48,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         action="store_false",
         help="leave refined predictions out, which is many times faster",
     )
+    options.add_refinement_method(parser)
     parser.add_argument(
         "--baselines",
         type=Path,
@@ -103,6 +104,9 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.ray is not None and arguments.processes is not None:
         remedy = "leave it out: --ray uses all CPUs of the cluster"
         raise InputError("evaluate --ray", "no --processes", f"{arguments.processes}", remedy)
+    if arguments.refinement_method is not None and not arguments.refine:
+        remedy = "leave one of them out"
+        raise InputError("--refinement-method", "refinement", "--no-refine", remedy)
     names = run.Options.__dataclass_fields__
     given = {name: value for name, value in vars(arguments).items() if name in names}
     device = arguments.device if arguments.ray is None else "cpu"

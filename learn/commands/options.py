@@ -7,6 +7,7 @@ from pathlib import Path
 
 from learn.networks import own_weights
 from manifests.option_types import MATERIALS, positive, whole
+from manifests.training_runs import LAYER_METHODS
 
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
 WEIGHTS_FOLDER = own_weights.FOLDER
@@ -69,6 +70,18 @@ def weights_file(text: str) -> Path:
     """Return the path of a weights file, or of the program's own weights of that name."""
     own = WEIGHTS_FOLDER / f"{text}.safetensors"
     return own if Path(text).name == text and own.exists() else Path(text)
+
+
+def add_refinement_method(parser: argparse.ArgumentParser) -> None:
+    """Add --refinement-method, one of LAYER_METHODS; None if it is not given."""
+    parser.add_argument(
+        "--refinement-method",
+        choices=LAYER_METHODS,
+        help=(
+            "how refinement renders: auto, by the sum over the light map's texels (default); or"
+            " quadrature, by the integral, which narrow highlights need and which takes longer"
+        ),
+    )
 
 
 def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:

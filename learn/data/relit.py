@@ -307,6 +307,7 @@ class RelitDataset:
                 shared,
                 light,
                 segments=None if self.data.regions == 1 else segments,
+                method=self.data.layer_method,
                 tolerance=self.data.tolerance,
                 elevation=self.data_split.geometry.elevation,
             )

@@ -45,6 +45,7 @@ class Bench:
 
     data, weights, baselines, lpips   paths; the last two may be None
     refine                            whether methods are refined
+    refinement_method                 of the layer, by which refinement renders
     materials                         whose training materials the mean material is the mean of:
                                       "dataset" or "built-in"
     device                            of networks, refinement and the layer
@@ -59,6 +60,7 @@ class Bench:
         lpips: Path | None = None,
         materials: str = "dataset",
         device: str = "cpu",
+        refinement_method: str = "auto",
     ):
         self.records = Records(data)
         self.repeats = pairs.repeats(self.records.records)
@@ -75,8 +77,9 @@ class Bench:
         if refine:
             from learn.refinement import refine as of_any
 
-            work = functools.partial(of_any, labels=net.training_labels)
-            still = replace(RefinementSettings(), order=("material", "light"))
+            settings = RefinementSettings().rendered_by(refinement_method)
+            work = functools.partial(of_any, settings=settings, labels=net.training_labels)
+            still = replace(settings, order=("material", "light"))
             lit = functools.partial(work, settings=still)
         labels = methods.training_labels(self.records, materials)
         # the weights' own, or those that the row "mean material" is the mean of

@@ -58,6 +58,7 @@ class Options:
     device              of networks, refinement and the layer: "cpu", or "cuda:0"
     allow_overlap       whether pictures are measured that show what the weights saw in training
     lights              file of the light maps that the weights were trained with, or None
+    refinement_method   of the layer, by which refinement renders; None: auto
     ray                 address of a Ray cluster whose CPUs all work, instead of `processes`;
                         "auto": this machine's, or a new one here; None: processes of this machine
     """
@@ -76,6 +77,7 @@ class Options:
     device: str = "cpu"
     allow_overlap: bool = False
     lights: Path | None = None
+    refinement_method: str | None = None
     ray: str | None = None
 
 
@@ -162,6 +164,7 @@ def arguments(options: Options) -> dict:
         "lpips": options.lpips,
         "materials": options.materials,
         "device": options.device,
+        "refinement_method": options.refinement_method or "auto",
     }
 
 
@@ -175,12 +178,13 @@ def settings(options: Options) -> dict:
             p.name: file_hash(p) for p in sorted(Path(folder).glob("*.safetensors")) if p.is_file()
         }
     )
+    method = options.refinement_method or "auto"
     result = {
         "data": Path(options.data).resolve().name,
         "materials": file_hash(open_store(options.data).fetch("materials.json")),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(RefinementSettings()) if options.refine else False,
+        "refine": asdict(RefinementSettings().rendered_by(method)) if options.refine else False,
         "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),

@@ -17,6 +17,7 @@ VALIDATION   figures during training, which must cost less than the steps betwee
 ABLATION     figures of refinement's ablation, which renders thousands of pictures
 PIXEL_LOSS   training losses at sampled pixels, where the sum over texels costs least
 FRAME_LOSS   training losses of whole frames
+INTEGRAL_LOSS  both in a run whose losses ask for the integral
 TEXEL_SUM    the paper's sum over texels itself, for comparisons with it
 """
 
@@ -44,6 +45,7 @@ ABLATION = Policy("auto", 2e-2)
 PIXEL_LOSS = Policy("exact", 1e-2)
 # all pixels at 2e-2 would take a quarter longer
 FRAME_LOSS = Policy("auto", 5e-2)
+INTEGRAL_LOSS = Policy("quadrature", 1e-2)
 TEXEL_SUM = Policy("exact", 1e-2)
 
 

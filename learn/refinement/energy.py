@@ -212,12 +212,16 @@ class Energy:
         state: State,
         where: torch.Tensor,
         light: tuple[int, int] = (64, 128),
-        method: str = "auto",
+        method: str | None = None,
         tolerance: float | None = None,
     ) -> dict[str, torch.Tensor]:
-        """Return {term: scalar}, without weights; tolerance None: the settings'."""
+        """Return {term: scalar}, without weights; method and tolerance None: the settings'."""
         image = self.image(
-            state, where, light, method, self.settings.tolerance if tolerance is None else tolerance
+            state,
+            where,
+            light,
+            self.settings.method if method is None else method,
+            self.settings.tolerance if tolerance is None else tolerance,
         )
         moved = (state.n - self.start.n).flatten(2)[0].index_select(1, where)
         relit = torch.log1p(state.light) - self.log_light

@@ -43,7 +43,9 @@ class RefinementSettings:
     degree      of the spherical harmonics by which the light's logarithm is changed
     trust_region  the most that a normal may move in one outer iteration, along either axis of the
                 disk of learn.refinement.coordinates
-    tolerance   of the layer in the finest energy, which accepts or rejects a step
+    method      of the layer in the finest energy, which accepts or rejects a step: "auto" is the
+                paper's sum over texels, "quadrature" the integral, which narrow lobes need
+    tolerance   of the layer in that energy
     outer_iterations  how often all levels are run, each time held to the result of the time before
     """
 
@@ -55,12 +57,18 @@ class RefinementSettings:
     order: tuple[str, ...] = PROPERTIES
     degree: int = 8
     trust_region: float = 0.3
+    method: str = "auto"
     tolerance: float = 5e-3
     outer_iterations: int = 2
     levels: tuple[Level, ...] = (
         Level(pixels=0, light=(32, 64), method="auto", rounds=1, iterations=6, joint_iterations=30),
         Level(pixels=0, light=(64, 128), method="auto", rounds=0, iterations=0, joint_iterations=8),
     )
+
+    def rendered_by(self, method: str) -> "RefinementSettings":
+        """Return these settings with one method of the layer in all levels and the energy."""
+        levels = tuple(replace(level, method=method) for level in self.levels)
+        return replace(self, method=method, levels=levels)
 
 
 PAPER = RefinementSettings(a=1.0, b=10.0, c=0.0, outer_iterations=1)

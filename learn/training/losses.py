@@ -38,6 +38,7 @@ from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compressed
 from learn.networks.features import Features, difference
 from learn.networks.prediction import Prediction, required
+from manifests.training_runs import LayerMethod
 from shaders import envmap
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
@@ -158,11 +159,11 @@ def layer_terms(
         if of_features or (of_pixels and losses.rendered == "all"):
             with torch.no_grad():
                 truth = (
-                    whole(batch.n, its, true_light, batch)
+                    whole(batch.n, its, true_light, batch, method=losses.layer_method)
                     if rendered is None
                     else rendered * _inside(batch)
                 )
-            seen = whole(n, mine, light, batch, losses.gradient_bound)
+            seen = whole(n, mine, light, batch, losses.gradient_bound, losses.layer_method)
             mine_c, its_c = compressed(seen), compressed(truth)
             if of_pixels:
                 result[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
@@ -175,12 +176,25 @@ def layer_terms(
             if rendered is None:
                 with torch.no_grad():
                     truth = at_pixels(
-                        batch.n, batch.segments, its, true_light, where, batch.elevation
+                        batch.n,
+                        batch.segments,
+                        its,
+                        true_light,
+                        where,
+                        batch.elevation,
+                        method=losses.layer_method,
                     )
             else:
                 truth = picked(rendered, where)
             seen = at_pixels(
-                n, batch.segments, mine, light, where, batch.elevation, losses.gradient_bound
+                n,
+                batch.segments,
+                mine,
+                light,
+                where,
+                batch.elevation,
+                losses.gradient_bound,
+                losses.layer_method,
             )
             lit = (where >= 0)[..., None]
             result[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
@@ -243,11 +257,13 @@ def whole(
     light: torch.Tensor,
     batch: ExampleBatch,
     gradient_bound: float = 0.0,
+    method: LayerMethod = "auto",
 ) -> torch.Tensor:
-    """Return radiance (B, 3, H, W) at all pixels of the mask by FRAME_LOSS, 0 outside.
+    """Return radiance (B, 3, H, W) at all pixels of the mask, 0 outside.
 
     n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w)
     gradient_bound  as of `bounded`, for all pixels together
+    method          as losses.layer_method: "auto" is FRAME_LOSS, "quadrature" INTEGRAL_LOSS
     """
     inside = _inside(batch) > 0
     normals = (
@@ -264,7 +280,7 @@ def whole(
         batch.segments.clamp(min=1),
         inside[:, 0],
         batch.elevation,
-        predictions.FRAME_LOSS,
+        predictions.FRAME_LOSS if method == "auto" else predictions.INTEGRAL_LOSS,
     )
     return picture.movedim(-1, 1)
 
@@ -293,11 +309,13 @@ def at_pixels(
     where: torch.Tensor,
     elevation: float,
     gradient_bound: float = 0.0,
+    method: LayerMethod = "auto",
 ) -> torch.Tensor:
     """Return radiance (B, P, 3) at flat indices `where` (B, P), 0 where they are −1.
 
     n (B, 3, H, W), segments (B, H, W), label (B, S, 108), light (B, 3, h, w)
     gradient_bound  as of `bounded`, for all pixels together
+    method          as losses.layer_method: "auto" is PIXEL_LOSS, "quadrature" INTEGRAL_LOSS
     """
     region = segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
@@ -311,7 +329,7 @@ def at_pixels(
         region.clamp(min=1)[:, None],
         mask[:, None],
         elevation,
-        predictions.PIXEL_LOSS,
+        predictions.PIXEL_LOSS if method == "auto" else predictions.INTEGRAL_LOSS,
     )
     return picture[:, 0]
 
