@@ -36,6 +36,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "photographed-edits": "measure edits of photographs, and how to expose them",
         "painted-photographs": "measure edits of objects in colours that no catalogue has",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
+        "refinement-methods": "refine glossy objects by the sum and by the integral",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",
         "relighting": "relight pictures, and put materials on other objects, against the truth",

@@ -11,7 +11,6 @@ it.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
@@ -20,14 +19,6 @@ from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from learn.evaluation.ladder_design import Scene
-
-FIGURES = {
-    "edit_l2": ("edit, display L2", 0),
-    "edit_l2_aligned": ("one factor free", 0),
-    "normals_mean_deg": ("normals, °", 2),
-    "irradiance": ("irradiance error", 3),
-    "seconds": ("processor, s", 1),
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,45 +74,24 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
 
 def row_of(bench: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:
-    """Return a scene's names, and {FIGURES: value} of "predicted" and "refined" on a rung.
+    """Return the row of a scene on a rung, as of `drawn_edits.refined_row`.
 
     bench   of learn.evaluation.ladder
     number  of outer iterations
     """
-    import time
     from dataclasses import replace
 
-    from msgspec import to_builtins
-
-    from learn.editing.decomposition import parts_of
-    from learn.evaluation import ladder
-    from learn.evaluation.ladder_design import RUNGS as ALL
-    from learn.evaluation.ladder_pictures import shown
+    from learn.experiments import drawn_edits
     from learn.refinement import RefinementSettings
 
-    known = next(each for each in ALL if each.name == rung)
-    picture = shown(bench.records, scene, known, bench.size)
     settings = replace(RefinementSettings(), outer_iterations=number)
-    began = time.process_time()
-    start = bench.predict(picture.batch)
-    predicted = time.process_time()
-    refined = bench.refine(picture.batch, start, settings).prediction
-    seconds = {"predicted": predicted - began, "refined": time.process_time() - predicted}
-    target = scene.truth[rung].materials[0]
-    return {
-        "shape": scene.shape,
-        "light": scene.light,
-        "target": target,
-        "metal": bench.records.material(target).family == "metal",
-    } | {
-        name: to_builtins(ladder.measured(parts_of(parts), picture, picture.batch))
-        | {"seconds": seconds[name]}
-        for name, parts in (("predicted", start), ("refined", refined))
-    }
+    return drawn_edits.refined_row(bench, scene, rung, settings)
 
 
 def tables(report: runner.Report) -> str:
     """Return the figures of each number on each rung, and their ratios to those of the last."""
+    from learn.experiments import drawn_edits
+
     result = ["# Outer iterations of refinement\n"]
     result += [f"**{sentence}**\n" for sentence in report["seen"]]
     rows, last = report["rows"], report["numbers"][-1]
@@ -135,47 +105,6 @@ def tables(report: runner.Report) -> str:
     )
     for rung in dict.fromkeys(row["rung"] for row in rows):
         chosen = [row for row in rows if row["rung"] == rung]
-        result += [f"## Rung {rung}\n", _table(chosen, report["numbers"])]
+        table = drawn_edits.comparison(chosen, "number", report["numbers"], "outer iterations")
+        result += [f"## Rung {rung}\n", table]
     return "\n".join(result)
-
-
-def _table(rows: Sequence[Mapping[str, Any]], numbers: Sequence[int]) -> str:
-    """One rung; rows of all numbers, whose scenes are in the same order."""
-    import numpy as np
-
-    from learn.metrics import bootstrap
-
-    by_number = [[row for row in rows if row["number"] == number] for number in numbers]
-    first, last = by_number[0], by_number[-1]
-    kinds = ("shape", "target", "light")
-    weights = bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in last] for kind in kinds)))
-
-    def values(of: Sequence[Mapping[str, Any]], part: str, key: str) -> np.ndarray:
-        return np.array([row[part][key] for row in of])
-
-    def means(of: Sequence[Mapping[str, Any]], part: str) -> list[str]:
-        cells = []
-        for key, (_, digits) in FIGURES.items():
-            cells.append(f"{values(of, part, key).mean():.{digits}f}")
-            if key == "edit_l2":
-                cells.append(f"{np.median(values(of, part, key)):.0f}")
-        return cells
-
-    def compared(of: Sequence[Mapping[str, Any]]) -> list[str]:
-        mine, theirs = (values(each, "refined", "edit_l2") for each in (of, last))
-        slow, fast = (values(each, "refined", "seconds") for each in (last, of))
-        return [
-            runner.interval(bootstrap.interval(mine - theirs, weights), 0),
-            runner.interval(bootstrap.relative(theirs, mine, weights), 3),
-            f"{(mine < theirs).sum()} of {len(last)}",
-            runner.interval(bootstrap.relative(slow, fast, weights), 2),
-        ]
-
-    lines = [["none: predicted", *means(first, "predicted"), "", "", "", ""]]
-    for number, of in zip(numbers, by_number, strict=True):
-        cells = [""] * 4 if of is last else compared(of)
-        lines.append([str(number), *means(of, "refined"), *cells])
-    edit, *rest = (title for title, _ in FIGURES.values())
-    head = ["outer iterations", f"{edit}, mean", "median", *rest]
-    head += ["difference of edits", "ratio of edits", "better edits", "ratio of seconds"]
-    return runner.table(head, lines)

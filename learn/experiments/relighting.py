@@ -244,14 +244,21 @@ def scene_of(pictures: Mapping[str, Mapping[Key, Record]], source: Key, truth: K
     )
 
 
-def edits_of(pictures: Mapping[str, Mapping[Key, Record]], count: int, seed: int) -> list[Scene]:
+def edits_of(
+    pictures: Mapping[str, Mapping[Key, Record]],
+    count: int,
+    seed: int,
+    sources: Collection[str] | None = None,
+) -> list[Scene]:
     """Return up to `count` edits that every rung has: a picture, and its truth in another material.
 
     Shapes take turns; which lights and materials come first is drawn. A larger count adds to the
     same edits.
 
     pictures  as of `pictures_of`
-    Raises    InputError where no view was rendered in two materials under one light
+    sources   materials of which one is the picture's; None: any
+    Raises    InputError where no view was rendered in two materials under one light, of which
+              `sources` has one
     """
     import numpy as np
 
@@ -260,13 +267,21 @@ def edits_of(pictures: Mapping[str, Mapping[Key, Record]], count: int, seed: int
     views: dict[tuple[Any, ...], list[Key]] = defaultdict(list)
     for key in sorted(set.intersection(*(set(each) for each in pictures.values()))):
         views[key[:3]].append(key)
-    both = [keys for keys in views.values() if len(keys) > 1]
+    both = [
+        keys
+        for keys in views.values()
+        if len(keys) > 1 and (sources is None or any(key.material in sources for key in keys))
+    ]
     if not both:
         rule = f"pictures of a view in two materials on the rungs {' and '.join(pictures)}"
+        if sources is not None:
+            rule += f", one of them one of {', '.join(sorted(sources)) or 'none'}"
         raise InputError("--data", rule, "none", _remedy())
     rng, by_shape = np.random.default_rng(seed), defaultdict(list)
     for index in rng.permutation(len(both)):
-        source, truth = (both[index][k] for k in rng.permutation(len(both[index]))[:2])
+        drawn = [both[index][k] for k in rng.permutation(len(both[index]))]
+        source = next(key for key in drawn if sources is None or key.material in sources)
+        truth = next(key for key in drawn if key != source)
         by_shape[source.shape].append(scene_of(pictures, source, truth))
     turns = [(turn, each) for of in by_shape.values() for turn, each in enumerate(of)]
     return [each for _, each in sorted(turns, key=lambda pair: pair[0])][:count]
