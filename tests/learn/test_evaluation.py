@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from learn.__main__ import COMMANDS
 from learn.data import pairs
 from learn.data.records import Records
 from learn.evaluation import bench, methods, page, run
@@ -503,6 +504,47 @@ def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, t
     with pytest.raises(InputError, match="other refine"):
         files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     assert run.settings(options)["refine"] is False
+
+
+def test_the_method_of_refinement_is_part_of_an_evaluations_settings(options, tmp_path):
+    by = {
+        method: run.settings(replace(options, refine=True, refinement_method=method))
+        for method in (None, "auto", "quadrature")
+    }
+    assert by[None] == by["auto"] and by["quadrature"]["refine"]["method"] == "quadrature"
+    files.pin_settings(tmp_path / "settings.json", by["auto"])
+    with pytest.raises(InputError, match="other refine"):
+        files.pin_settings(tmp_path / "settings.json", by["quadrature"])
+
+
+def test_a_method_without_refinement_is_refused(options, capsys, tmp_path):
+    words = ["evaluate", "--data", str(options.data), "--out", str(tmp_path / "out")]
+    words += ["--no-refine", "--refinement-method", "quadrature"]
+    assert cli.main("learn", "", COMMANDS, words) == 1
+    assert "--refinement-method" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_evaluation_refines_by_the_method_that_is_named(options, monkeypatch):
+    """Every method that is refined, those with true normals included."""
+    seen = []
+
+    def refined(batch, prediction, settings, labels):
+        seen.append(settings)
+        raise InputError("here", "nothing", "enough", "stop")
+
+    monkeypatch.setattr("learn.refinement.refine", refined)
+    named = replace(options, refine=True, refinement_method="quadrature", processes=1)
+    measuring = bench.Bench(**run.arguments(named))
+    for method in measuring.entrants.edits:
+        if isinstance(method, methods.Refined):
+            with pytest.raises(InputError):
+                method._work(None, None)
+    assert {settings.method for settings in seen} == {"quadrature"} and len(seen) == 2
+    assert [settings.order for settings in seen] == [
+        ("material", "light", "normals"),
+        ("material", "light"),
+    ]
 
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):

@@ -24,7 +24,7 @@ from manifests import allocator
 from manifests.cli import main
 from tests.support import ladder_rungs
 from tests.support.full_disk_case import RUN as SETTINGS
-from tests.support.synthetic import add_shape, matte, write_dataset
+from tests.support.synthetic import add_shape, glossy, matte, write_dataset
 from tests.support.two_materials import written
 
 SIZE = 32
@@ -162,6 +162,17 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(row["edit_l2_aligned"] <= row["edit_l2"] for row in r["rows"])
         ),
     ),
+    "refinement-methods": (
+        "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1",
+        lambda r: (
+            [(row["rung"], row["method"]) for row in r["rows"]]
+            == [(rung, m) for rung in ("direct", "8-bit") for m in ("quadrature", "auto")]
+            # an untrained network's light is smooth, so that both methods see the same
+            and all(row["apart"]["predicted"] < 1e-2 < row["apart"]["true"] for row in r["rows"])
+            and len({row["refined"]["edit_l2"] for row in r["rows"]}) == 4
+            and {row["source"] for row in r["rows"]} == {"glossy"}
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
@@ -253,6 +264,7 @@ def room(tmp_path_factory):
     (room / "trained" / "log.jsonl").write_text("".join(json.dumps(s) + "\n" for s in steps))
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
     ladder_rungs.written(room / "ladder", SIZE)
+    ladder_rungs.written(room / "glossy", SIZE, glossy(split="test"))
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
@@ -370,6 +382,8 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
 REPORTS = {
     "edit-brightness-other-metals": "edit-brightness",
     "objective-ablation-features": "objective-ablation",
+    "objective-ablation-glossy": "objective-ablation",
+    "refinement-methods-photographs": "refinement-methods",
     "objective-ablation-long": "objective-ablation",
     "normals-ablation-128": "normals-ablation",
     "normals-ablation-256": "normals-ablation",

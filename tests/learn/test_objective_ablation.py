@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -14,10 +15,13 @@ from learn.data.settings import Data, Losses, Run, Schedule
 from learn.experiments import objective_ablation, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches
 from learn.experiments.objective_ablation import FROM_NOTHING, FROM_WEIGHTS, VARIANTS
+from learn.layer import predictions
 from learn.networks import features, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
+from learn.networks.prediction import Prediction
 from manifests.errors import InputError
+from tests.support.synthetic import glossy
 from tests.support.two_materials import album_of, written
 
 SIZE = 32
@@ -133,6 +137,57 @@ def test_steps_end_a_variant_and_its_learning_rate_though_the_run_has_a_clock():
     assert given.schedule.learning_rate == pytest.approx(1e-3)
     assert given.start == "w.safetensors"
     assert msgspec.structs.replace(given, schedule=run.schedule, start=None, name=run.name) == run
+
+
+def test_variants_by_the_integral_change_the_layers_method_alone():
+    runs = {
+        name: objective_ablation.settings(name, FROM_NOTHING, RUN, options())
+        for name in ("all terms", "losses by the integral", "all by the integral")
+    }
+    methods = [(run.losses.layer_method, run.data.layer_method) for run in runs.values()]
+    assert methods == [("auto", "auto"), ("quadrature", "auto"), ("quadrature", "quadrature")]
+    first, *others = runs.values()
+    for run in others:
+        losses = msgspec.structs.replace(run.losses, layer_method="auto")
+        data = msgspec.structs.replace(run.data, layer_method="auto")
+        assert msgspec.structs.replace(run, losses=losses, data=data, name=first.name) == first
+
+
+def test_glossy_splits_keep_materials_with_narrow_lobes_alone(data_splits):
+    narrow = np.array(glossy().label, np.float32)
+    mixed = {
+        side: replace(split, labels=split.labels | {"narrow": narrow})
+        for side, split in data_splits.items()
+    }
+    kept = objective_training.glossy(mixed)
+    assert [set(split.labels) for split in kept.values()] == 3 * [{"narrow"}]
+    with pytest.raises(InputError, match="narrow lobes on the side train"):
+        objective_training.glossy(data_splits)
+
+
+def test_pictures_of_glossy_tests_are_the_integrals(data_splits):
+    """By the policy of evaluations a perfect prediction has no error, by another one it has."""
+    narrow = {"narrow": np.array(glossy().label, np.float32)}
+    lamps = np.where(np.random.default_rng(0).random((64, 128, 1)) < 0.1, 5.0, 0.3)
+    maps = [np.repeat(lamps, 3, 2).astype(np.float32)]
+    split = replace(data_splits["test"], labels=narrow, maps=maps)
+    run = objective_ablation._with_pictures(RUN, "quadrature")
+    (batch,) = objective_training.tests({"test": split}, run, SIZE, 1, predictions.MEASURED)
+
+    class Truth(torch.nn.Module):
+        def forward(self, *_):
+            return Prediction(batch.n, None, batch.label, None, batch.light)
+
+    errors = {
+        policy: [
+            row
+            for row in objective_training.rows(None, Truth(), batch, policy)
+        ]
+        for policy in (predictions.MEASURED, predictions.VALIDATION)
+    }
+    for key in ("image_l2", "target_l2"):
+        assert max(row[key] for row in errors[predictions.MEASURED]) < 1
+        assert np.mean([row[key] for row in errors[predictions.VALIDATION]]) > 10
 
 
 def test_kept_batches_are_those_of_their_source_and_are_made_once(data_splits, kept):

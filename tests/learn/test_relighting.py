@@ -100,6 +100,15 @@ def test_edits_are_of_one_view_and_light_and_shapes_take_turns(pictures):
             assert all(getattr(source, key) == getattr(truth, key) for key in same)
     few = relighting.edits_of(pictures, 3, 0)
     assert [edit.id for edit in few] == [edit.id for edit in edits[:3]]
+    given = relighting.edits_of(pictures, 99, 0, ["dark"])
+    assert len(given) == 6
+    assert {each.source["direct"].materials for each in given} == {("dark",)}
+    assert {each.truth["direct"].materials for each in given} == {("bright",)}
+    # where the drawn picture is in one of the materials, the edit is the drawn one
+    drawn = {edit.id for edit in edits if edit.source["direct"].materials == ("dark",)}
+    assert drawn and drawn <= {each.id for each in given}
+    with pytest.raises(InputError, match="one of them one of brass"):
+        relighting.edits_of(pictures, 99, 0, ["brass"])
     one = {rung: {key: of[key] for key in sorted(of)[:1]} for rung, of in pictures.items()}
     with pytest.raises(InputError, match="pictures of a view in two materials on the rungs direct"):
         relighting.edits_of(one, 1, 0)

@@ -101,6 +101,7 @@ def test_a_settings_file_by_earlier_names_holds_the_settings_of_today(tmp_path):
                 part[name] = part.pop(new)
     assert old["refine"].pop("b_colour") == 0  # which could not be set then, as the next one
     assert old["refine"].pop("half_weight_colour") is None
+    assert old["refine"].pop("method") == "auto"
     assert old != today and with_current_names(old) == today
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(old))

@@ -11,12 +11,14 @@ from tests.support.synthetic import add_shape, matte, named, with_picture, write
 TURNS = (0, 30, 70)  # of the light, in texels
 
 
-def written(folder, size):
+def written(folder, size, bright=None):
     """Writes two spheres in two materials, the light turned, as pictures of both rungs.
 
     Both rungs show the same picture, because nothing here casts shadows.
+
+    bright  a material in place of the second one
     """
-    both = [matte("dark", 0.2, "test"), matte("bright", 0.7, "test")]
+    both = [matte("dark", 0.2, "test"), bright or matte("bright", 0.7, "test")]
     rng = np.random.default_rng(4)
     store = write_dataset(folder, both, rng, size, 1, 0.0, TURNS, method="quadrature")
     add_shape(store, "car:1", "test")

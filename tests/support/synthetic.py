@@ -44,6 +44,17 @@ def matte(name="matte", albedo=ALBEDO, split="train", node_fit=0.0):
     return entry(name, m, Mixture.lambert([albedo] * 3), split, node_fit)
 
 
+def glossy(name="glossy", split="train", gamma=4e3):
+    """A material with a lobe that is narrower than a texel, over a matte one.
+
+    Its mixture is the matte one alone: for tests that render by the label.
+    """
+    m = np.full((3, 3, 2, 6), 1e-9)
+    m[:, 0, 0] = np.log1p(0.1 / np.pi)
+    m[:, 1] = np.array([6.0, gamma])[:, None]
+    return entry(name, m, Mixture.lambert([0.1] * 3), split)
+
+
 def entry(name, m, mixture, split="train", node_fit=0.0):
     # processors round the last digit of logarithms differently, and ids, which decide what tests
     # draw, hash all digits
