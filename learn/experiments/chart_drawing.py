@@ -115,6 +115,8 @@ def page(report: runner.Report) -> str:
     """Return the tables of all settings and of the fronts in Markdown."""
     measured = ", ".join(f"{count} {name}" for name, count in report["measured"].items())
     parts = ["# Work and precision", "", f"{NOTE} {measured}.", "", ABOUT_RIVALS, ""]
+    if "renewed" in report:
+        parts += [_about_renewed(report), ""]
     for camera in cameras(report):
         parts += [f"## {camera}", "", settings_table(report["settings"], camera)]
         parts += ["### The fastest setting for each error", "", ON_FRONT, ""]
@@ -129,6 +131,29 @@ def page(report: runner.Report) -> str:
         for camera in cameras(report):
             parts += [f"{camera}:", "", settings_table(settings, camera)]
     return "\n".join(parts)
+
+
+def _about_renewed(report: runner.Report) -> str:
+    """Say which rows are of the last command, and what these settings took before."""
+    renewed = report["renewed"]
+    names = " and ".join(f"`{name}`" for name in renewed["methods"])
+    now = {(row["camera"], row["method"], row["knob"]): row for row in report["settings"]}
+    lines = []
+    for before in renewed["before"]:
+        key = (before["camera"], before["method"], before["knob"])
+        rows = (before, now[key])
+        lines.append(
+            [*key]
+            + [f"{1e3 * row['seconds'][judge]:.1f}" for judge in ("median", "worst") for row in rows]
+            + [f"{row['integral']['worst']:.1e}" for row in rows]
+        )
+    head = ["camera", "method", "knob", "median ms, earlier", "now", "worst ms, earlier", "now"]
+    head += ["integral, worst, earlier", "now"]
+    return (
+        f"The rows of {names} are of the command in the last line; all others are kept from an"
+        f" earlier run: {runner.stamp(renewed['kept'])}. What the renewed rows were then:\n\n"
+        + runner.table(head, lines)
+    )
 
 
 def settings_table(settings: list[dict[str, Any]], camera: str) -> str:

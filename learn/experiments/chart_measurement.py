@@ -82,17 +82,25 @@ def relative_error(seen: np.ndarray, truth: np.ndarray) -> float:
 
 
 def measured(
-    cases: Sequence[Case], folder: Path, with_torch: bool = True, with_mitsuba: bool = False
+    cases: Sequence[Case],
+    folder: Path,
+    with_torch: bool = True,
+    with_mitsuba: bool = False,
+    methods: Sequence[str] | None = None,
 ) -> list[dict[str, Any]]:
     """Return rows of material, light, camera, shape, size, method, knob and the above.
 
     folder        keeps what is measured, so that a stopped measurement continues
     with_torch, with_mitsuba  whether these rivals are measured; Mitsuba on spheres, by all settings
+    methods       names of those that are measured; None: all
     """
     torch.set_num_threads(1)
-    todo = [(case.names() | {"torch": with_torch}, case) for case in cases]
+    chosen: dict[str, Any] = {"torch": with_torch}
+    if methods is not None:  # only then: folders of before have no such key
+        chosen["methods"] = " ".join(methods)
+    todo = [(case.names() | chosen, case) for case in cases]
     kept = runner.resume(
-        folder / "cases.jsonl", todo, lambda case: one_case(case, with_torch), "case"
+        folder / "cases.jsonl", todo, lambda case: one_case(case, with_torch, methods), "case"
     )
     rows = [row for of_case in kept for row in of_case["rows"]]
     if with_mitsuba:
@@ -123,14 +131,21 @@ def warm_up(with_torch: bool) -> None:
             torch_rival.timed(formula, small.batch()[0])
 
 
-def one_case(case: Case, with_torch: bool) -> dict[str, Any]:
-    """Return {"rows": those of every setting on one case, "truth": what they are compared with}."""
+def one_case(
+    case: Case, with_torch: bool, methods: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Return {"rows": those of every setting on one case, "truth": what they are compared with}.
+
+    methods  names of those that are measured; None: all
+    """
     warm_up(with_torch)
     batch, _ = case.batch()
     truth, rows = truth_at(batch, sample(len(batch.n), SAMPLE)), []
     pixels = {"pixels": len(batch.n)}
     settings = chart_cases.leading_settings() if case.leading else chart_cases.settings()
     for setting in settings:
+        if methods is not None and setting.method not in methods:
+            continue
         if case.camera == "perspective" and "orthographic" in load(setting.method).CARD.needs:
             continue
         seconds, seen = timed(setting, case, True)

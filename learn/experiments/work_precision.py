@@ -9,6 +9,9 @@ cases.jsonl keeps them, so that the same command continues.
 
 Fewer settings, every third of the materials and the first of the lights are measured on shapes with
 few distinct normals, a cube and a cylinder, and on a sphere in a picture of 256².
+
+--renew measures some methods again and keeps the other rows of an earlier report, which must be of
+the same materials, lights, cameras and sizes. The new report says which rows are whose.
 """
 
 from __future__ import annotations
@@ -23,6 +26,11 @@ from learn.experiments import runner
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+METHODS = (  # those of chart_cases.settings, which needs torch to be imported
+    "exact", "culled", "reflectance_map", "median_cut", "hybrid", "quadrature",
+    "spherical_harmonics", "split_sum", "spherical_gaussians", "monte_carlo", "monte_carlo_light",
+    "monte_carlo_brdf", "auto",
+)  # fmt: skip
 CAMERAS = ("orthographic", "perspective")
 FURTHER = ("cube", "cylinder", "large sphere")
 LARGE = 256  # pixels of the large sphere's side
@@ -70,6 +78,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave plain torch out, whose compilation takes a minute",
     )
     parser.add_argument(
+        "--renew",
+        type=Path,
+        metavar="FILE",
+        help="a report.json, of which only the rows of --method are measured again",
+    )
+    parser.add_argument(
+        "--method",
+        nargs="+",
+        choices=METHODS,
+        metavar="NAME",
+        help=f"with --renew: of {', '.join(METHODS)}",
+    )
+    parser.add_argument(
         "--mitsuba",
         action="store_true",
         help="measure Mitsuba 3 too; needs the extra `witness`, and DRJIT_LIBLLVM_PATH",
@@ -82,6 +103,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests import materials as catalogue
     from manifests.errors import InputError
 
+    earlier = _earlier(arguments)
     if arguments.mitsuba and not mitsuba_rival.is_installed():
         raise InputError("--mitsuba", "the package mitsuba", "none", "pip install .[witness]")
     names = arguments.material or chart_cases.MATERIALS
@@ -109,7 +131,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for camera in arguments.camera
     ]
     rows = chart_measurement.measured(
-        cases, arguments.out, not arguments.no_torch, arguments.mitsuba
+        cases,
+        arguments.out,
+        not arguments.no_torch and earlier is None,
+        arguments.mitsuba,
+        arguments.method,
     )
     _write_cases(arguments.out / "cases.csv", rows)
 
@@ -122,13 +148,73 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for name in ("method", "material", "light", "camera")
     }
     measured["pixels"] = max(row["pixels"] for row in main)
-    return {
+    report = {
         "measured": measured,
         "settings": pareto_front.summary(main),
         "further": {
             f"{shape}, {side}²": pareto_front.summary(of(shape, side))
             for shape, side in scenes.values()
             if (shape, side) != ("sphere", size)
+        },
+    }
+    return report if earlier is None else renewed(earlier, report, arguments.renew)
+
+
+def _earlier(arguments: argparse.Namespace) -> runner.Report | None:
+    """Return the report of --renew, or None. Raises InputError for it without --method, …"""
+    from manifests.errors import InputError
+    from manifests.reading import read
+
+    if (arguments.renew is None) != (arguments.method is None):
+        there, missing = ("--method", "--renew")[:: 1 if arguments.renew is None else -1]
+        raise InputError(missing, f"it beside {there}", "none", "give both, or neither")
+    if arguments.renew is None:
+        return None
+    if arguments.mitsuba:
+        raise InputError("--mitsuba", "no --renew with it", "both", "leave one of them out")
+    return read(arguments.renew, dict[str, Any])
+
+
+def renewed(earlier: runner.Report, new: runner.Report, where: Path) -> runner.Report:
+    """Return an earlier report in which the settings of a new one take the place of its own.
+
+    where   of the earlier report, for messages
+    Raises  InputError if the two did not measure the same
+    """
+    from manifests.errors import InputError
+
+    def keys(rows: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
+        return {(row["camera"], row["method"], row["knob"]) for row in rows}
+
+    methods = sorted({row["method"] for row in new["settings"]})
+    counts = {key: value for key, value in earlier["measured"].items() if key != "methods"}
+    mine = {key: value for key, value in new["measured"].items() if key != "methods"}
+    fine = counts == mine and set(earlier["further"]) == set(new["further"])
+    for before, after in [
+        (earlier["settings"], new["settings"]),
+        *((earlier["further"].get(name, []), rows) for name, rows in new["further"].items()),
+    ]:
+        own = keys([row for row in before if row["method"] in methods])
+        fine = fine and own == keys(after)
+    if not fine:
+        rule = "a report of the same materials, lights, cameras, sizes and settings"
+        remedy = "give the options of the command that its last line names"
+        raise InputError(where, rule, f"{earlier['measured']}", remedy)
+
+    def merged(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        of = {(row["camera"], row["method"], row["knob"]): row for row in after}
+        return [of.get((row["camera"], row["method"], row["knob"]), row) for row in before]
+
+    return {
+        "measured": earlier["measured"],
+        "settings": merged(earlier["settings"], new["settings"]),
+        "further": {
+            name: merged(rows, new["further"][name]) for name, rows in earlier["further"].items()
+        },
+        "renewed": {
+            "methods": methods,
+            "kept": earlier["made_by"],
+            "before": [row for row in earlier["settings"] if row["method"] in methods],
         },
     }
 

@@ -1,5 +1,7 @@
 """The chart: which setting keeps an error in the least time over all cases; shapes and rivals."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,10 @@ from learn.experiments import (
     eager_sum,
     pareto_front,
     torch_rival,
+    work_precision,
 )
+from learn.experiments.__main__ import COMMANDS
+from manifests import cli
 from manifests import materials as catalogue
 
 
@@ -113,3 +118,65 @@ def test_plain_torch_is_compared_with_the_sum_and_its_time_is_scaled_to_all_pixe
     assert timed.seconds == timed.forward == len(batch.n) / len(timed.pick)
     errors = chart_measurement.truth_at(batch, timed.pick).errors(timed.radiance.numpy())
     assert errors["error"] < 1e-5 < errors["integral"]
+
+
+def test_a_renewed_report_has_the_new_rows_of_the_methods_and_the_old_ones_of_all_others(
+    tmp_path, capsys, monkeypatch
+):
+    """Without measuring: every setting takes as many seconds as the run is told."""
+    taking = {"seconds": 77.0}
+
+    def measured(cases, folder, with_torch, with_mitsuba, methods):
+        errors = {"error": 0.1, "integral": 0.2, "forward_error": 0.1, "pixels": 25}
+        return [
+            case.names()
+            | {"method": each.method, "knob": each.knob, "forward": 1.0}
+            | taking
+            | errors
+            for case in cases
+            for each in (chart_cases.leading_settings() if case.leading else chart_cases.settings())
+            if methods is None or each.method in methods
+        ]
+
+    monkeypatch.setattr(chart_measurement, "measured", measured)
+    monkeypatch.setattr(chart_drawing, "chart", lambda report: None)  # which takes seconds
+    words = ["--size", "8", "--material", "chrome", "--light", "sky", "--further", "cube"]
+
+    def run(name, *further):
+        command = ["work-precision", *words, *further, "--out", str(tmp_path / name)]
+        return cli.main("learn.experiments", "", COMMANDS, command)
+
+    def report(name):
+        return json.loads((tmp_path / name / "report.json").read_text())
+
+    path = tmp_path / "first" / "report.json"
+    assert run("first") == 0
+    taking["seconds"] = 5.0
+    chosen = ("--renew", str(path), "--method", "quadrature", "exact")
+    assert run("second", *chosen) == 0
+    assert run("third", *chosen, "--camera", "orthographic") == 1
+    assert run("fourth", "--method", "exact") == 1
+    assert run("fifth", "--renew", str(path)) == 1
+    errors = capsys.readouterr().err
+    assert "a report of the same materials" in errors
+    assert "--renew: expected it beside --method" in errors
+    assert "--method: expected it beside --renew" in errors
+    first, second = report("first"), report("second")
+    assert second["renewed"]["kept"] == first["made_by"]
+    for before, after in (
+        (first["settings"], second["settings"]),
+        *((first["further"][name], rows) for name, rows in second["further"].items()),
+    ):
+        assert [row["knob"] for row in before] == [row["knob"] for row in after]
+        for row in after:
+            is_new = row["method"] in ("exact", "quadrature")
+            assert row["seconds"]["median"] == (5.0 if is_new else 77.0)
+    page = (tmp_path / "second" / "report.md").read_text()
+    assert "The rows of `exact` and `quadrature`" in page and first["made_by"]["commit"] in page
+    # what both took before and take now, of both cameras
+    assert page.count(" | 77000.0 | 5000.0 | 77000.0 | 5000.0 | ") == 4
+
+
+def test_the_methods_that_can_be_renewed_are_those_of_the_chart():
+    names = list(dict.fromkeys(each.method for each in chart_cases.settings()))
+    assert list(work_precision.METHODS) == names
