@@ -6,9 +6,9 @@ compared with Cycles' pictures of them. Pictures in direct light are refined as 
 8-bit pictures as photographs are. All edits are rendered by the integral. The data set is one of
 the ladder's jobs (`python -m learn evaluate-ladder --jobs DIR` names them), or of pictures in
 direct light such as docs/jobs/evaluation. The report also says how far the sum is from the
-integral, of the true parts and of the predicted ones. Seconds are of the processor, on one thread.
-rows.jsonl keeps a line per refinement: the same command continues, and a larger --scenes adds to
-it.
+integral, of the true parts and of the predicted ones, in further pictures too, which are not
+refined. Seconds are of the processor, on one thread. rows.jsonl keeps a line per refinement, and
+pictures.jsonl one per picture: the same command continues, and larger numbers add to it.
 """
 
 from __future__ import annotations
@@ -39,14 +39,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=24,
         metavar="N",
-        help="number of scenes on each rung, shapes in turn (default 24)",
+        help="number of scenes that are refined on each rung, shapes in turn (default 24)",
+    )
+    parser.add_argument(
+        "--pictures",
+        type=positive,
+        default=48,
+        metavar="N",
+        help="number of scenes on each rung whose sum and integral are compared (default 48)",
     )
     options.add_seed(parser, "seed by which edits are drawn")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows", "weights", "seen"}; rows as of `row_of`, and scene, rung, method.
+    """Return {"rows", "pictures", "weights", "seen"}.
 
+    rows      as of `row_of`, and scene, rung, method
+    pictures  as of `apart_of`, and scene, rung
     Raises InputError for a data set without pictures in glossy materials beside others.
     """
     from dataclasses import asdict
@@ -55,20 +64,37 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import drawn_edits, relighting
 
     settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in relighting.RUNGS}
-    edits = drawn_edits.opened(arguments, sources=glossy, settings=settings)
+    most = {"scenes": max(arguments.scenes, arguments.pictures)}
+    edits = drawn_edits.opened(
+        argparse.Namespace(**vars(arguments) | most), sources=glossy, settings=settings
+    )
+    refined = edits.scenes[: arguments.scenes]
     bench = ladder.Bench(edits.records, arguments.weights)
     todo = [
         ({"scene": scene.id, "rung": rung, "method": method}, (scene, rung, method))
-        for scene in edits.scenes
+        for scene in refined
         for rung in edits.pictures
         for method in METHODS
     ]
+    compared = [
+        ({"scene": scene.id, "rung": rung}, (scene, rung))
+        for scene in edits.scenes[: arguments.pictures]
+        for rung in edits.pictures
+    ]
+    pictures = runner.resume(
+        arguments.out / "pictures.jsonl", compared, lambda case: apart_of(bench, *case), "picture"
+    )
     for method in METHODS:  # once without a clock, because kernels are compiled
-        _warm_up(bench, edits.scenes[0], next(iter(edits.pictures)), method)
+        _warm_up(bench, refined[0], next(iter(edits.pictures)), method)
     rows = runner.resume(
         arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "refinement"
     )
-    return {"rows": rows, "weights": arguments.weights.name, "seen": edits.seen}
+    return {
+        "rows": rows,
+        "pictures": pictures,
+        "weights": arguments.weights.name,
+        "seen": edits.seen,
+    }
 
 
 def glossy(records: Records) -> set[str]:
@@ -108,46 +134,51 @@ def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
 
 
 def row_of(bench: Any, scene: Scene, rung: str, method: str) -> dict[str, Any]:
-    """Return a row as of `drawn_edits.refined_row`, the picture's material, and {"apart"}.
-
-    "apart" is the display L2 between the picture's re-rendering by the sum and by the integral, of
-    "true" parts and of those "predicted".
+    """Return a row as of `drawn_edits.refined_row`, and the picture's material.
 
     bench   of learn.evaluation.ladder
     """
+    from learn.experiments import drawn_edits
+
+    return drawn_edits.refined_row(bench, scene, rung, settings_of(rung, method)) | {
+        "source": scene.source[rung].materials[0],
+        "target_is_glossy": scene.truth[rung].materials[0] in glossy(bench.records),
+    }
+
+
+def apart_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+    """Return a picture's names, and the display L2 between its renderings by sum and by integral.
+
+    "true" are those of the true parts, "predicted" those of the predicted ones.
+
+    bench   of learn.evaluation.ladder
+    """
+    from learn.data.devices import array
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
-    from learn.experiments import drawn_edits
-    from learn.networks.prediction import Prediction
-
-    row = drawn_edits.refined_row(bench, scene, rung, settings_of(rung, method))
-    (known,) = (each for each in RUNGS if each.name == rung)
-    batch = shown(bench.records, scene, known, bench.size).batch
-    source = scene.source[rung].materials[0]
-    narrow = scene.truth[rung].materials[0] in glossy(bench.records)
-    parts = {
-        "true": Prediction(batch.n, None, batch.label, None, batch.light),
-        "predicted": bench.predict(batch),
-    }
-    return row | {
-        "source": source,
-        "target_is_glossy": narrow,
-        "apart": {name: _apart(each, batch) for name, each in parts.items()},
-    }
-
-
-def _apart(parts: Any, batch: Any) -> float:
-    """Return the display L2 between both renderings of parts, over the object."""
-    from learn.data.devices import array
     from learn.layer import predictions
     from learn.metrics.pictures import display_l2
+    from learn.networks.prediction import Prediction
 
-    def rendered(policy: predictions.Policy) -> Any:
-        args = (parts.n, parts.label, parts.light, batch.segments, batch.elevation, policy)
-        return array(predictions.picture(*args)[0])
-
+    (known,) = (each for each in RUNGS if each.name == rung)
+    batch = shown(bench.records, scene, known, bench.size).batch
     inside = array(batch.segments[0] > 0)
-    return display_l2(rendered(predictions.TEXEL_SUM), rendered(predictions.MEASURED), inside)
+
+    def apart(parts: Prediction) -> float:
+        of_parts = (parts.n, parts.label, parts.light, batch.segments, batch.elevation)
+        by_sum, by_integral = (
+            array(predictions.picture(*of_parts, policy)[0])
+            for policy in (predictions.TEXEL_SUM, predictions.MEASURED)
+        )
+        return display_l2(by_sum, by_integral, inside)
+
+    return {
+        "shape": scene.shape,
+        "light": scene.light,
+        "source": scene.source[rung].materials[0],
+        "true": apart(Prediction(batch.n, None, batch.label, None, batch.light)),
+        "predicted": apart(bench.predict(batch)),
+    }
 
 
 def tables(report: runner.Report) -> str:
@@ -167,7 +198,11 @@ def tables(report: runner.Report) -> str:
         " least.\n"
     )
     for rung in dict.fromkeys(row["rung"] for row in rows):
-        result += _of_rung(rung, [row for row in rows if row["rung"] == rung])
+        result += _of_rung(
+            rung,
+            [row for row in rows if row["rung"] == rung],
+            [picture for picture in report["pictures"] if picture["rung"] == rung],
+        )
     return "\n".join(result)
 
 
@@ -175,7 +210,9 @@ def _count(rows: Sequence[Mapping[str, Any]], key: str) -> int:
     return len({row[key] for row in rows})
 
 
-def _of_rung(rung: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _of_rung(
+    rung: str, rows: Sequence[Mapping[str, Any]], pictures: Sequence[Mapping[str, Any]]
+) -> list[str]:
     import numpy as np
 
     from learn.experiments import drawn_edits
@@ -190,23 +227,28 @@ def _of_rung(rung: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
             f"Of these, edits into materials with narrow lobes ({_count(into, 'scene')}):\n",
             drawn_edits.comparison(into, "method", METHODS, "refined by"),
         ]
-    each = [row for row in rows if row["method"] == METHODS[0]]
-    apart = {name: np.array([row["apart"][name] for row in each]) for name in ("true", "predicted")}
-    middle, most = ({k: f(v) for k, v in apart.items()} for f in (np.median, np.max))
-    result.append(
-        "Display L2 between the picture's re-rendering by the sum and by the integral: of the true"
-        f" parts {middle['true']:.2g} in the median and {most['true']:.3g} at most, of the predicted"
-        f" parts {middle['predicted']:.2g} and {most['predicted']:.3g}.\n"
-    )
     lines = []
-    for light in sorted({row["light"] for row in rows}):
-        of = [row for row in rows if row["light"] == light]
-        means = [
-            np.mean([row["refined"]["edit_l2"] for row in of if row["method"] == method])
-            for method in METHODS
+    for light in ["all", *sorted({picture["light"] for picture in pictures})]:
+        of = [picture for picture in pictures if light in ("all", picture["light"])]
+        cells = [
+            f"{judge([picture[parts] for picture in of]):.2g}"
+            for parts in ("true", "predicted")
+            for judge in (np.median, np.max)
         ]
-        true = np.mean([row["apart"]["true"] for row in of])
-        lines.append([light, _count(of, "scene"), *(f"{mean:.0f}" for mean in means), f"{true:.2g}"])
-    head = ["light", "scenes", *(f"edit, {method}" for method in METHODS)]
-    result.append(runner.table([*head, "sum and integral apart, true parts"], lines))
+        lines.append([light, len(of), _count(of, "source"), *cells])
+    result += [
+        "How far the picture's re-rendering by the sum is from that by the integral, display L2:\n",
+        runner.table(
+            [
+                "light",
+                "pictures",
+                "materials",
+                "true parts: median",
+                "most",
+                "predicted parts: median",
+                "most",
+            ],
+            lines,
+        ),
+    ]
     return result

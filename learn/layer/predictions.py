@@ -45,7 +45,7 @@ ABLATION = Policy("auto", 2e-2)
 PIXEL_LOSS = Policy("exact", 1e-2)
 # all pixels at 2e-2 would take a quarter longer
 FRAME_LOSS = Policy("auto", 5e-2)
-INTEGRAL_LOSS = Policy("quadrature", 1e-2)
+INTEGRAL_LOSS = Policy("quadrature", 2e-2)
 TEXEL_SUM = Policy("exact", 1e-2)
 
 

@@ -163,12 +163,13 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         ),
     ),
     "refinement-methods": (
-        "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1",
+        "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1 --pictures 2",
         lambda r: (
             [(row["rung"], row["method"]) for row in r["rows"]]
             == [(rung, m) for rung in ("direct", "8-bit") for m in ("quadrature", "auto")]
             # an untrained network's light is smooth, so that both methods see the same
-            and all(row["apart"]["predicted"] < 1e-2 < row["apart"]["true"] for row in r["rows"])
+            and all(each["predicted"] < 1e-2 < each["true"] for each in r["pictures"])
+            and [each["rung"] for each in r["pictures"]] == 2 * ["direct", "8-bit"]
             and len({row["refined"]["edit_l2"] for row in r["rows"]}) == 4
             and {row["source"] for row in r["rows"]} == {"glossy"}
         ),

@@ -74,7 +74,7 @@ def test_measured_materials_keep_the_tolerance_under_a_lamp_of_one_texel(name):
     one = {"n": torch.tensor(n[None], dtype=torch.float32), "light": light}
     one["material"] = torch.tensor(load_catalogue()[name].m, dtype=torch.float32).reshape(1, 108)
     fine = render(**one, method="quadrature", tolerance=2e-4)
-    for tolerance in (5e-3, 1e-2):
+    for tolerance in (5e-3, 1e-2, 2e-2, 5e-2):
         assert relative(render(**one, method="quadrature", tolerance=tolerance), fine) < tolerance
 
 
@@ -83,6 +83,8 @@ def test_integral_of_lobes_narrower_than_a_texel(gamma):
     one = scene(gamma)
     fine = render(**(one | {"light": split(one["light"], SPLIT)}), method="exact")
     assert relative(render(**one, method="quadrature", tolerance=1e-2), fine) < 1e-2
+    for tolerance in (2e-2, 5e-2):  # at which there are fewer samples
+        assert relative(render(**one, method="quadrature", tolerance=tolerance), fine) < tolerance
     # the reference's own step is a third of a lobe
     assert relative(render(**one, method="quadrature", tolerance=1e-3), fine) < 4e-3
     # the paper's sum, on the same scene
