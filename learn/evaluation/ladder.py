@@ -31,6 +31,7 @@ from learn.layer.predictions import MEASURED
 from learn.metrics.pictures import aligned, display_l2
 from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
+from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, refine
 from manifests import files, lock, ray_tasks
 from manifests.cached_store import open_store
@@ -328,6 +329,13 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
         display_l2(edited, picture.target, picture.mask),
         aligned(edited, picture.target, picture.mask)["l2_one_factor"],
     )
+
+
+def rendered_again(prediction: Prediction, picture: Shown) -> float:
+    """Return the display L2 of the picture's re-rendering by the integral against the picture."""
+    parts, batch = parts_of(prediction), picture.batch
+    again = methods.rendered(parts.n, parts.label, parts.light, batch)
+    return display_l2(again, array((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 
 
 def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:

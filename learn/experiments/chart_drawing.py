@@ -144,7 +144,11 @@ def _about_renewed(report: runner.Report) -> str:
         rows = (before, now[key])
         lines.append(
             [*key]
-            + [f"{1e3 * row['seconds'][judge]:.1f}" for judge in ("median", "worst") for row in rows]
+            + [
+                f"{1e3 * row['seconds'][judge]:.1f}"
+                for judge in ("median", "worst")
+                for row in rows
+            ]
             + [f"{row['integral']['worst']:.1e}" for row in rows]
         )
     head = ["camera", "method", "knob", "median ms, earlier", "now", "worst ms, earlier", "now"]

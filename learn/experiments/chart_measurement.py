@@ -131,9 +131,7 @@ def warm_up(with_torch: bool) -> None:
             torch_rival.timed(formula, small.batch()[0])
 
 
-def one_case(
-    case: Case, with_torch: bool, methods: Sequence[str] | None = None
-) -> dict[str, Any]:
+def one_case(case: Case, with_torch: bool, methods: Sequence[str] | None = None) -> dict[str, Any]:
     """Return {"rows": those of every setting on one case, "truth": what they are compared with}.
 
     methods  names of those that are measured; None: all

@@ -83,11 +83,17 @@ def opened(
 
 
 def refined_row(
-    bench: Any, scene: Scene, rung: str, settings: RefinementSettings
+    bench: Any,
+    scene: Scene,
+    rung: str,
+    settings: RefinementSettings,
+    true_light: bool = False,
 ) -> dict[str, Any]:
     """Return a scene's names, and {FIGURES: value} of "predicted" and "refined" on a rung.
 
-    bench  of learn.evaluation.ladder
+    bench       of learn.evaluation.ladder
+    true_light  whether the true light takes the place of the predicted one; settings say whether it
+                may move
     """
     import time
 
@@ -102,6 +108,8 @@ def refined_row(
     picture = shown(bench.records, scene, known, bench.size)
     began = time.process_time()
     start = bench.predict(picture.batch)
+    if true_light:
+        start = start._replace(light=picture.batch.light)
     predicted = time.process_time()
     refined = bench.refine(picture.batch, start, settings).prediction
     seconds = {"predicted": predicted - began, "refined": time.process_time() - predicted}
@@ -113,7 +121,7 @@ def refined_row(
         "metal": bench.records.material(target).family == "metal",
     } | {
         name: to_builtins(ladder.measured(parts_of(parts), picture, picture.batch))
-        | {"seconds": seconds[name]}
+        | {"seconds": seconds[name], "image_l2": ladder.rendered_again(parts, picture)}
         for name, parts in (("predicted", start), ("refined", refined))
     }
 

@@ -191,9 +191,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     if FROM_WEIGHTS in arguments.initialisations:
         shown = overlap.of_split(data_splits["test"])
         seen = overlap.sentences([arguments.start], shown, arguments.data, arguments.allow_overlap)
-    tests = objective_training.tests(
-        data_splits, tested, arguments.size, arguments.batches, policy
-    )
+    tests = objective_training.tests(data_splits, tested, arguments.size, arguments.batches, policy)
     sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
     kept = {
         method: KeptBatches(
@@ -338,8 +336,7 @@ def tables(report: runner.Report) -> str:
         f" {test['shapes']} shapes, {test['materials']} materials and {test['lights']} light maps"
         " that are never seen, with everything predicted. Means with 95 % intervals over shapes"
         " and materials, which do not cover another training of the same variant: `all terms"
-        " again` shows what other random numbers do."
-        + GLOSSY * about.get("glossy", False),
+        " again` shows what other random numbers do." + GLOSSY * about.get("glossy", False),
     ]
     for start, of_start in report["initialisations"].items():
         begins = f"the weights {about['start']}" if start == FROM_WEIGHTS else "nothing"

@@ -153,9 +153,7 @@ def rows(
         "angle_deg": validation.means(angle, batch.segments > 0),
         "albedo": validation.albedos(label, batch)["albedo"],
         "irradiance": irradiance_error(light, batch.light).double().numpy(),
-        "image_l2": validation.compared(
-            n, label, light, true_label, batch, batch.picture, policy
-        ),
+        "image_l2": validation.compared(n, label, light, true_label, batch, batch.picture, policy),
         "target_l2": validation.compared(n, target, light, target, batch, batch.target, policy),
     }
     for i, name in enumerate(batch.names):

@@ -3,7 +3,9 @@
 Pictures of objects in materials with lobes that are visible and narrower than a texel are refined
 by each method of the layer from the same prediction, and the edits into other materials are
 compared with Cycles' pictures of them. Pictures in direct light are refined as evaluations are, and
-8-bit pictures as photographs are. All edits are rendered by the integral. The data set is one of
+8-bit pictures as photographs are. Predicted lights are smooth; therefore pictures in direct light
+are also refined from the prediction with the true light in place of the predicted one, which then
+stays. All edits are rendered by the integral. The data set is one of
 the ladder's jobs (`python -m learn evaluate-ladder --jobs DIR` names them), or of pictures in
 direct light such as docs/jobs/evaluation. The report also says how far the sum is from the
 integral, of the true parts and of the predicted ones, in further pictures too, which are not
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from learn.evaluation.ladder_design import Scene
     from learn.refinement import RefinementSettings
 
+PREDICTED, TRUE_LIGHT = "predicted light", "true light"
 METHODS = LAYER_METHODS[::-1]  # the last one, auto, is what the others are compared with
 
 
@@ -54,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "pictures", "weights", "seen"}.
 
-    rows      as of `row_of`, and scene, rung, method
+    rows      as of `row_of`, and scene, rung, start (PREDICTED or TRUE_LIGHT), method
     pictures  as of `apart_of`, and scene, rung
     Raises InputError for a data set without pictures in glossy materials beside others.
     """
@@ -71,9 +74,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     refined = edits.scenes[: arguments.scenes]
     bench = ladder.Bench(edits.records, arguments.weights)
     todo = [
-        ({"scene": scene.id, "rung": rung, "method": method}, (scene, rung, method))
+        (
+            {"scene": scene.id, "rung": rung, "start": start, "method": method},
+            (scene, rung, start, method),
+        )
         for scene in refined
         for rung in edits.pictures
+        # a photograph's light is known up to its exposure at best
+        for start in ((PREDICTED, TRUE_LIGHT) if rung == "direct" else (PREDICTED,))
         for method in METHODS
     ]
     compared = [
@@ -133,14 +141,19 @@ def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
     drawn_edits.refined_row(bench, scene, rung, settings)
 
 
-def row_of(bench: Any, scene: Scene, rung: str, method: str) -> dict[str, Any]:
+def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict[str, Any]:
     """Return a row as of `drawn_edits.refined_row`, and the picture's material.
 
     bench   of learn.evaluation.ladder
     """
+    from dataclasses import replace
+
     from learn.experiments import drawn_edits
 
-    return drawn_edits.refined_row(bench, scene, rung, settings_of(rung, method)) | {
+    settings, is_true = settings_of(rung, method), start == TRUE_LIGHT
+    if is_true:
+        settings = replace(settings, order=("material", "normals"))
+    return drawn_edits.refined_row(bench, scene, rung, settings, is_true) | {
         "source": scene.source[rung].materials[0],
         "target_is_glossy": scene.truth[rung].materials[0] in glossy(bench.records),
     }
@@ -210,6 +223,28 @@ def _count(rows: Sequence[Mapping[str, Any]], key: str) -> int:
     return len({row[key] for row in rows})
 
 
+def _again(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the re-rendering's means, and what intervals say of the methods' difference."""
+    import numpy as np
+
+    from learn.metrics import bootstrap
+
+    by = [[row for row in rows if row["method"] == method] for method in METHODS]
+    kinds = ("shape", "source", "light")
+    weights = bootstrap.draws(
+        bootstrap.groups_of(*([row[kind] for row in by[0]] for kind in kinds))
+    )
+    ratios = []
+    for key, name in (("image_l2", "the picture's re-rendering"), ("normals_mean_deg", "normals")):
+        mine, theirs = (np.array([row["refined"][key] for row in of]) for of in by)
+        ratio = runner.interval(bootstrap.relative(theirs, mine, weights))
+        ratios.append(
+            f"{name} {mine.mean():.4g} by {METHODS[0]}, {theirs.mean():.4g} by"
+            f" {METHODS[1]}, ratio {ratio}"
+        )
+    return f"Refined, means: {'; '.join(ratios)}. These intervals draw the pictures' materials.\n"
+
+
 def _of_rung(
     rung: str, rows: Sequence[Mapping[str, Any]], pictures: Sequence[Mapping[str, Any]]
 ) -> list[str]:
@@ -217,16 +252,20 @@ def _of_rung(
 
     from learn.experiments import drawn_edits
 
-    result = [
-        f"## Rung {rung}\n",
-        drawn_edits.comparison(rows, "method", METHODS, "refined by"),
-    ]
-    into = [row for row in rows if row["target_is_glossy"]]
-    if into:
+    result = []
+    for start in dict.fromkeys(row["start"] for row in rows):
+        of = [row for row in rows if row["start"] == start]
         result += [
-            f"Of these, edits into materials with narrow lobes ({_count(into, 'scene')}):\n",
-            drawn_edits.comparison(into, "method", METHODS, "refined by"),
+            f"## Rung {rung}, {start}\n",
+            drawn_edits.comparison(of, "method", METHODS, "refined by"),
+            _again(of),
         ]
+        into = [row for row in of if row["target_is_glossy"]]
+        if into and start == PREDICTED:
+            result += [
+                f"Of these, edits into materials with narrow lobes ({_count(into, 'scene')}):\n",
+                drawn_edits.comparison(into, "method", METHODS, "refined by"),
+            ]
     lines = []
     for light in ["all", *sorted({picture["light"] for picture in pictures})]:
         of = [picture for picture in pictures if light in ("all", picture["light"])]
@@ -237,6 +276,7 @@ def _of_rung(
         ]
         lines.append([light, len(of), _count(of, "source"), *cells])
     result += [
+        f"## Rung {rung}, sum and integral\n",
         "How far the picture's re-rendering by the sum is from that by the integral, display L2:\n",
         runner.table(
             [

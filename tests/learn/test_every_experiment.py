@@ -165,12 +165,25 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
     "refinement-methods": (
         "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1 --pictures 2",
         lambda r: (
-            [(row["rung"], row["method"]) for row in r["rows"]]
-            == [(rung, m) for rung in ("direct", "8-bit") for m in ("quadrature", "auto")]
+            [(row["rung"], row["start"], row["method"]) for row in r["rows"]]
+            == [
+                (rung, f"{light} light", method)
+                for rung, light in (
+                    ("direct", "predicted"),
+                    ("direct", "true"),
+                    ("8-bit", "predicted"),
+                )
+                for method in ("quadrature", "auto")
+            ]
             # an untrained network's light is smooth, so that both methods see the same
             and all(each["predicted"] < 1e-2 < each["true"] for each in r["pictures"])
             and [each["rung"] for each in r["pictures"]] == 2 * ["direct", "8-bit"]
-            and len({row["refined"]["edit_l2"] for row in r["rows"]}) == 4
+            and len({row["refined"]["edit_l2"] for row in r["rows"]}) == 6
+            # the true light stays
+            and all(
+                (row["refined"]["irradiance"] == 0) == (row["start"] == "true light")
+                for row in r["rows"]
+            )
             and {row["source"] for row in r["rows"]} == {"glossy"}
         ),
     ),

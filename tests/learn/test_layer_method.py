@@ -70,7 +70,9 @@ def test_the_energy_of_the_truth_is_least_by_the_method_that_made_the_picture(sc
     batch, truth = scene
     state = start_of(batch, truth)
     image = {
-        method: Energy(batch, state, RefinementSettings().rendered_by(method)).finest(state)["image"]
+        method: Energy(batch, state, RefinementSettings().rendered_by(method)).finest(state)[
+            "image"
+        ]
         for method in LAYER_METHODS
     }
     assert image["quadrature"] < 1e-5 < 1e-3 < image["auto"]

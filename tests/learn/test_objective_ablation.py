@@ -179,10 +179,7 @@ def test_pictures_of_glossy_tests_are_the_integrals(data_splits):
             return Prediction(batch.n, None, batch.label, None, batch.light)
 
     errors = {
-        policy: [
-            row
-            for row in objective_training.rows(None, Truth(), batch, policy)
-        ]
+        policy: [row for row in objective_training.rows(None, Truth(), batch, policy)]
         for policy in (predictions.MEASURED, predictions.VALIDATION)
     }
     for key in ("image_l2", "target_l2"):
