@@ -143,9 +143,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"initialisations": {start: {variant: figures}}, "left_out", "seen", "about"}."""
-    import shutil
-
     import functools
+    import shutil
 
     import msgspec
     import torch

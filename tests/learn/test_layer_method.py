@@ -23,7 +23,7 @@ from learn.training import losses
 from manifests.errors import InputError
 from manifests.schema import Camera
 from manifests.training_runs import LAYER_METHODS
-from tests.support.synthetic import glossy, sphere, write_dataset, matte
+from tests.support.synthetic import glossy, matte, sphere, write_dataset
 
 SIZE = 20
 GAMMA = 4e3
