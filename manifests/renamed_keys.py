@@ -23,7 +23,7 @@ CURRENT_NAMES = {
 }
 
 # {a key: {a later one beside it: the value that it had before it could be set}}
-LATER_KEYS = {
+LATER_KEYS: dict[str, dict[str, Any]] = {
     # of refinement
     "trust_region": {"b_colour": 0.0, "half_weight_colour": None, "method": "auto"},
     # of the losses and the data of runs

@@ -58,7 +58,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "pictures", "weights", "seen"}.
 
     rows      as of `row_of`, and scene, rung, start (PREDICTED or TRUE_LIGHT), method
-    pictures  as of `apart_of`, and scene, rung
+    pictures  as of `compared_with_the_sum`, and scene, rung
     Raises InputError for a data set without pictures in glossy materials beside others.
     """
     from dataclasses import asdict
@@ -90,7 +90,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for rung in edits.pictures
     ]
     pictures = runner.resume(
-        arguments.out / "pictures.jsonl", compared, lambda case: apart_of(bench, *case), "picture"
+        arguments.out / "pictures.jsonl",
+        compared,
+        lambda case: compared_with_the_sum(bench, *case),
+        "picture",
     )
     for method in METHODS:  # once without a clock, because kernels are compiled
         _warm_up(bench, refined[0], next(iter(edits.pictures)), method)
@@ -159,7 +162,7 @@ def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict
     }
 
 
-def apart_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names, and the display L2 between its renderings by sum and by integral.
 
     "true" are those of the true parts, "predicted" those of the predicted ones.
@@ -167,17 +170,17 @@ def apart_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     bench   of learn.evaluation.ladder
     """
     from learn.data.devices import array
+    from learn.editing.decomposition import Parts, parts_of
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
     from learn.layer import predictions
     from learn.metrics.pictures import display_l2
-    from learn.networks.prediction import Prediction
 
     (known,) = (each for each in RUNGS if each.name == rung)
     batch = shown(bench.records, scene, known, bench.size).batch
     inside = array(batch.segments[0] > 0)
 
-    def apart(parts: Prediction) -> float:
+    def between_sum_and_integral(parts: Parts) -> float:
         of_parts = (parts.n, parts.label, parts.light, batch.segments, batch.elevation)
         by_sum, by_integral = (
             array(predictions.picture(*of_parts, policy)[0])
@@ -189,8 +192,8 @@ def apart_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
         "shape": scene.shape,
         "light": scene.light,
         "source": scene.source[rung].materials[0],
-        "true": apart(Prediction(batch.n, None, batch.label, None, batch.light)),
-        "predicted": apart(bench.predict(batch)),
+        "true": between_sum_and_integral(Parts(batch.n, batch.label, batch.light)),
+        "predicted": between_sum_and_integral(parts_of(bench.predict(batch))),
     }
 
 
