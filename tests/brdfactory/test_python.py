@@ -98,6 +98,33 @@ def test_paths_balances_and_devices_are_taken_in_all_their_forms(pictures, parts
     assert np.array_equal(balanced[0], balanced[1]) and np.array_equal(balanced[0], balanced[2])
 
 
+@pytest.mark.parametrize("method", [None, "auto", "quadrature"])
+def test_refinement_renders_by_the_method_that_is_named(pictures, monkeypatch, tmp_path, method):
+    """From Python and from the command line, which writes the settings into edit.json."""
+    from learn.__main__ import COMMANDS
+    from learn.editing import decomposition
+    from learn.refinement import PHOTOGRAPHS
+    from manifests import cli
+
+    folder, _ = pictures
+    seen, decompose = [], decomposition.decompose
+
+    def noted(opened, network, size, settings):
+        seen.append(settings)
+        return decompose(opened, network, size, None)
+
+    monkeypatch.setattr(decomposition, "decompose", noted)
+    files = [folder / "photo.png", folder / "mask.png"]
+    bf.decompose(*files, refinement_method=method)
+    words = ["edit", str(files[0]), "--mask", str(files[1]), "--material", "red-fabric"]
+    words += [] if method is None else ["--refinement-method", method]
+    assert cli.main("learn", "", COMMANDS, [*words, "--out", str(tmp_path / "out")]) == 0
+    assert seen == 2 * [PHOTOGRAPHS.rendered_by(method or "auto")]
+    report = json.loads((tmp_path / "out" / "edit.json").read_text())
+    assert report["refinement"]["method"] == (method or "auto")
+    assert {level["method"] for level in report["refinement"]["levels"]} == {method or "auto"}
+
+
 def test_a_blends_picture_is_the_weighted_sum(parts):
     first, second = parts.paint("brass").linear, parts.paint("red-fabric").linear
     blended = parts.paint(bf.blend("brass", "red-fabric", 0.25))
@@ -168,6 +195,14 @@ def test_rendering_of_own_normals_under_lights_by_name():
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=(0, 1, 1)), "from 0.01"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=None), "found None"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], device="gpu"), "auto, cpu or cuda"),
+        (
+            lambda f, a: bf.decompose(a["photo"], a["mask"], refinement_method="quadratur"),
+            "one of auto, quadrature, found 'quadratur'",
+        ),
+        (
+            lambda f, a: bf.edit(a["photo"], a["mask"], refine=False, refinement_method="auto"),
+            "nothing is refined",
+        ),
         (lambda f, a: bf.material(np.full(108, 90.0)), "natural logarithms"),
         (lambda f, a: bf.light("city", rotation_deg=float("nan")), "a number of degrees"),
         (lambda f, a: bf.light(f / "no.exr"), "no such file"),
