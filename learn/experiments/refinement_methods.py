@@ -1,16 +1,15 @@
 """Measure whether glossy objects are refined better through the integral than through the sum.
 
 Pictures of objects in materials with lobes that are visible and narrower than a texel are refined
-by each method of the layer from the same prediction, and the edits into other materials are
-compared with Cycles' pictures of them. Pictures in direct light are refined as evaluations are, and
-8-bit pictures as photographs are. Predicted lights are smooth; therefore pictures in direct light
-are also refined from the prediction with the true light in place of the predicted one, which then
-stays. All edits are rendered by the integral. The data set is one of
-the ladder's jobs (`python -m learn evaluate-ladder --jobs DIR` names them), or of pictures in
-direct light such as docs/jobs/evaluation. The report also says how far the sum is from the
-integral, of the true parts and of the predicted ones, in further pictures too, which are not
-refined. Seconds are of the processor, on one thread. rows.jsonl keeps a line per refinement, and
-pictures.jsonl one per picture: the same command continues, and larger numbers add to it.
+by each method of the layer from the same prediction, in one outer iteration, and the edits into
+other materials are compared with Cycles' pictures of them. Predicted lights are smooth; therefore
+pictures in direct light are also refined from the prediction with the true light in place of the
+predicted one, which then stays. All edits are rendered by the integral. The data set is one of the
+ladder's jobs (`python -m learn evaluate-ladder --jobs DIR` names them), or of pictures in direct
+light such as docs/jobs/evaluation. The report also says how far the sum is from the integral, of
+the true parts and of the predicted ones, in pictures that need not be refined. Seconds are of the
+processor, on one thread. rows.jsonl keeps a line per refinement, and pictures.jsonl one per
+picture: the same command continues, and larger numbers add to it.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
+from manifests.option_types import positive, whole
 from manifests.training_runs import LAYER_METHODS
 
 if TYPE_CHECKING:
@@ -42,7 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=24,
         metavar="N",
-        help="number of scenes that are refined on each rung, shapes in turn (default 24)",
+        help="number of scenes that are refined from the predicted light on each rung, shapes in"
+        " turn (default 24)",
+    )
+    parser.add_argument(
+        "--true-light",
+        type=whole,
+        default=24,
+        metavar="N",
+        help="number of scenes in direct light that are refined from the true light (default 24)",
     )
     parser.add_argument(
         "--pictures",
@@ -67,21 +74,22 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import drawn_edits, relighting
 
     settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in relighting.RUNGS}
-    most = {"scenes": max(arguments.scenes, arguments.pictures)}
+    most = {"scenes": max(arguments.scenes, arguments.true_light, arguments.pictures)}
     edits = drawn_edits.opened(
         argparse.Namespace(**vars(arguments) | most), sources=glossy, settings=settings
     )
-    refined = edits.scenes[: arguments.scenes]
+    counts = {TRUE_LIGHT: arguments.true_light, PREDICTED: arguments.scenes}
     bench = ladder.Bench(edits.records, arguments.weights)
     todo = [
         (
             {"scene": scene.id, "rung": rung, "start": start, "method": method},
             (scene, rung, start, method),
         )
-        for scene in refined
+        for start, count in counts.items()
+        for scene in edits.scenes[:count]
         for rung in edits.pictures
         # a photograph's light is known up to its exposure at best
-        for start in ((PREDICTED, TRUE_LIGHT) if rung == "direct" else (PREDICTED,))
+        if rung == "direct" or start == PREDICTED
         for method in METHODS
     ]
     compared = [
@@ -96,7 +104,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "picture",
     )
     for method in METHODS:  # once without a clock, because kernels are compiled
-        _warm_up(bench, refined[0], next(iter(edits.pictures)), method)
+        _warm_up(bench, edits.scenes[0], next(iter(edits.pictures)), method)
     rows = runner.resume(
         arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "refinement"
     )
@@ -122,12 +130,18 @@ def glossy(records: Records) -> set[str]:
 
 
 def settings_of(rung: str, method: str) -> RefinementSettings:
-    """Return how pictures of a rung are refined: as evaluations are, or as photographs are."""
+    """Return how pictures of a rung are refined, in one outer iteration.
+
+    Those of 8 bits are refined as photographs are, others as evaluations are.
+    """
+    from dataclasses import replace
+
     from learn.evaluation.ladder_design import RUNGS
     from learn.refinement import PHOTOGRAPHS, RefinementSettings
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    return (PHOTOGRAPHS if known.eight_bit else RefinementSettings()).rendered_by(method)
+    settings = PHOTOGRAPHS if known.eight_bit else RefinementSettings()
+    return replace(settings, outer_iterations=1).rendered_by(method)
 
 
 def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
@@ -140,7 +154,7 @@ def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
         replace(level, iterations=min(level.iterations, 1), joint_iterations=1)
         for level in settings.levels
     )
-    settings = replace(settings, outer_iterations=1, levels=levels)
+    settings = replace(settings, levels=levels)
     drawn_edits.refined_row(bench, scene, rung, settings)
 
 

@@ -163,14 +163,15 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         ),
     ),
     "refinement-methods": (
-        "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1 --pictures 2",
+        "--data {room}/glossy --weights {room}/weights.safetensors --scenes 1"
+        " --true-light 1 --pictures 2",
         lambda r: (
             [(row["rung"], row["start"], row["method"]) for row in r["rows"]]
             == [
                 (rung, f"{light} light", method)
                 for rung, light in (
-                    ("direct", "predicted"),
                     ("direct", "true"),
+                    ("direct", "predicted"),
                     ("8-bit", "predicted"),
                 )
                 for method in ("quadrature", "auto")
