@@ -182,7 +182,7 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and len({row["refined"]["edit_l2"] for row in r["rows"]}) == 6
             # the true light stays
             and all(
-                (row["refined"]["irradiance"] == 0) == (row["start"] == "true light")
+                (row["refined"]["irradiance"] < 1e-6) == (row["start"] == "true light")
                 for row in r["rows"]
             )
             and {row["source"] for row in r["rows"]} == {"glossy"}
