@@ -397,7 +397,8 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
 REPORTS = {
     "edit-brightness-other-metals": "edit-brightness",
     "objective-ablation-features": "objective-ablation",
-    "objective-ablation-glossy": "objective-ablation",
+    "step-profile-integral": "step-profile",
+    "step-profile-sum": "step-profile",
     "refinement-methods-photographs": "refinement-methods",
     "objective-ablation-long": "objective-ablation",
     "normals-ablation-128": "normals-ablation",
