@@ -86,8 +86,8 @@ class Scene:
 
     @property
     def id(self) -> str:
-        """The id of the scene, of its direct pictures."""
-        first = RUNGS[0].name
+        """The id of the scene, of its direct pictures, or of its first ones if it has none."""
+        first = RUNGS[0].name if RUNGS[0].name in self.source else next(iter(self.source))
         return f"{self.source[first].id}-{self.truth[first].id}"
 
 

@@ -399,7 +399,6 @@ REPORTS = {
     "objective-ablation-features": "objective-ablation",
     "step-profile-integral": "step-profile",
     "step-profile-sum": "step-profile",
-    "refinement-methods-photographs": "refinement-methods",
     "objective-ablation-long": "objective-ablation",
     "normals-ablation-128": "normals-ablation",
     "normals-ablation-256": "normals-ablation",

@@ -100,6 +100,8 @@ def test_edits_are_of_one_view_and_light_and_shapes_take_turns(pictures):
             assert all(getattr(source, key) == getattr(truth, key) for key in same)
     few = relighting.edits_of(pictures, 3, 0)
     assert [edit.id for edit in few] == [edit.id for edit in edits[:3]]
+    only = relighting.edits_of({"8-bit": pictures["8-bit"]}, 99, 0)
+    assert len({edit.id for edit in only}) == 6 and not {e.id for e in only} & {e.id for e in edits}
     given = relighting.edits_of(pictures, 99, 0, ["dark"])
     assert len(given) == 6
     assert {each.source["direct"].materials for each in given} == {("dark",)}
