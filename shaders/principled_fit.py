@@ -47,15 +47,15 @@ class LabelFit:
         return float(self.views.mean())
 
 
-def fit(material: PrincipledMaterial) -> LabelFit:
+def fit(material: PrincipledMaterial, iterations: int = ITERATIONS) -> LabelFit:
     """Return the label of a material with its error."""
-    label = label_of(material)
+    label = label_of(material, iterations)
     samples, basis, log_cos_h = _held_out()
     f = label_model.values(label, basis, log_cos_h)
     return LabelFit(label, errors.relative_l1(f, material.evaluate(*samples.cosines), samples))
 
 
-def label_of(material: PrincipledMaterial) -> np.ndarray:
+def label_of(material: PrincipledMaterial, iterations: int = ITERATIONS) -> np.ndarray:
     """Return the label (3, 3, 2, 6) of a material, in canonical order."""
     colors = np.array(material.base_color)
     _, first, same = np.unique(colors, return_index=True, return_inverse=True)
@@ -63,7 +63,7 @@ def label_of(material: PrincipledMaterial) -> np.ndarray:
     samples = Samples(np.radians(VIEWS_DEG), N_THETA, N_PHI, narrowest)
     problem = _Problem(samples, material.evaluate(*samples.cosines)[..., first])
     state = problem.best([initial[first] for initial in initial_labels(material)])
-    for iteration in range(ITERATIONS):
+    for iteration in range(iterations):
         if iteration in REWEIGHT_AT:
             state = problem.reweighted(state)
         state = problem.improved(state)

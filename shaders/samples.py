@@ -23,6 +23,7 @@ Measured: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]
 POWER = 2.5  # u² is too coarse for chrome
 MIN_COS_I = 1e-3
 HELD_OUT_DEG = (0.5, 15.0, 30.0, 45.0, 60.0, 75.0)  # never fitted: errors are reported there
+HELD_OUT_POINTS = 120, 24  # numbers of θ_h and φ_h at each of these views
 
 
 class Samples:
@@ -89,7 +90,7 @@ class Samples:
 
 def held_out() -> Samples:
     """Return the samples at the view angles that no fit sees; finer than those of the fit."""
-    return Samples(np.radians(HELD_OUT_DEG), 120, 24)
+    return Samples(np.radians(HELD_OUT_DEG), *HELD_OUT_POINTS)
 
 
 def view_stops(theta_deg: ArrayLike) -> np.ndarray:

@@ -41,6 +41,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",
         "relighting": "relight pictures, and put materials on other objects, against the truth",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
+        "principled-fit": "measure how close labels come to materials given by a few numbers",
         "exposure": "measure the rule that estimates a photograph's exposure",
     },
 }

@@ -243,6 +243,14 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and len({row["edits"][0]["target"] for row in r["rows"]}) == 1
         ),
     ),
+    "principled-fit": (
+        "--count 3 --every 2",
+        # no label is closer to its material than every function of its two angles
+        lambda r: (
+            [("least" in row) for row in r["rows"]] == [True, False, True]
+            and all(0 < row["least"] < row["error"] < 0.2 for row in r["rows"] if "least" in row)
+        ),
+    ),
     "exposure": (
         "--data {room}/exposed",
         lambda r: set(r["missed"]["exposed"]) == {"fitted", "in use", "one factor for all"},
