@@ -22,7 +22,7 @@ from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from manifests import allocator
 from manifests.cli import main
-from tests.support import ladder_rungs
+from tests.support import ladder_rungs, stereo_sphere
 from tests.support.full_disk_case import RUN as SETTINGS
 from tests.support.synthetic import add_shape, glossy, matte, write_dataset
 from tests.support.two_materials import written
@@ -251,6 +251,16 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(0 < row["least"] < row["error"] < 0.2 for row in r["rows"] if "least" in row)
         ),
     ),
+    "stereo-normals": (
+        "--scenes {room}/sphere/scenes.json --pictures {room}/sphere"
+        " --weights {room}/weights.safetensors",
+        lambda r: (
+            len(r["rows"]) == 1
+            and r["rows"][0]["kept"] > 0.8
+            # normals of a sphere, 45° from the viewer on the average of its rims and its middle
+            and 30 < r["rows"][0]["angles"]["facing the viewer"][0] < 50
+        ),
+    ),
     "exposure": (
         "--data {room}/exposed",
         lambda r: set(r["missed"]["exposed"]) == {"fitted", "in use", "one factor for all"},
@@ -288,6 +298,7 @@ def room(tmp_path_factory):
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
     ladder_rungs.written(room / "ladder", SIZE)
     ladder_rungs.written(room / "glossy", SIZE, glossy(split="test"))
+    stereo_sphere.written(room / "sphere", size=4 * SIZE)
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
