@@ -9,6 +9,7 @@ from learn.commands import options
 from manifests.option_types import positive, whole
 
 SIDES = ("development", "test")
+RUNGS = ("direct", "shadow", "full", "square", "8-bit", "camera")
 MESHES = 6  # that are used of a folder, unless --mesh-count is given
 
 
@@ -60,6 +61,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="number of scenes of each group (default: all)",
     )
     parser.add_argument(
+        "--rungs",
+        nargs="+",
+        choices=RUNGS,
+        default=RUNGS,
+        metavar="RUNG",
+        help=f"rungs that are measured: {', '.join(RUNGS)} (default: all)",
+    )
+    parser.add_argument(
         "--refined",
         type=whole,
         default=0,
@@ -109,6 +118,7 @@ def run(arguments: argparse.Namespace) -> None:
             allow_overlap=arguments.allow_overlap,
             incomplete=arguments.incomplete,
             ray=arguments.ray,
+            rungs=arguments.rungs,
         )
     )
     for sentence in report["headline"]:

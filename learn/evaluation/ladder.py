@@ -48,6 +48,7 @@ class Measured(Struct, frozen=True):
     irradiance         relative root mean square error of the light's irradiance
     edit_l2            display L2 of the edit against its truth
     edit_l2_aligned    the same after the factor on the edit's radiance that makes it least
+    edit_l2_three_factors  the same after such a factor for each channel; None in lines of before
     """
 
     normals_mean_deg: Figure
@@ -55,6 +56,7 @@ class Measured(Struct, frozen=True):
     irradiance: Figure
     edit_l2: Figure
     edit_l2_aligned: Figure
+    edit_l2_three_factors: Figure | None = None
 
 
 class Line(Struct, frozen=True, kw_only=True):
@@ -100,6 +102,7 @@ class Options:
     side                one of ladder_design.SIDES
     scenes              number of scenes per group, None: all
     refined             number of scenes per group that are refined on every rung
+    rungs               names of the rungs that are measured
     allow_overlap       whether pictures are measured that show what the weights saw in training
     incomplete          whether scenes are measured although others were not rendered
     ray                 address of a Ray cluster whose CPUs measure; None: this process does
@@ -115,6 +118,12 @@ class Options:
     allow_overlap: bool = False
     incomplete: bool = False
     ray: str | None = None
+    rungs: Sequence[str] = tuple(rung.name for rung in RUNGS)
+
+    @property
+    def measured_rungs(self) -> tuple[Rung, ...]:
+        """The rungs that are measured, in the order of the ladder."""
+        return tuple(rung for rung in RUNGS if rung.name in self.rungs)
 
 
 def write_jobs(
@@ -139,7 +148,7 @@ def make(options: Options) -> dict:
     """Measure what is missing, write the report and return it. Raises InputError."""
     records, out = Records(options.data), Path(options.out)
     job = ladder_design.preset(options.side)
-    there = ladder_design.scenes(records.records, job, options.incomplete)
+    there = ladder_design.scenes(records.records, job, options.incomplete, options.measured_rungs)
     scenes = per_group(there, options.scenes)
     to_refine = {scene.id for scene in per_group(scenes, options.refined)}
     with lock.writing(out, patience=0):
@@ -150,7 +159,11 @@ def make(options: Options) -> dict:
         files.pin_settings(out / "settings.json", settings(options))
         measure(options, bench, scenes, to_refine)
         used = {scene.id for scene in scenes}
-        lines = [line for line in rows_of(out).values() if line["scene"] in used]
+        lines = [
+            line
+            for line in rows_of(out).values()
+            if line["scene"] in used and line["rung"] in options.rungs
+        ]
         about = {
             "made": provenance(),
             "side": options.side,
@@ -223,7 +236,7 @@ def measure(options: Options, bench: "Bench", scenes: Sequence[Scene], to_refine
     todo = [
         (scene, rung.name, scene.id in to_refine)
         for scene in scenes
-        for rung in RUNGS
+        for rung in options.measured_rungs
         if not finished(scene, rung)
     ]
     with closing(Lines(Path(options.out) / "lines.jsonl")) as lines:
@@ -322,12 +335,14 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
     """Return the figures of a decomposition of a picture; batch: the picture's, on the device."""
     mean, median = angles(parts.n, batch)
     edited = _edited(parts, picture, batch)
+    forgiving = aligned(edited, picture.target, picture.mask)
     return Measured(
         mean,
         median,
         float(irradiance_error(parts.light, batch.light)),
         display_l2(edited, picture.target, picture.mask),
-        aligned(edited, picture.target, picture.mask)["l2_one_factor"],
+        forgiving["l2_one_factor"],
+        forgiving["l2_three_factors"],
     )
 
 

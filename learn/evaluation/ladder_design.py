@@ -197,7 +197,12 @@ def designed_scenes(job: Job) -> int:
     return len(_each(job.shapes)) * len(job.lights) // PARTS
 
 
-def scenes(records: Iterable[Record], job: Job, incomplete: bool = False) -> list[Scene]:
+def scenes(
+    records: Iterable[Record],
+    job: Job,
+    incomplete: bool = False,
+    rungs: Sequence[Rung] = RUNGS,
+) -> list[Scene]:
     """Return the edits of a side, in an order in which shapes take turns.
 
     Of each shape under each light, the source and the target are two of its materials, drawn by a
@@ -206,6 +211,7 @@ def scenes(records: Iterable[Record], job: Job, incomplete: bool = False) -> lis
 
     incomplete  whether pictures that the preset calls for may be missing; scenes without them on
                 any rung are left out
+    rungs       that are measured, in the order of RUNGS
     Raises      InputError, with the number of missing pictures, where they may not, and where no
                 scene is complete
     """
@@ -217,7 +223,7 @@ def scenes(records: Iterable[Record], job: Job, incomplete: bool = False) -> lis
             continue
         if record.light not in job.lights or record.materials[0] not in job.materials:
             continue
-        for rung in RUNGS:
+        for rung in rungs:
             if (rung.cameras, rung.tier, rung.light_resolution) == (
                 set_,
                 record.tier,
@@ -225,8 +231,10 @@ def scenes(records: Iterable[Record], job: Job, incomplete: bool = False) -> lis
             ):
                 pictures[record.shape, record.light][rung.name, record.materials[0]] = record
     if not incomplete:
-        _require_all(pictures, job)
-    chosen = [scene for key, of in pictures.items() if (scene := _scene(*key, of)) is not None]
+        _require_all(pictures, job, rungs)
+    chosen = [
+        scene for key, of in pictures.items() if (scene := _scene(*key, of, rungs)) is not None
+    ]
     if not chosen:
         raise InputError(
             "--data", f"scenes of {job.name} on every rung", "none", f"render them: {REMEDY}"
@@ -239,36 +247,40 @@ def scenes(records: Iterable[Record], job: Job, incomplete: bool = False) -> lis
     return [by_shape[shape][k] for k in rounds for shape in order if k < len(by_shape[shape])]
 
 
-def _scene(shape: str, light: str, pictures: Mapping[tuple[str, str], Record]) -> Scene | None:
+def _scene(
+    shape: str, light: str, pictures: Mapping[tuple[str, str], Record], rungs: Sequence[Rung]
+) -> Scene | None:
     """The edit of one shape under one light; None with fewer than two complete materials."""
     complete = [
         material
         for material in sorted({material for _, material in pictures})
-        if all((rung.name, material) in pictures for rung in RUNGS)
+        if all((rung.name, material) in pictures for rung in rungs)
     ]
     if len(complete) < 2:
         return None
     source, truth = sorted(complete, key=lambda name: _shuffled(shape, light, name))[:2]
-    first = pictures[RUNGS[0].name, source]
+    first = pictures[rungs[0].name, source]
     group, family = group_of(shape, first.category)
     return Scene(
         shape,
         light,
         group,
         family,
-        {rung.name: pictures[rung.name, source] for rung in RUNGS},
-        {rung.name: pictures[rung.name, truth] for rung in RUNGS},
+        {rung.name: pictures[rung.name, source] for rung in rungs},
+        {rung.name: pictures[rung.name, truth] for rung in rungs},
     )
 
 
-def _require_all(pictures: Mapping[tuple[str, str], Mapping], job: Job) -> None:
+def _require_all(
+    pictures: Mapping[tuple[str, str], Mapping], job: Job, rungs: Sequence[Rung]
+) -> None:
     required = [
         (shape, light, rung.name, material)
         for part in range(PARTS)
         for shape in _each(job.shapes)[part::PARTS]
         for light in _block(job.lights, part)
         for material in _block(job.materials, part)
-        for rung in RUNGS
+        for rung in rungs
     ]
     missing = [
         (shape, light, rung, material)

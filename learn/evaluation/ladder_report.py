@@ -48,6 +48,21 @@ COLUMNS = (
     column("floor", "true parts", 0),
     column("unchanged", "input unchanged", 0),
 )
+ALIGNMENTS = {  # {figure of a line: what its columns are called}
+    "edit_l2": "absolute",
+    "edit_l2_aligned": "one factor",
+    "edit_l2_three_factors": "three factors",
+}
+ALIGNED_COLUMNS = tuple(
+    column(f"{key}_{part}", f"{name}: {words} ↓", 0, part != "median")
+    for key, name in ALIGNMENTS.items()
+    for part, words in (
+        ("mean", "mean"),
+        ("median", "median"),
+        ("dielectrics", "without metals"),
+        ("metals", "metals"),
+    )
+)
 REFINED_COLUMNS = (
     column("scenes", "edits", 0),
     column("before", "predicted L2 ↓", 0, True),
@@ -163,6 +178,41 @@ def ladder_table(lines: Sequence[Mapping]) -> Table | None:
     return table("The ladder", note, COLUMNS, rows)
 
 
+def aligned_table(lines: Sequence[Mapping], kind: str, title: str) -> Table | None:
+    """Return display L2 of edits under each alignment, with and without metals, and medians.
+
+    kind  "predicted" or "refined"; lines without it, or without its three factors, have no part
+    """
+    key = "edit_l2_three_factors"
+    lines = [line for line in lines if line[kind] and line[kind].get(key) is not None]
+    rows: list[TableRow] = []
+    for group in groups(lines):
+        for rung in RUNGS:
+            if here := of(lines, rung.name, group):
+                row = {name: cell for key in ALIGNMENTS for name, cell in _parts(here, kind, key)}
+                rows.append({"name": f"{group}: {rung.name}", "cells": row})
+    note = (
+        "Display L2 of the same edits, absolute and after the factors on their radiance that make"
+        " it least: one for the whole edit, which forgives brightness, or one for each channel,"
+        " which forgives colour too. *Mean* and *median* are of all target materials; the means"
+        " beside them are of edits into metals alone and of all others."
+    )
+    return table(title, note, ALIGNED_COLUMNS, rows)
+
+
+def _parts(lines: Sequence[Mapping], kind: str, key: str) -> list[tuple[str, Cell]]:
+    """Return the cells of one alignment in `aligned_table`."""
+    figures = Figures(lines)
+    metal = np.array([line["metal"] for line in lines])
+    get = _figure(kind, key)
+    return [
+        (f"{key}_mean", figures.interval(get)),
+        (f"{key}_median", float(np.median(figures.values(get)))),
+        (f"{key}_dielectrics", figures.interval(get, ~metal)),
+        (f"{key}_metals", figures.interval(get, metal)),
+    ]
+
+
 def family_table(lines: Sequence[Mapping]) -> Table | None:
     """Return the mean angle of normals of every family on every rung."""
     names = dict.fromkeys((line["group"], line["family"]) for line in lines)
@@ -263,8 +313,10 @@ def write(out: Path, lines: Sequence[Mapping], about: Mapping) -> dict:
     """Write report.json, report.md and chart.png into `out`, and return the first of them."""
     made = {
         "ladder": ladder_table(lines),
+        "alignment": aligned_table(lines, "predicted", "Edits under each alignment"),
         "families": family_table(lines),
         "refinement": refined_table(lines),
+        "refined_alignment": aligned_table(lines, "refined", "Refined edits under each alignment"),
     }
     report = {
         "headline": headline(lines),

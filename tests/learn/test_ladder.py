@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from learn.commands import evaluate_ladder
 from learn.data.records import Records
 from learn.evaluation import ladder, ladder_design, ladder_pictures, ladder_report
 from learn.evaluation.ladder_design import OWN_GROUP, PARTS, RUNGS
@@ -264,6 +265,13 @@ def test_a_run_and_its_continuation(options, monkeypatch):
     names = [row["name"] for row in report["tables"]["ladder"]["rows"]]
     assert names == [f"{g}: {r.name}" for g in (OWN_GROUP, "outside meshes") for r in RUNGS]
     assert report["headline"][0].startswith("Own families, full transport, 8-bit PNG: normals ")
+    for line in lines.values():
+        of = line["predicted"]
+        assert of["edit_l2_three_factors"] <= of["edit_l2_aligned"] + 1e-3 <= of["edit_l2"] + 2e-3
+    cells = report["tables"]["alignment"]["rows"][0]["cells"]
+    (direct,) = [e for e in lines.values() if (e["shape"], e["rung"]) == ("car:1000", "direct")]
+    assert cells["edit_l2_three_factors_mean"] == direct["predicted"]["edit_l2_three_factors"]
+    assert "refined_alignment" not in report["tables"]
     text = (options.out / "report.md").read_text()
     assert "the layer itself can compute" in text and "![" in text and "1 lights" in text
     assert (options.out / "chart.png").read_bytes().startswith(b"\x89PNG")
@@ -274,6 +282,29 @@ def test_a_run_and_its_continuation(options, monkeypatch):
 
     monkeypatch.setattr(ladder.Bench, "line", never)
     assert ladder.make(options)["tables"] == report["tables"]
+
+
+def test_lines_of_before_have_no_row_of_alignments(options):
+    """Their other tables are made all the same."""
+    ladder.make(options)
+    lines = list(ladder.rows_of(options.out).values())
+    for line in lines:
+        line["predicted"]["edit_l2_three_factors"] = None
+    assert ladder_report.aligned_table(lines, "predicted", "") is None
+    assert ladder_report.ladder_table(lines) is not None
+
+
+def test_some_rungs_are_measured_without_pictures_of_the_others(options, data, job, small):
+    assert tuple(rung.name for rung in RUNGS) == evaluate_ladder.RUNGS
+    report = ladder.make(replace(options, rungs=("8-bit", "square")))
+    lines = ladder.rows_of(options.out).values()
+    assert [line["rung"] for line in lines] == 2 * ["square", "8-bit"]
+    assert len(report["tables"]["ladder"]["rows"]) == 4
+    some = [r for r in Records(data).records if r.camera.pixel == "square"]
+    (square,) = [rung for rung in RUNGS if rung.name == "square"]
+    assert len(ladder_design.scenes(some, job, rungs=(square,))) == 2
+    with pytest.raises(InputError):
+        ladder_design.scenes(some, job)
 
 
 def test_more_refined_scenes_are_added(options, monkeypatch):
@@ -288,6 +319,8 @@ def test_more_refined_scenes_are_added(options, monkeypatch):
     assert all(line["refined"] == line["predicted"] for line in lines)
     rows = report["tables"]["refinement"]["rows"]
     assert len(rows) == 2 * len(RUNGS) and rows[0]["cells"]["ratio"] == pytest.approx(1)
+    same = [report["tables"][f"{kind}alignment"]["rows"] for kind in ("", "refined_")]
+    assert same[0] == same[1]
 
 
 def test_other_settings_are_refused(options, monkeypatch):
