@@ -188,6 +188,16 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and {row["source"] for row in r["rows"]} == {"glossy"}
         ),
     ),
+    "edit-methods": (
+        "--evaluation {root}/evaluation-kept-jobs/report.json"
+        " --mitsuba {root}/mitsuba-comparison/report.json"
+        ' --edit-cost {root}/edit-cost/report.json --hours "Baseline 2"=2 joint=1',
+        lambda r: (
+            [len(each["methods"]) for each in r["sets"]] == [14, 13, 13, 5]
+            and {m["hours"] for m in r["sets"][0]["methods"]} == {None, 1, 2}
+            and all(m["edit"][1] <= m["edit"][0] <= m["edit"][2] for m in r["sets"][3]["methods"])
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
@@ -333,14 +343,15 @@ def test_every_experiment_has_a_smallest_size_and_a_line_in_the_help():
 
 @pytest.mark.parametrize("name", SMALLEST)
 def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
-    name, room, tmp_path, capsys, monkeypatch
+    name, room, root, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(auto_calibration, "SHARPNESS", (0.5, 32.0))
     if name == "mitsuba-comparison" and importlib.util.find_spec("mitsuba") is None:
         pytest.skip("mitsuba is not installed: pip install .[witness]")
     words, holds = SMALLEST[name]
     out = tmp_path / "out"
-    assert run(name, words.format(room=room), out) == 0, capsys.readouterr().err
+    places = {"room": room, "root": root / "docs" / "results"}
+    assert run(name, words.format(**places), out) == 0, capsys.readouterr().err
     report = json.loads((out / "report.json").read_text())
     assert set(report["made_by"]) == {"command", "commit", "date", "machine", "versions"}
     assert all(math.isfinite(x) for x in numbers(report))
@@ -405,6 +416,18 @@ def test_a_line_through_exposures_leaves_out_draws_of_one_picture():
     assert np.isfinite(list(line.values())).all()
     mean, low, high = line["dependence"]
     assert low == pytest.approx(mean) == pytest.approx(high)
+
+
+def test_reports_of_another_command_and_hours_of_no_method_are_a_line(root, tmp_path, capsys):
+    results = root / "docs" / "results"
+    words = f"--evaluation {results}/edit-cost/report.json"
+    assert run("edit-methods", words, tmp_path / "a") == 1
+    assert "a report for --evaluation" in capsys.readouterr().err
+    words = f"--edit-cost {results}/edit-cost/report.json --hours nothing=2"
+    assert run("edit-methods", words, tmp_path / "b") == 1
+    assert "the beginning of a method" in capsys.readouterr().err
+    assert run("edit-methods", "", tmp_path / "c") == 1
+    assert "expected a report, found none" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path, capsys):
