@@ -88,7 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows", "product_ms", "views_deg", "iterations", "every"}; rows as of `row_of`."""
+    """Return {"rows", "product_ms", "views_deg", "view_medians", "iterations", "every"}.
+
+    A row has the numbers of `row_of`, "error", "ms", and for every N-th material "least".
+    """
     import time
 
     import numpy as np
@@ -102,13 +105,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     principled_fit.fit(materials[0])  # tables of the held-out samples
     samples = held_out()
     matrix = rng.random((MATRIX, MATRIX))
-    rows, product = [], []
+    rows, views, product = [], [], []
     for number, material in enumerate(tqdm(materials, unit="material")):
         start = time.process_time()
         result = principled_fit.fit(material, arguments.iterations)
         row = row_of(material) | {
             "error": result.error,
-            "views": result.views.tolist(),
             "ms": 1e3 * (time.process_time() - start),
         }
         if number % arguments.every == 0:
@@ -116,11 +118,13 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
             start = time.process_time()
             _ = matrix @ matrix
             product.append(1e3 * (time.process_time() - start))
+        views.append(result.views)
         rows.append(row)
     return {
         "rows": rows,
         "product_ms": float(np.median(product)),
         "views_deg": list(HELD_OUT_DEG),
+        "view_medians": np.median(views, axis=0).tolist(),
         "iterations": arguments.iterations,
         "every": arguments.every,
     }
@@ -219,6 +223,7 @@ def tables(report: runner.Report) -> str:
     share = [np.median([row[key] for row in bounded]) for key in ("error", "least")]
     products = np.median(times) / report["product_ms"]
     views = ", ".join(f"{angle:g}" for angle in report["views_deg"])
+    medians = ", ".join(f"{value:.3f}" for value in report["view_medians"])
     head = ["materials", "count", "median", "90 %", "worst", "any function of both angles, median"]
     kinds = [_line(name, [row for row in rows if of(row)]) for name, of in KINDS.items()]
     ranges = [
@@ -247,7 +252,8 @@ def tables(report: runner.Report) -> str:
         f" {len(rows)} random materials after {report['iterations']} iterations: median"
         f" {runner.interval(median)}, 90 % quantile {runner.interval(quantile(errors, 0.9))},"
         f" worst {errors.max():.3f}. Brackets are 95 % intervals over draws of materials."
-        f" {100 * above:.0f} % of the materials are above {LIMIT:g}.\n\n"
+        f" {100 * above:.0f} % of the materials are above {LIMIT:g}. Medians of single views, in"
+        f" their order: {medians}.\n\n"
         f"A fit takes {np.median(times):.0f} ms of one core's processor in the median,"
         f" {np.quantile(times, 0.9):.0f} ms at the 90 % quantile. The median is {products:.2f}"
         f" times a product of two matrices of {MATRIX:,}² numbers, which took"
