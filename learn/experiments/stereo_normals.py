@@ -95,8 +95,8 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
     from learn.refinement import PHOTOGRAPHS
     from shaders import tone
 
-    taken = photograph.from_arrays(each.picture, each.mask, name=each.name)
-    result = decomposition.decompose(taken, network, size, PHOTOGRAPHS)
+    photographed = photograph.from_arrays(each.picture, each.mask, name=each.name)
+    result = decomposition.decompose(photographed, network, size, PHOTOGRAPHS)
     assert result.refined is not None
     box = result.framed.box
     weight = framing.resized(framing.placed(each.valid.astype(np.float32), box), size)
@@ -136,9 +136,9 @@ def _small(picture: np.ndarray) -> str:
     from PIL import Image
 
     image = Image.fromarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
-    stream = io.BytesIO()
-    image.resize((SHOWN, SHOWN), Image.Resampling.BICUBIC).save(stream, "JPEG", quality=88)
-    return base64.b64encode(stream.getvalue()).decode("ascii")
+    buffer = io.BytesIO()
+    image.resize((SHOWN, SHOWN), Image.Resampling.BICUBIC).save(buffer, "JPEG", quality=88)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 def interval(angles: np.ndarray, valid: np.ndarray) -> list[float]:
@@ -229,8 +229,8 @@ def figure(report: runner.Report) -> Figure:
     places = drawing.subplots(len(shown), len(kinds), squeeze=False)
     for line, row in zip(places, shown, strict=True):
         for place, kind in zip(line, kinds, strict=True):
-            stream = io.BytesIO(base64.b64decode(row["pictures"][kind]))
-            place.imshow(Image.open(stream))
+            buffer = io.BytesIO(base64.b64decode(row["pictures"][kind]))
+            place.imshow(Image.open(buffer))
             place.set_xticks([])
             place.set_yticks([])
             angles = row["angles"].get(kind)
