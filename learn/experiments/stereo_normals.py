@@ -93,7 +93,6 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
     from learn.editing import decomposition, photograph
     from learn.experiments.stereo_scenes import angle
     from learn.refinement import PHOTOGRAPHS
-    from shaders import tone
 
     photographed = photograph.from_arrays(each.picture, each.mask, name=each.name)
     result = decomposition.decompose(photographed, network, size, PHOTOGRAPHS)
@@ -116,9 +115,8 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
         "own": each.own,
     }
     if is_shown:
-        exposure = tone.auto_exposure(result.framed.radiance, result.framed.mask)
+        # the photographs themselves are left out: their packages state no licence for them
         pictures = {
-            "picture": tone.display(result.framed.radiance, exposure),
             "predicted": 127.5 * (predictions["predicted"] + 1) * result.framed.mask[..., None],
             "refined": 127.5 * (predictions["refined"] + 1) * result.framed.mask[..., None],
             "measured": 127.5 * (n + 1) * valid[..., None],
@@ -191,7 +189,7 @@ def tables(report: runner.Report) -> str:
         f" 95 % intervals over squares of {BLOCK} pixels of each object, at the network's size;"
         f" {len(names)} objects are too few for an interval over objects.\n\n"
         + runner.table(head, lines)
-        + "\n![Photographs with predicted, refined and measured normals](chart.png)\n"
+        + "\n![Predicted, refined and measured normals](chart.png)\n"
         + "\n## How far the measured normals may be off\n\n"
         "*Noise*: the fitted surface measured again, with rounded disparities or with noise as"
         " large as the fit's residuals. *Window*: beside planes of a window half as wide, which"
@@ -216,7 +214,7 @@ def _degrees(value: float | None) -> str:
 
 
 def figure(report: runner.Report) -> Figure:
-    """Return a chart: each object's photograph and its predicted, refined and measured normals."""
+    """Return a chart: each object's predicted, refined and measured normals."""
     import base64
     import io
 
