@@ -49,8 +49,11 @@ def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, 
     rank = _ranks(shapes)
     roles: dict[str, Role] = {}
     for name, category, hash_ in shapes:
-        place = rank[category, hash_] if (number := _number(name, category)) is None else number
-        roles[name] = _by_number(place, ranges.get(category, {})) or _by_hash(hash_)
+        if (number := _number(name, category)) is None:
+            by_number = _by_number(rank[category, hash_], ranges.get(category, {}))
+        else:
+            by_number = _by_seed(number, category, rule)
+        roles[name] = by_number or _by_hash(hash_)
     return _keep_duplicates_together(roles, {name: hash_ for name, _, hash_ in shapes})
 
 
@@ -60,9 +63,7 @@ def numbered_role(name: str, rule: str) -> Role | None:
     None where the rule has no range that holds the number: the hash decides then.
     """
     number = NUMBERED.match(name)
-    return (
-        _by_number(int(number[2]), rules()[rule]["shapes"].get(number[1], {})) if number else None
-    )
+    return _by_seed(int(number[2]), number[1], rule) if number else None
 
 
 def role_of(name: str, category: str, hash_: str, rule: str) -> Role | None:
@@ -74,7 +75,7 @@ def role_of(name: str, category: str, hash_: str, rule: str) -> Role | None:
     if not ranges:
         return _by_hash(hash_)
     number = _number(name, category)
-    return None if number is None else _by_number(number, ranges) or _by_hash(hash_)
+    return None if number is None else _by_seed(number, category, rule) or _by_hash(hash_)
 
 
 def material_sides(materials: Sequence[tuple[str, Side, str]]) -> dict[str, Side]:
@@ -126,6 +127,13 @@ def _number(name: str, category: str) -> int | None:
     """Return 17 for "chair:17" if the category is chair, else None."""
     number = NUMBERED.match(name)
     return int(number[2]) if number and number[1] == category else None
+
+
+def _by_seed(number: int, category: str, rule: str) -> Role | None:
+    """Return the role of a family's seed, which has ranges that mesh files' ranks have not."""
+    parts = ("shapes", "further_seeds")
+    ranges = (rules()[rule].get(part, {}).get(category, {}) for part in parts)
+    return next((role for each in ranges if (role := _by_number(number, each))), None)
 
 
 def _by_number(number: int, ranges: Mapping[Role, tuple[int, int | None]]) -> Role | None:

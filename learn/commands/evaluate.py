@@ -68,6 +68,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help=".npz of the light maps that the weights were trained with, for the table of edits by"
         " distance to the nearest of them; else no such rows",
     )
+    parser.add_argument(
+        "--geometry",
+        type=Path,
+        metavar="DIR",
+        help="a data set with geometry of the shapes that the weights were trained on, for the"
+        " table of edits by distance to the nearest of them; else no such rows",
+    )
     options.add_materials(
         parser,
         "whose training materials the row 'mean material' is the mean of: the data set's own, or"

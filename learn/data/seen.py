@@ -10,6 +10,9 @@ What a run makes itself is not listed, because no data set holds it: computed li
 that are mixtures, scaled or principled (learn.data.label_augmentation). Mixtures and scaled labels
 come from listed materials alone.
 
+Lists that a training did not write, but that were put together later from what is known of it, say
+so and why.
+
 Of each hash the first DIGITS hexadecimal digits are kept. A copy of a map that was rotated, scaled
 or resampled has another hash and is not recognised.
 """
@@ -22,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from manifests.errors import InputError
 from manifests.reading import decode
@@ -32,19 +35,24 @@ if TYPE_CHECKING:
 
 DIGITS = 16
 MOST = 20_000  # hashes of a kind in a file's metadata: 400 KB
+LONGEST_REASON = 2_000  # characters
 KEY = "seen"  # in the metadata
 KINDS = ("shapes", "materials", "lights")
 REMEDY = "put a copy of the file back, or train again"
 
 Digits = Annotated[str, Meta(pattern=f"^[0-9a-f]{{{DIGITS}}}$", max_length=DIGITS)]
+Reason = Annotated[str, Meta(min_length=1, max_length=LONGEST_REASON)]
 Hashes = Annotated[tuple[Digits, ...], Meta(max_length=MOST)]
 
 
 class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sorted hashes of what training and validation drew from.
 
-    complete  False where the lists lack something: the run began from weights without such lists,
-              or there were more than MOST hashes of a kind, of which the smallest MOST are kept
+    complete       False where the lists lack something: the run began from weights without such
+                   lists, or there were more than MOST hashes of a kind, of which the smallest MOST
+                   are kept
+    reconstructed  why the lists, or a part of them, were put together after the training, and from
+                   what; not in the file where the training wrote them itself
     """
 
     version: Literal[1] = 1
@@ -52,14 +60,19 @@ class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     materials: Hashes = ()
     lights: Hashes = ()
     complete: bool = True
+    reconstructed: Reason | UnsetType = UNSET
 
     def joined(self, other: Seen | None) -> Seen:
         """Return the lists of both; None stands for weights that do not say what they saw."""
         if other is None:
             return msgspec.structs.replace(self, complete=False)
+        reasons = dict.fromkeys(
+            each.reconstructed for each in (self, other) if each.reconstructed is not UNSET
+        )
         return of(
             {kind: (*getattr(self, kind), *getattr(other, kind)) for kind in KINDS},
             self.complete and other.complete,
+            "; ".join(map(str, reasons))[:LONGEST_REASON],
         )
 
 
@@ -70,8 +83,11 @@ class _Stored(Struct, frozen=True, forbid_unknown_fields=True):
     digest: str
 
 
-def of(hashes: Mapping[str, Iterable[str]], complete: bool = True) -> Seen:
-    """Return Seen of {kind: hashes of at least DIGITS digits}, in any order."""
+def of(hashes: Mapping[str, Iterable[str]], complete: bool = True, reconstructed: str = "") -> Seen:
+    """Return Seen of {kind: hashes of at least DIGITS digits}, in any order.
+
+    reconstructed  as of Seen; "": the training wrote the lists
+    """
     shapes, materials, lights = (
         tuple(sorted({each[:DIGITS] for each in hashes[kind]})) for kind in KINDS
     )
@@ -80,6 +96,7 @@ def of(hashes: Mapping[str, Iterable[str]], complete: bool = True) -> Seen:
         materials=materials[:MOST],
         lights=lights[:MOST],
         complete=complete and max(map(len, (shapes, materials, lights))) <= MOST,
+        reconstructed=reconstructed or UNSET,
     )
 
 

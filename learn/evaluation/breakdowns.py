@@ -6,9 +6,17 @@ import numpy as np
 
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.evaluation.table import Cell, Rows, Table, TableRow, column, table
+from learn.metrics import bootstrap
 
 METAL = "metal"  # family of the catalogue; metallic paints are another
 THIRDS_FROM = 9  # items; fewer are split into halves
+TITLES = {"shapes": "shape", "materials": "input material", "lights": "light"}
+ITEMS = {"shapes": "shape", "lights": "light"}  # keys of a row
+# columns of a picture's figures: {key: (label, digits, path below the method)}
+OF_PICTURES = {
+    "normals": ("normals, mean °", 1, ("normals", "mean_deg")),
+    "irradiance": ("irradiance, relative", 3, ("light", "irradiance")),
+}
 
 Families = Mapping[str, str]
 
@@ -78,18 +86,28 @@ def worst(edits: Rows, pictures: Rows, known: Families) -> Table | None:
     return table("Each family and its worst edit", note, columns, results)
 
 
-def by_distance(edits: Rows, distances: Mapping[str, Mapping[str, float]]) -> Table | None:
-    """Return a table of edits by the distance of their input to the nearest training item.
+def by_distance(
+    edits: Rows, pictures: Rows, distances: Mapping[str, Mapping[str, float]]
+) -> Table | None:
+    """Return a table of edits and pictures by their distance to the nearest training item.
 
-    distances  {"materials", "lights": {name: distance, 0 for an item of training}}
-               (learn.evaluation.distances)
+    distances  {"shapes", "materials", "lights": {name: distance, 0 for an item of training}}
+               (learn.evaluation.distances); of materials the input's count
     """
     before, after = (edits.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
-    titles = {"materials": "input material", "lights": "light"}
+    figures = {key: pictures.values(OURS, path) for key, (_, _, path) in OF_PICTURES.items()}
     results: list[TableRow] = []
     for kind, known in distances.items():
-        for words, names in _groups(known).items():
-            chosen = np.array([_item(row, kind, known) in names for row in edits.rows], bool)
+        groups = _groups(known)
+        of_edits, of_pictures = (
+            {
+                words: np.array([_item(row, kind, known) in names for row in rows.rows], bool)
+                for words, names in groups.items()
+            }
+            for rows in (edits, pictures)
+        )
+        for words, names in groups.items():
+            chosen = of_edits[words]
             if not chosen.any():
                 continue
             cells: dict[str, Cell] = {
@@ -102,7 +120,19 @@ def by_distance(edits: Rows, distances: Mapping[str, Mapping[str, float]]) -> Ta
             both = chosen & np.isfinite(before + after)
             if both.any():
                 cells["ratio"] = float(after[both].mean() / before[both].mean())
-            results.append({"name": f"{titles[kind]}: {words}", "cells": cells})
+            for key, values in figures.items():
+                cells[key] = pictures.interval(np.where(of_pictures[words], values, np.nan))
+            results.append({"name": f"{TITLES[kind]}: {words}", "cells": cells})
+        near, far = _ends(groups)
+        if near and far and of_edits[near].any() and of_edits[far].any():
+            ends = (of_edits[near], of_edits[far])
+            cells = {
+                "l2": _difference(edits, before, ends),
+                "refined": _difference(edits, after, ends),
+            }
+            ends = (of_pictures[near], of_pictures[far])
+            cells |= {key: _difference(pictures, each, ends) for key, each in figures.items()}
+            results.append({"name": f"{TITLES[kind]}: {far} − {near}", "cells": cells})
     columns = [
         column("items", "items", 0),
         column("distance", "mean distance", 2),
@@ -110,22 +140,52 @@ def by_distance(edits: Rows, distances: Mapping[str, Mapping[str, float]]) -> Ta
         column("l2", f"{OURS}, L2", 0, True),
         column("refined", f"{OURS_REFINED}, L2", 0, True),
         column("ratio", "ratio of means", 3),
+        *(column(key, label, digits, True) for key, (label, digits, _) in OF_PICTURES.items()),
     ]
     note = (
-        "Materials: log error of the BRDF against the nearest training label in the weights; of"
+        "Shapes: mean angle between the normals of the shape's views and the nearest views of one"
+        " training shape, in degrees, 90° where only one of the two is. Materials: log error of the"
+        " BRDF against the nearest training label in the weights; of"
         " weights without labels, against all of the training side that --materials names, of which"
         " validation materials are a part, so that “of training” may include these. Lights:"
         " relative error of irradiance against the nearest training map, turned and mirrored"
         " freely. “Of training” is the paper's own protocol: maps of training at other"
-        " rotations."
+        " rotations. Normals and irradiance are those predicted, over the pictures. A row of a"
+        " difference has the interval of the difference."
     )
     return table("By distance to the nearest training item", note, columns, results)
 
 
+def _ends(groups: Mapping[str, Sequence[str]]) -> tuple[str, str]:
+    """Return the words of the nearest and of the farthest group with items; "" where one is all."""
+    words = [each for each, names in groups.items() if names]
+    return (words[0], words[-1]) if len(words) > 1 else ("", "")
+
+
+def _difference(
+    rows: Rows, values: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
+) -> list[float] | None:
+    """Return [mean, low, high] of a far group's mean less a near one's; None without both.
+
+    values  (P,) of all rows; ends: the near and the far group, (P,) bool each
+    """
+    here = [each & np.isfinite(values) for each in ends]
+    if not all(each.any() for each in here):
+        return None
+    weights = [rows.weights[:, each] for each in here]
+    drawn = (weights[0].sum(1) > 0) & (weights[1].sum(1) > 0)
+    near, far = (
+        weight[drawn] @ values[each] / weight[drawn].sum(1)
+        for weight, each in zip(weights, here, strict=True)
+    )
+    mean = float(values[here[1]].mean() - values[here[0]].mean())
+    return [mean, *(float(x) for x in np.percentile(far - near, bootstrap.LEVELS))]
+
+
 def _item(row: Mapping, kind: str, known: Mapping[str, float]) -> str:
-    """The light, or of the input's materials the one that is farthest from training."""
-    if kind == "lights":
-        return str(row["light"])
+    """The shape, the light, or of the input's materials the one farthest from training."""
+    if kind != "materials":
+        return str(row[ITEMS[kind]])
     return max(row["materials"], key=lambda name: known.get(name, 0.0))
 
 

@@ -7,6 +7,8 @@ that `sentences` returns.
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from msgspec import UNSET
+
 from learn.baselines import FILES
 from learn.data.pairs import EditPair
 from learn.data.records import Records
@@ -66,18 +68,24 @@ def sentences(files: Sequence[Path], tested: Tested, data: Path, is_allowed: boo
     data        the data set, for messages
     is_allowed  whether overlaps are reported; otherwise the first raises InputError
     """
-    result = []
+    result: list[str] = []
+    reconstructed: list[str] = []
     silent: dict[str, list[str]] = {"what": [], "all that": []}
     for path in files:
         seen = checkpoint.seen_by(path)
         if seen is None or not seen.complete:
             silent["what" if seen is None else "all that"].append(Path(path).name)
+        if seen is not None and seen.reconstructed is not UNSET:
+            reconstructed.append(
+                f"Note: what {Path(path).name} saw was reconstructed: {seen.reconstructed}."
+            )
         if seen is None or not (shared := _shared(seen, tested)):
             continue
         if not is_allowed:
             rule = f"shapes, materials and lights that {Path(path).name} never saw"
             raise InputError(data, rule, shared, REMEDY)
         result.append(f"Overlap: {Path(path).name} saw in training {shared}.")
+    result += reconstructed
     result += [
         f"Warning: these weights do not say {words} they saw: {', '.join(names)}."
         for words, names in silent.items()

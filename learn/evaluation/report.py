@@ -26,6 +26,8 @@ CURVE = (
     " truth's 99th percentile of luminance → 1"
 )
 
+PATHS = ("data", "weights", "out", "baselines", "lpips", "lights", "geometry")  # of Options
+
 
 def about(
     options: "Options",
@@ -55,11 +57,7 @@ def about(
     return {
         "made": provenance(),
         "asked": {
-            key: (
-                Path(value).name
-                if key in ("data", "weights", "out", "baselines", "lpips", "lights") and value
-                else value
-            )
+            key: (Path(value).name if key in PATHS and value else value)
             for key, value in asked.items()
         },
         "data": (

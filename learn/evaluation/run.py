@@ -22,6 +22,7 @@ import torch
 from learn.data import pairs
 from learn.data.pairs import EditPair
 from learn.data.records import Records
+from learn.data.seen import DIGITS
 from learn.evaluation import distances, overlap, report, rows
 from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
@@ -59,6 +60,7 @@ class Options:
     allow_overlap       whether pictures are measured that show what the weights saw in training
     lights              file of the light maps that the weights were trained with, or None
     refinement_method   of the layer, by which refinement renders; None: auto
+    geometry            data set with the shapes that the weights were trained on, or None
     ray                 address of a Ray cluster whose CPUs all work, instead of `processes`;
                         "auto": this machine's, or a new one here; None: processes of this machine
     """
@@ -78,6 +80,7 @@ class Options:
     allow_overlap: bool = False
     lights: Path | None = None
     refinement_method: str | None = None
+    geometry: Path | None = None
     ray: str | None = None
 
 
@@ -133,14 +136,18 @@ def make(options: Options) -> dict:
 def nearest_training_items(
     options: Options, records: Records, chosen: Sequence[EditPair], bench: Bench
 ) -> dict[str, dict[str, float]]:
-    """Return {"materials", "lights": {name: distance}} of the edits' inputs."""
+    """Return {"shapes", "materials", "lights": {name: distance}} of the edits' inputs."""
     materials = sorted({name for edit in chosen for name in edit.source.materials})
     lights = sorted({edit.source.light for edit in chosen})
-    maps = distances.training_maps(
-        options.lights, bench.metadata, checkpoint.seen_by(options.weights)
-    )
+    seen = checkpoint.seen_by(options.weights)
+    maps = distances.training_maps(options.lights, bench.metadata, seen)
+    shapes = distances.training_shapes(options.geometry, seen)
+    shown = [edit.source for edit in chosen] if shapes else []
+    known = set(seen.shapes) if seen is not None else set()
+    same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
     labels = {name: records.label(name) for name in materials}
     return {
+        "shapes": distances.of_shapes(distances.rasters(records, shown), shapes, same),
         "materials": distances.of_materials(labels, bench.training_labels),
         "lights": distances.of_lights({name: records.light(name) for name in lights}, maps),
     }

@@ -262,7 +262,7 @@ def all_of(
         "differences": differences(E),
         "gains": gains(E, families),
         "worst": breakdowns.worst(E, P, families),
-        "distance": breakdowns.by_distance(E, distances),
+        "distance": breakdowns.by_distance(E, P, distances),
         "displayed": by_method(
             E, "The same edits by other measures", displayed, [((), DISPLAYED, "")]
         ),

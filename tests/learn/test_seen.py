@@ -15,10 +15,11 @@ from learn.data.seen import DIGITS, Seen, label_hash, map_hash
 from learn.data.settings import Data
 from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.evaluation import overlap
-from learn.networks import tensor_file, weights
+from learn.networks import own_weights, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from manifests import light_files
+from learn.networks.seen_lists import write_lists
+from manifests import light_files, measured_lights
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import LightEntry
@@ -258,6 +259,87 @@ def test_a_run_that_began_from_weights_without_lists_does_not_claim_to_know_all(
     assert not own.joined(None).complete
     assert own.joined(theirs).shapes == ("a" * 16, "b" * 16)
     assert own.joined(theirs).complete and not own.joined(theirs.joined(None)).complete
+
+
+def test_lists_put_together_later_say_so_and_hand_it_on():
+    own = seen.of({"shapes": ["a" * 16], "materials": [], "lights": ["b" * 16]})
+    # as in files from before lists could be put together: these must stay readable
+    assert seen.encoded(own) == (
+        '{"lists":{"version":1,"shapes":["aaaaaaaaaaaaaaaa"],"materials":[],'
+        '"lights":["bbbbbbbbbbbbbbbb"],"complete":true},"digest":"3038ccef1a0f4ac1"}'
+    )
+    theirs = seen.of(
+        {kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log alone has them"
+    )
+    both = own.joined(theirs)
+    assert both.reconstructed == own.joined(theirs).joined(theirs).reconstructed
+    assert both.reconstructed == "the log alone has them" and both.complete
+    assert seen.of_metadata({seen.KEY: seen.encoded(both)}, "file") == both
+    assert own.joined(None).reconstructed is msgspec.UNSET
+
+
+def test_lists_written_later_leave_every_tensor_as_it_is(old, evaluate, capsys, tmp_path):
+    lists = seen.of({kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log says so")
+    write_lists(old, lists, tmp_path / "new.safetensors")
+    assert weights.seen_by(tmp_path / "new.safetensors") == lists
+    with tensor_file.opened(old) as a, tensor_file.opened(tmp_path / "new.safetensors") as b:
+        assert a.shapes == b.shapes and a.kinds == b.kinds
+        assert b.metadata == a.metadata | {seen.KEY: seen.encoded(lists)}
+        for name in a.shapes:
+            assert torch.equal(a.tensor(name), b.tensor(name))
+    assert not list(tmp_path.glob("*.new"))
+    assert evaluate(tmp_path / "new.safetensors") == 0
+    note = "Note: what new.safetensors saw was reconstructed: the log says so."
+    assert note in capsys.readouterr().out
+    assert note in (tmp_path / "out" / "report.md").read_text().splitlines()[2]
+
+
+def test_lists_are_not_written_into_a_file_that_would_change(old, tmp_path, monkeypatch):
+    lists = seen.of({kind: [] for kind in seen.KINDS})
+    write = tensor_file.write
+
+    def damaged(path, tensors, metadata):
+        name = next(iter(tensors))
+        write(path, tensors | {name: tensors[name] + 1}, metadata)
+
+    monkeypatch.setattr(tensor_file, "write", damaged)
+    before = old.read_bytes()
+    with pytest.raises(ValueError, match="expected tensors of digest"):
+        write_lists(old, lists, old)
+    assert old.read_bytes() == before and list(tmp_path.iterdir()) == [old]
+
+
+def test_lists_are_not_written_into_what_is_no_weights(tmp_path):
+    tensor_file.write(tmp_path / "other.safetensors", {"a": torch.zeros(1)}, {})
+    with pytest.raises(InputError, match="weights that name their network"):
+        write_lists(tmp_path / "other.safetensors", seen.of({k: [] for k in seen.KINDS}), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "digest", "shapes"),
+    [
+        ("joint-compact", "8bc6617e335696c8", 263),
+        ("general-compact", "610c8a2ca78c51eb", 1600),
+        ("general-two-encoders", "9064b87ec5e1e840", 2565),
+    ],
+)
+def test_the_committed_weights_say_all_that_they_saw(name, digest, shapes, tmp_path):
+    path = own_weights.FOLDER / f"{name}.safetensors"
+    with tensor_file.opened(path) as stored:
+        tensors = {each: stored.tensor(each) for each in stored.shapes}
+    assert weights.digest_of(tensors)[:16] == digest  # of the tensors that training left
+    lists = weights.seen_by(path)
+    assert lists.complete and "joint-compact wrote no lists" in lists.reconstructed
+    assert len(lists.shapes) == shapes
+    chairs = {"f3da34df8d933159": "chair:41", "167fd585ca641e24": "chair:29"}
+    lights = {map_hash(L): each for each, L in measured_lights.load_all().items()}
+    tested = {"shapes": chairs, "materials": {}, "lights": lights}
+    with pytest.raises(InputError, match=rf"{name}.* found 1 of 2 shapes \(chair:41\), 20 of 26"):
+        overlap.sentences([path], tested, tmp_path, False)
+    held_out = {each: light for each, light in lights.items() if each not in lists.lights}
+    blender = {"blender_city", "blender_interior"}
+    others = {"pmndrs_sunset", "pmndrs_lab", "drei_forest_slope", "drei_studio_small_03"}
+    assert set(held_out.values()) == blender | others
 
 
 def test_a_target_material_counts_where_the_pictures_are_of_the_test_side(store):

@@ -2,13 +2,15 @@
 pool.
 """
 
+import json
+import re
 from collections import Counter
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manifests import splits
+from manifests import JOBS, splits
 
 PAPER = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}
 
@@ -47,6 +49,36 @@ def test_multi_material_chairs_are_eighty_and_twenty():
         [(f"chair:{k}", "chair", hash_of(str(k))) for k in range(100)], "multi-material"
     )
     assert Counter(roles.values()) == {"finetune": 80, "test": 20}
+
+
+@pytest.mark.parametrize(("job", "count"), [("test", 40), ("multi-material", 20)])
+def test_the_test_side_of_a_preset_has_no_seed_that_the_committed_weights_were_trained_on(
+    job, count
+):
+    def numbered(name):
+        texts = json.loads((JOBS / f"{name}.json").read_text())["shapes"]
+        ends = [re.fullmatch(r"(\w+):(\d+)-(\d+)", text).groups() for text in texts]
+        return {f"{family}:{k}" for family, a, b in ends for k in range(int(a), int(b) + 1)}
+
+    rule = json.loads((JOBS / f"{job}.json").read_text())["split"]
+    shapes = [(name, name.partition(":")[0], hash_of(name)) for name in sorted(numbered(job))]
+    roles = splits.shape_roles(shapes, rule)
+    tested = {name for name, role in roles.items() if role == "test"}
+    assert len(tested) == count
+    # cars 120–129 lie behind the hundred of the job geometry as well
+    assert not tested & numbered("geometry")
+    for name, family, hash_ in shapes:
+        assert splits.numbered_role(name, rule) == roles[name]
+        assert splits.role_of(name, family, hash_, rule) == roles[name]
+
+
+def test_further_seeds_are_of_families_alone_and_mesh_files_keep_their_ranks():
+    files = [(f"file{k}", "chair", hash_of(str(k))) for k in range(130)]
+    roles = splits.shape_roles(files, "paper")
+    by_rank = sorted(files, key=lambda each: each[2])
+    assert {roles[name] for name, _, _ in by_rank[40:50]} == {"test"}
+    assert "train" in {roles[name] for name, _, _ in by_rank[110:120]}
+    assert {splits.numbered_role(f"chair:{k}", "paper") for k in range(110, 120)} == {"test"}
 
 
 def test_general_holds_families_out_and_takes_own_families_as_hash_does():
