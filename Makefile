@@ -13,6 +13,7 @@ help:
 	@echo "make demo-full   the same with 360 pictures instead of 96, in $(OUT)-full"
 	@echo "make demo-small  the same with 16 pictures"
 	@echo "make weights     from nothing to weights of the preset general-compact: about fourteen hours of processor time, six with WEIGHTS_STEPS=6000"
+	@echo "make weights WEIGHTS_MESHES=LIBRARY  the same with meshes that factory shapes collect copied into LIBRARY"
 	@echo "make weights-small  the same with a sixtieth of shapes, lights and steps"
 	@echo "make site        build the documentation as a site; then open build/site/index.html"
 	@echo "make gallery     edit the gallery's photographs, which are downloaded from Debian and PyPI (115 MB); then open out/gallery/index.html"
@@ -82,9 +83,12 @@ WEIGHTS_OUT   ?= out/weights
 WEIGHTS_PART  ?= 1/1
 WEIGHTS_LIGHTS ?= 1000
 WEIGHTS_STEPS ?= 30000
+# A library of `factory shapes collect`, whose meshes for development become training shapes too; none by default.
+WEIGHTS_MESHES ?=
 weights: $(VENV)/installed
 	$(VENV)/bin/python -m factory render geometry-general --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
 	$(VENV)/bin/python -m factory render geometry-20 --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS)
+	$(if $(WEIGHTS_MESHES),$(VENV)/bin/python -m factory render geometry-meshes --assets $(WEIGHTS_MESHES) --shard $(WEIGHTS_PART) --out $(WEIGHTS_OUT)/geometry --workers $(WORKERS))
 	$(VENV)/bin/python -m factory lights make --count $(WEIGHTS_LIGHTS) --library $(WEIGHTS_OUT)/lights --workers $(WORKERS)
 	$(VENV)/bin/python -m learn train general-compact --data $(WEIGHTS_OUT)/geometry --lights $(WEIGHTS_OUT)/lights --steps $(WEIGHTS_STEPS) --threads $(WORKERS) --workers 2 --out $(WEIGHTS_OUT)/run
 

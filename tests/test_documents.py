@@ -281,6 +281,18 @@ def test_the_makefile_helps_with_every_target_it_offers(root):
     assert {t for t in targets if t != "help" and f"make {t} " not in shown} == set()
 
 
+def test_weights_are_made_with_meshes_only_where_a_library_is_named(root):
+    def lines(*words):
+        made = ["make", "--dry-run", "weights", *words]
+        done = subprocess.run(made, cwd=root, capture_output=True, text=True, check=True)
+        return [line for line in done.stdout.splitlines() if " render " in line]
+
+    plain, more = lines(), lines("WEIGHTS_MESHES=lib", "WEIGHTS_PART=2/60")
+    assert len(plain) == 2 and "geometry-meshes" not in "".join(plain)
+    assert len(more) == 3
+    assert "render geometry-meshes --assets lib --shard 2/60 --out out/weights/geometry" in more[2]
+
+
 def test_constraints_pin_versions_and_name_no_address(root):
     lines = [
         line

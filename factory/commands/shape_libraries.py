@@ -37,7 +37,7 @@ def add_collect(actions: argparse._SubParsersAction) -> None:
         actions,
         "collect",
         run_collect,
-        "copy the meshes of installed packages of Debian and PyPI into a folder, with their"
+        "copy the meshes of installed packages of Debian, PyPI and npm into a folder, with their"
         " licences, half for development and half for testing",
         "python -m factory shapes collect --root / --package sweethome3d-furniture --library"
         " outside",
@@ -49,7 +49,8 @@ def add_collect(actions: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help=(
             "the folder below which the packages are: / after apt-get install, or the folder of"
-            " dpkg -x PACKAGE.deb DIR and pip install --no-deps --target DIR PACKAGE"
+            " dpkg -x PACKAGE.deb DIR, pip install --no-deps --target DIR PACKAGE and npm install"
+            " --ignore-scripts --prefix DIR PACKAGE"
         ),
     )
     one.add_argument(

@@ -17,6 +17,7 @@ from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
 FORMATS = (".obj", ".ply", ".glb", ".stl", ".off")
+MODULE = ".js"  # a module with a mesh is read where it is named; folders are full of other modules
 
 
 def require_mesh_file(path: str | Path) -> None:
@@ -48,7 +49,7 @@ def _remedy(path):
 
 def check_format(where: str | Path, kind: str) -> None:
     """Raise InputError for a file whose ending has no reader."""
-    if kind not in FORMATS:
+    if kind not in (*FORMATS, MODULE):
         remedy = (
             "export it as binary glTF (.glb)" if kind == ".gltf" else "convert it to one of these"
         )

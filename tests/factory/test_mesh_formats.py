@@ -632,3 +632,65 @@ def test_a_sparse_accessor_without_a_base_takes_no_more_memory_than_triangles_ma
         "glb",
         "at most 2,000,000",
     )
+
+
+# Modules of npm packages
+
+
+MODULE = "var a = 1;\nexports.positions=[[0,0,0],[1,0,0],[0,1,0],[0,0,1]];exports.cells=CELLS;"
+CELLS = "[[0,2,1],[0,1,3],[0,3,2],[1,2,3]]"
+
+
+def module(change=lambda text: text):
+    return change(MODULE.replace("CELLS", CELLS)).encode()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text,
+        lambda text: text.replace("exports.", "export const ").replace("=", " = "),
+        lambda text: '{"cells": ' + CELLS + text[len("var a = 1;") :],
+        lambda text: text.replace("],[", "] ,\n [").replace("=[", "= [ "),
+        lambda text: text.replace(
+            "exports.positions", "exports.repositions=[[1]];exports.positions"
+        ),
+    ],
+)
+def test_a_module_with_positions_and_cells_is_the_same_however_it_is_written(change):
+    raw = read(module(change), "js")
+    assert len(raw.vertices) == 4
+    np.testing.assert_array_equal(raw.faces, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def test_polygons_of_a_module_are_cut():
+    square = "exports.positions=[[0,0,0],[1,0,0],[1,1,0],[0,1,0]];exports.cells=[[0,1,2,3]]"
+    assert area(read(square.encode(), "js")) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace("cells", "sells"), "cells: expected a module that exports"),
+        (lambda text: text.replace("positions", "places"), "positions: expected a module"),
+        (lambda text: text[:-6], "cells: expected a module"),
+        (lambda text: text.replace("[0,2,1]", "[0,2,9]"), "faces among its 4 vertices, found v"),
+        (lambda text: text.replace("[0,2,1]", "[0,2,-1]"), "cells: expected a module"),
+        (lambda text: text.replace("[0,2,1]", "[f(),2,1]"), "cells: expected a module"),
+        (lambda text: text.replace("[1,0,0]", "[1,0]"), "positions: expected a module"),
+        (lambda text: text.replace("[1,0,0]", "[NaN,0,0]"), "positions: expected a module"),
+        (lambda text: "module.exports = require('./mesh')", "cells: expected a module"),
+    ],
+)
+def test_a_module_without_plain_arrays_is_refused(change, said):
+    refused(module(change), "js", said)
+
+
+def test_a_module_of_too_many_triangles_is_refused_before_they_are_held():
+    with pytest.raises(InputError, match="at most 3 triangles, found 4"):
+        from_bytes(module(), ".js", "mesh.js", 3)
+    polygon = "exports.positions=[[0,0,0]];exports.cells=[[" + ",".join("0" * 99) + "]]"
+    with pytest.raises(InputError, match="at most 50 triangles, found 97"):
+        from_bytes(polygon.encode(), ".js", "mesh.js", 50)
+    with pytest.raises(InputError, match="bytes"):
+        from_bytes(b" " * 10_000 + module(), ".js", "mesh.js", 20)

@@ -113,6 +113,34 @@ def test_variants_of_one_object_share_a_side_and_the_sides_are_halves(root, tmp_
     assert side_of("sweethome3d-furniture/cup") == "development"  # recorded: it must not change
 
 
+def test_one_makers_meshes_share_a_side_and_a_module_is_read(tmp_path, monkeypatch):
+    root = tmp_path / "root" / "node_modules"
+    for number, folder in enumerate(("acme-one", "acme-two", "acme-3")):
+        (root / "pads" / folder).mkdir(parents=True)
+        for hand in ("left", "right"):
+            scale = (1, 1 + 0.1 * number, 1.5 if hand == "left" else 1.7)
+            text = obj_of(load("sphere:2"), np.array(scale))
+            (root / "pads" / folder / f"{hand}.obj").write_text(text)
+    torus = load("torus")
+    (root / "pot").mkdir()
+    (root / "pot" / "pot.js").write_text(
+        f"exports.positions={torus.vertices.tolist()};\nexports.cells={torus.faces.tolist()};"
+    )
+    pads = Source("node_modules/pads/*/*.obj", "MIT", "Acme", maker_is_one=True)
+    pot = Source("node_modules/pot/pot.js", "public domain", "Ada", "up=z&front=x")
+    listed = {
+        name: Package("npm", name, "1.0", f"npm install {name}", (source,))
+        for name, source in {"pads": pads, "pot": pot}.items()
+    }
+    monkeypatch.setattr(packages, "packages", lambda: listed)
+    rows = collect(tmp_path / "root", tmp_path / "out")
+    of_pads = [row for row in rows if row["package"] == "pads"]
+    assert len(of_pads) == 6 and {row["side"] for row in of_pads} == {side_of("pads/acme")}
+    assert "pads-acme-one-left" in {row["name"] for row in of_pads}
+    (pot,) = (row for row in rows if row["package"] == "pot")
+    assert pot["hash"] == torus.hash and pot["licence"] == "public domain, Ada"
+
+
 def test_most_takes_one_variant_of_each_object(root, tmp_path):
     rows = collect(root, tmp_path / "out", ["homes"], most=1, report=lambda line: None)
     assert all(sum(row["side"] == side for row in rows) <= 1 for side in packages.SIDES)
