@@ -66,7 +66,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=Path,
         metavar="FILE",
         help=".npz of the light maps that the weights were trained with, for the table of edits by"
-        " distance to the nearest of them; else no such rows",
+        " distance to the nearest of them; the program's measured maps need no file where the"
+        " weights say which they saw",
     )
     parser.add_argument(
         "--geometry",

@@ -126,27 +126,30 @@ def _shuffled(seed: int, name: str) -> bytes:
 
 
 def shown(records: Records, edit: EditPair) -> ExampleBatch:
-    """Return the batch of one that methods see of an edit's source.
+    """Return the batch of one that methods see of an edit's source, as of `picture`."""
+    return picture(records, edit.source, edit.several)
 
-    It has one region, or one per segment where the scene has several materials. Raises InputError
-    for a perspective camera, since networks and edits assume a distant viewer.
+
+def picture(records: Records, record: Record, several: bool = False) -> ExampleBatch:
+    """Return the batch of one that methods see of a record.
+
+    several  whether it has one region per segment, as where a scene has several materials;
+             otherwise one in all
+    Raises   InputError for a perspective camera, since networks and edits assume a distant viewer
     """
-    sample = records.load(edit.source)
+    sample = records.load(record)
     if sample.view is not None:
         raise InputError(
             records.folder,
             "an orthographic camera",
-            f"{edit.source.camera.fov_deg:g}°",
+            f"{record.camera.fov_deg:g}°",
             "render without fov_deg",
         )
     mask = sample.mask.numpy()
-    segments = sample.segments if edit.several else sample.mask.long()
-    label = sample.label[: None if edit.several else 1].numpy()
+    segments = sample.segments if several else sample.mask.long()
+    label = sample.label[: None if several else 1].numpy()
     image = sample.image.numpy() * mask[..., None]
-    name = (
-        f"{edit.source.shape} view {edit.source.viewpoint}"
-        f" {'+'.join(dict.fromkeys(edit.source.materials))}"
-    )
+    name = f"{record.shape} view {record.viewpoint} {'+'.join(dict.fromkeys(record.materials))}"
     return joined(
         [(image, mask, sample.n, segments, label, sample.light, label, name)], sample.elevation
     )

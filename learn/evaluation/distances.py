@@ -24,6 +24,7 @@ from learn.data.records import Records
 from learn.data.seen import DIGITS, Seen, map_hash
 from learn.metrics.intrinsics import brdf_log_error
 from learn.metrics.radiometry import irradiance
+from manifests import measured_lights
 from manifests.errors import InputError
 from manifests.schema import Record
 from shaders import envmap
@@ -66,19 +67,23 @@ def of_lights(maps: Mapping[str, np.ndarray], training: Sequence[np.ndarray]) ->
 def training_maps(
     path: Path | None, metadata: Mapping[str, Any], seen: Seen | None
 ) -> list[np.ndarray]:
-    """Return the maps of a file that weights were trained on; [] for None.
+    """Return the maps that weights were trained on, of a file and of the program's measured ones.
 
+    path      None: no file
     metadata  of the weights: maps that their run held out are left out
-    seen      what the weights saw; where they say it, all other maps are left out too
+    seen      what the weights saw; where they say it, all other maps are left out too. Where they
+              do not, the measured ones are left out
     Raises    InputError
     """
-    if path is None:
-        return []
+    maps = {} if path is None else dict(read_maps(path))
+    if seen is not None:
+        # last: a file of the same maps may have its columns elsewhere
+        maps |= measured_lights.load_all()
     of_data = metadata.get("run", {}).get("data", {})
     held_out = {*of_data.get("validation_lights", ()), *of_data.get("test_lights", ())}
     return [
         L
-        for name, L in read_maps(path).items()
+        for name, L in maps.items()
         if name not in held_out and (seen is None or map_hash(L) in seen.lights)
     ]
 

@@ -24,6 +24,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "self-shadowing": "measure the shadows that training adds to relit pictures",
         "unseen-shapes": "measure normals of weights on many shapes that no training saw",
         "stereo-normals": "measure normals of photographs whose depth was measured by stereo",
+        "nearest-shapes": "measure normals by distance to the nearest training shape",
         "step-profile": "time the parts of a training step, and relighting",
         "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
         "objective-ablation": "train with and without rendered pictures, for the same steps",

@@ -8,6 +8,7 @@ from learn.data.records import Records
 from learn.evaluation import breakdowns, distances, tables
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.evaluation.table import Rows
+from manifests import measured_lights
 from manifests.errors import InputError
 from shaders import envmap
 from tests.support import synthetic
@@ -165,6 +166,22 @@ def test_a_turned_training_map_is_of_training_and_others_are_farther_the_less_al
     assert result["turned"] == 0
     assert 0 < result["near"] < result["far"]
     assert distances.of_lights(maps, []) == {}
+
+
+def test_measured_maps_that_weights_saw_and_did_not_validate_on_are_training_maps(tmp_path):
+    measured = measured_lights.load_all()
+    names = ("blender_forest", "pmndrs_sky", "blender_courtyard")
+    lists = seen.of(
+        {"shapes": [], "materials": [], "lights": [seen.map_hash(measured[n]) for n in names]}
+    )
+    run = {"run": {"data": {"validation_lights": ["blender_courtyard"]}}}
+    expected = {seen.map_hash(measured[name]) for name in names[:2]}
+    known = distances.training_maps(None, run, lists)
+    assert {seen.map_hash(L) for L in known} == expected
+    # the file of these maps has the columns of a file, and its names must not hide the true maps
+    known = distances.training_maps(measured_lights.MAPS, run, lists)
+    assert {seen.map_hash(L) for L in known} == expected
+    assert distances.training_maps(None, run, None) == []
 
 
 def test_a_training_label_has_no_distance(rng):

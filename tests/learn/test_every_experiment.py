@@ -215,6 +215,16 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(0 < row["facing the viewer"] < 90 for row in r["rows"])
         ),
     ),
+    "nearest-shapes": (
+        "--data {room}/pictures --geometry {room}/data --weights {room}/weights.safetensors"
+        " --pictures 2",
+        lambda r: (
+            len(r["rows"]) == 2
+            and all(0 < row["angle"] < 180 for row in r["rows"])
+            # the same sphere is among the training shapes
+            and r["distances"]["pictures"]["sphere"] < 0.1
+        ),
+    ),
     "relighting": (
         "--data {room}/ladder --weights {room}/weights.safetensors --pictures 1",
         lambda r: (
