@@ -91,13 +91,15 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     files.pin_settings(arguments.out / "settings.json", about)
     training = distances.training_shapes(arguments.geometry, seen)
-    todo, found, sentences = [], {}, []
+    todo, degrees, sentences = [], {}, []
     for folder in arguments.data:
         records = Records(folder)
         shown = pictures_of(records, metadata["size"], arguments.pictures)
         sentences += _said(arguments.weights, records, shown)
         same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
-        found[folder.name] = distances.of_shapes(distances.rasters(records, shown), training, same)
+        degrees[folder.name] = distances.of_shapes(
+            distances.rasters(records, shown), training, same
+        )
         todo += [
             ({"picture": f"{folder.name} {record.id}", "data": folder.name}, (records, record))
             for record in shown
@@ -108,7 +110,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
     name = arguments.weights.name
-    return {"rows": rows, "distances": found, "seen": sorted(set(sentences)), "weights": name}
+    return {"rows": rows, "distances": degrees, "seen": sorted(set(sentences)), "weights": name}
 
 
 def pictures_of(records: Records, size: int, most: int) -> list[Record]:

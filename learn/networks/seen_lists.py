@@ -1,7 +1,7 @@
 """Lists of what weights saw, written into a file of weights after its training.
 
-Only the file's metadata change: its tensors keep every bit, which is checked before the file takes
-the place of the old one.
+Only the file's metadata change: its tensors keep every bit, which is checked on a trial before the
+file takes the place of the old one.
 """
 
 from pathlib import Path
@@ -27,13 +27,13 @@ def write_lists(path: Path, lists: Seen, out: Path) -> None:
             rule, remedy = "weights that name their network", "use weights that `learn train` wrote"
             raise InputError(path, rule, "none", remedy)
     before = digest_of(tensors)
-    beside = out.with_name(f"{out.name}.new")
-    tensor_file.write(beside, tensors, metadata)
+    trial = out.with_name(f"{out.name}.trial")
     try:
-        with tensor_file.opened(beside) as stored:
+        tensor_file.write(trial, tensors, metadata)
+        with tensor_file.opened(trial) as stored:
             after = digest_of({name: stored.tensor(name) for name in stored.shapes})
-        if after != before:
-            raise ValueError(f"{beside}: expected tensors of digest {before}, found {after}")
-        beside.replace(out)
     finally:
-        beside.unlink(missing_ok=True)
+        trial.unlink(missing_ok=True)
+    if after != before:
+        raise ValueError(f"{path}: expected tensors of digest {before}, found {after}")
+    tensor_file.write(out, tensors, metadata)

@@ -287,7 +287,7 @@ def test_lists_written_later_leave_every_tensor_as_it_is(old, evaluate, capsys, 
         assert b.metadata == a.metadata | {seen.KEY: seen.encoded(lists)}
         for name in a.shapes:
             assert torch.equal(a.tensor(name), b.tensor(name))
-    assert not list(tmp_path.glob("*.new"))
+    assert not list(tmp_path.glob("*.trial"))
     assert evaluate(tmp_path / "new.safetensors") == 0
     note = "Note: what new.safetensors saw was reconstructed: the log says so."
     assert note in capsys.readouterr().out
