@@ -291,6 +291,6 @@ def figure(report: runner.Report) -> Figure:
     axes.set_ylabel("error of predicted normals, mean over the shape's pictures (°)")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
-    axes.legend()
+    axes.legend(loc="upper left")
     axes.grid(alpha=0.3)
     return result
