@@ -13,7 +13,7 @@ import torch
 
 from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
-from learn.data.settings import Run
+from learn.data.settings import Losses, Run
 from learn.experiments import variants
 from learn.layer import predictions
 from learn.layer.display_method import method_for
@@ -22,21 +22,27 @@ from learn.networks import weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.prediction import Coded, required
-from learn.training import loop, processes, validation
+from learn.training import loop, losses, processes, validation
 from manifests.errors import InputError
 
 
 class ObjectiveTraining(loop.Training):
-    """A training that takes its batches from `source`, with or without the reflectance map."""
+    """A training that takes its batches from `source`, with or without the reflectance map.
+
+    of_luminance  whether losses of the light compare maps of unit mean luminance, as networks
+                  predict them
+    """
 
     def __init__(
         self,
         *arguments: Any,
         source: processes.BatchSource,
         reflectance_map: bool,
+        of_luminance: bool = False,
         **named: Any,
     ):
         self.source, self.reflectance_map = source, reflectance_map
+        self.of_luminance = of_luminance
         super().__init__(*arguments, **named)
 
     def _source(self) -> processes.BatchSource:
@@ -46,10 +52,25 @@ class ObjectiveTraining(loop.Training):
         network = super()._new_network(ranges)
         return network if self.reflectance_map else without_reflectance_map(network)
 
+    def _terms(
+        self, prediction: Any, batch: ExampleBatch, loss_weights: Losses, rng: torch.Generator
+    ) -> losses.Terms:
+        terms = super()._terms(prediction, batch, loss_weights, rng)
+        if self.of_luminance:
+            terms |= losses.light_terms(prediction, batch, loss_weights, scaled=lambda light: light)
+        return terms
 
-def maker(source: processes.BatchSource, reflectance_map: bool) -> Callable[..., ObjectiveTraining]:
+
+def maker(
+    source: processes.BatchSource, reflectance_map: bool, of_luminance: bool = False
+) -> Callable[..., ObjectiveTraining]:
     """Return what makes such a training, for learn.experiments.variants.trained."""
-    return functools.partial(ObjectiveTraining, source=source, reflectance_map=reflectance_map)
+    return functools.partial(
+        ObjectiveTraining,
+        source=source,
+        reflectance_map=reflectance_map,
+        of_luminance=of_luminance,
+    )
 
 
 def without_reflectance_map(network: Coded) -> Coded:
@@ -68,7 +89,7 @@ def _zeros(_: torch.nn.Module, __: Any, output: torch.Tensor) -> torch.Tensor:
 
 def require_all_terms(run: Run, where: str | Path) -> None:
     """Raise InputError for a run from which a variant of objective_ablation cannot be made."""
-    losses = run.losses
+    of_run = run.losses
     network = weights.NETWORKS[run.network]
     problems = [
         (issubclass(network, Compact), "network", "a compact one", run.network),
@@ -78,8 +99,8 @@ def require_all_terms(run: Run, where: str | Path) -> None:
             "normals, material and light",
             ", ".join(run.parts),
         ),
-        (bool(losses.image or losses.image_features), "losses.image", "a weight above 0", "0"),
-        (bool(losses.target or losses.target_features), "losses.target", "a weight above 0", "0"),
+        (bool(of_run.image or of_run.image_features), "losses.image", "a weight above 0", "0"),
+        (bool(of_run.target or of_run.target_features), "losses.target", "a weight above 0", "0"),
         (run.data.regions == 1, "data.regions", "one region", str(run.data.regions)),
     ]
     for fine, key, rule, result in problems:

@@ -105,21 +105,6 @@ def material_terms(
     return result
 
 
-def light_terms(prediction: Prediction, batch: ExampleBatch, losses: Losses) -> Terms:
-    """Return the terms of a predicted light."""
-    result = {}
-    lights = required(prediction.light), batch.light
-    if losses.light_log:
-        mine, its = (torch.log1p(with_unit_mean(light)) for light in lights)
-        result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
-    if losses.light_rendered:
-        mine, its = (
-            log_rendered(reduced(with_unit_mean(light), RENDERED_LIGHT)) for light in lights
-        )
-        result["light_rendered"] = ((mine - its) ** 2).mean()
-    return result
-
-
 def with_unit_mean(light: torch.Tensor) -> torch.Tensor:
     """Return maps (B, 3, Hl, Wl) scaled to unit mean over the sphere, all channels alike.
 
@@ -130,6 +115,27 @@ def with_unit_mean(light: torch.Tensor) -> torch.Tensor:
     return light / (light.mean(1, keepdim=True) * solid_angles(light)).sum(
         (2, 3), keepdim=True
     ).clamp(min=1e-6)
+
+
+def light_terms(
+    prediction: Prediction,
+    batch: ExampleBatch,
+    losses: Losses,
+    scaled: Callable[[torch.Tensor], torch.Tensor] = with_unit_mean,
+) -> Terms:
+    """Return the terms of a predicted light.
+
+    scaled  by which maps (B, 3, Hl, Wl) are scaled before they are compared
+    """
+    result = {}
+    lights = required(prediction.light), batch.light
+    if losses.light_log:
+        mine, its = (torch.log1p(scaled(light)) for light in lights)
+        result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
+    if losses.light_rendered:
+        mine, its = (log_rendered(reduced(scaled(light), RENDERED_LIGHT)) for light in lights)
+        result["light_rendered"] = ((mine - its) ** 2).mean()
+    return result
 
 
 def layer_terms(

@@ -121,6 +121,7 @@ BASES = {
     "learn.experiments layer-ablation": "--data {seeds}/nothing --out {out}",
     "learn.experiments normals-ablation": "--data {seeds}/nothing --out {out}",
     "learn.experiments objective-ablation": "--data {seeds}/nothing --out {out}",
+    "learn.experiments light-repairs": "--data {seeds}/nothing --out {out}",
     "learn.experiments engine-speed": "--out {out}",
     "learn.experiments work-precision": "--out {out}",
     "learn.experiments tolerance-check": "--out {out}",

@@ -110,6 +110,14 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             )
         ),
     ),
+    "light-repairs": (
+        "--data {room}/data --run {room}/lights.json --size 32 --steps 2 --batches 1 --workers 0",
+        lambda r: (
+            len(r["variants"]) == 4
+            and all(x == [1, 1, 1] for x in r["variants"]["as in use"]["ratios"].values())
+            and r["variants"]["zeros beyond the edges"]["ratios"]["irradiance"] != [1, 1, 1]
+        ),
+    ),
     "normals-ablation": (
         TRAINING + " --pretraining 0.05 --variants L2 pixels",
         lambda r: r["rows"]["L2"]["ratio"] == [1, 1, 1] and "pixels" in r["rows"],
@@ -296,6 +304,8 @@ def room(tmp_path_factory):
     terms = {"image": 3, "target": 3, "pixels": 8, "layer_light": [8, 16]}
     settings = SETTINGS | {"network": "compact", "losses": SETTINGS["losses"] | terms}
     (room / "all-terms.json").write_text(json.dumps(settings))
+    of_light = {"network": "compact-wrapped", "losses": {"light_log": 1}}
+    (room / "lights.json").write_text(json.dumps(SETTINGS | of_light))
     both = [matte("dark", 0.2), matte("light", 0.8)]
     rng = np.random.default_rng(3)
     for name, size in (("data", SIZE), ("pictures", SIZE), ("large", 2 * SIZE)):

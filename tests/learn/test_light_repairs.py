@@ -1,0 +1,82 @@
+"""The ablation of predicted lights' repairs: each variant undoes one, and figures show it."""
+
+import argparse
+import json
+
+import msgspec
+import pytest
+import torch
+
+from learn.data.relit import RelitDataset
+from learn.data.settings import read_run
+from learn.experiments import light_repairs, objective_training, variants
+from learn.experiments.kept_batches import KeptBatches
+from learn.experiments.light_repairs import REFERENCE, VARIANTS
+from learn.training import losses
+from manifests.errors import InputError
+from tests.learn.test_objective_ablation import RUN, SIZE, data_splits  # noqa: F401 -- a fixture
+
+WRAPPED = msgspec.structs.replace(
+    RUN, network="compact-wrapped", losses=msgspec.structs.replace(RUN.losses, light_log=0.3)
+)
+
+
+def options(**changes):
+    return argparse.Namespace(**{"steps": 2, "size": SIZE, "seed": 0, "pictures": None} | changes)
+
+
+def test_every_variant_trains_the_light_alone_and_undoes_one_repair(data_splits, tmp_path):  # noqa: F811
+    source = RelitDataset(data_splits["train"], WRAPPED.data, 2, SIZE, 0)
+    kept = KeptBatches(source, tmp_path / "batches")
+    tested = objective_training.tests(data_splits, WRAPPED, SIZE, 1)
+    logged = {}
+    for name, variant in VARIANTS.items():
+        run = light_repairs.settings(name, WRAPPED, options())
+        make = objective_training.maker(kept, True, variant.of_luminance)
+        result = variants.trained(
+            run, data_splits, tested, tmp_path / name, 0, make, light_repairs.rows
+        )
+        lines = (tmp_path / name / "log.jsonl").read_text().splitlines()
+        logged[name] = [json.loads(line) for line in lines]
+        assert len(logged[name]) == result["steps"] == 2
+        terms = {"light_log", "light_rendered", "normals", "material", "image", "target"}
+        assert terms & logged[name][0].keys() == {"light_log", "light_rendered"}
+        row = result["rows"][0]
+        assert {*light_repairs.ERRORS, *light_repairs.SIGNED} < row.keys()
+        assert result["run"]["network"] == variant.network or "compact-wrapped"
+    # the first step's prediction is the same, and what it is compared with is scaled otherwise
+    first = {name: lines[0]["light_log"] for name, lines in logged.items()}
+    assert first["at unit luminance"] != first[REFERENCE] != first["as in use again"]
+    assert first["zeros beyond the edges"] != first[REFERENCE]
+
+
+def test_a_dark_frame_and_a_green_cast_are_seen_in_stops():
+    true = torch.rand(2, 3, 16, 32) + 0.5
+    framed = true.clone()
+    framed[0][:, light_repairs.ring(true, 0)] /= 4
+    framed[1, 1] *= 2
+    figures = light_repairs.light_figures(framed, true)
+    assert figures["frame"].tolist() == pytest.approx([-2, 0], abs=0.05)  # of random texels
+    assert figures["green"][1].item() == pytest.approx(1, abs=1e-4)
+    assert figures["edge_error"][0] > figures["light_log"][0] > 0
+    same = light_repairs.light_figures(true, true)
+    assert all(value.abs().max() == 0 for value in same.values())
+
+
+def test_maps_may_be_compared_as_they_are(data_splits):  # noqa: F811
+    """A light of unit luminance that is twice as bright costs nothing once both have unit mean."""
+    batch = RelitDataset(data_splits["test"], WRAPPED.data, 2, SIZE, 5)[0]
+    prediction = losses.Prediction(None, None, None, None, 2 * batch.light)
+    scaled = losses.light_terms(prediction, batch, WRAPPED.losses)
+    plain = losses.light_terms(prediction, batch, WRAPPED.losses, scaled=lambda light: light)
+    assert all(value.item() == pytest.approx(0, abs=1e-9) for value in scaled.values())
+    assert all(value > 0.01 for value in plain.values())
+
+
+def test_a_run_without_the_repairs_is_refused():
+    light_repairs.require_lights(read_run("general-compact"), "general-compact")
+    with pytest.raises(InputError, match="compact-wrapped"):
+        light_repairs.require_lights(read_run("joint-compact"), "joint-compact")
+    without = msgspec.structs.replace(RUN.losses, light_log=0, light_rendered=0)
+    with pytest.raises(InputError, match="light_log"):
+        light_repairs.require_lights(msgspec.structs.replace(WRAPPED, losses=without), "run.json")
