@@ -217,6 +217,27 @@ def test_the_true_prediction_has_no_loss(data_splits):
     )
 
 
+def test_a_highlight_that_the_camera_clipped_is_compared_with_its_true_brightness(data_splits):
+    """Both ways: what is brighter than the truth costs there, though the camera shows white."""
+    data = Data(sharing=2, camera_model=1.0)
+    batch = RelitDataset(data_splits["train"], data, 4, SIZE, 5)[0]
+    ranges = Ranges.of(torch.from_numpy(np.stack(list(data_splits["train"].labels.values()))))
+    only = Losses(image=1.0, pixels=SIZE**2, layer_light=(64, 128))
+
+    def cost(brighter, of_batch):
+        label = batch.label.clone()
+        label.unflatten(-1, (3, 3, 2, 6))[..., 0, :] += brighter  # log κ, about that of radiance
+        prediction = Prediction(batch.n, ranges.code(label), label, None, batch.light)
+        rng = torch.Generator().manual_seed(0)
+        return losses.terms(prediction, of_batch, only, rng, ranges)["image"].item()
+
+    white = replace(batch, clipped=torch.ones_like(batch.image))
+    for each in (batch, white):
+        assert cost(0.0, each) == pytest.approx(0, abs=1e-9)
+        assert cost(0.3, each) == pytest.approx(cost(0.3, batch)) and cost(0.3, each) > 1e-4
+        assert cost(-0.3, each) > 1e-4
+
+
 @pytest.mark.parametrize("term", ["light_log", "light_rendered"])
 def test_no_light_loss_wants_a_colour_where_the_truth_has_none(data_splits, term):
     batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
