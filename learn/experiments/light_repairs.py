@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from learn.training import loop
 
 REFERENCE, AGAIN = "as in use", "as in use again"
+FAINT = 0.02  # of a light's mean: ratios of what is darker count little
 WARM_UP = 1 / 10  # of all steps, at most
 THROUGH_LAYER = ("image", "target", "image_features", "target_features")
 ERRORS = {
@@ -48,6 +49,7 @@ ERRORS = {
 }
 SIGNED = {
     "frame": "brightness of the outermost texels, stops",
+    "seam": "step from the last column to the first, stops",
     "green": "green of the mean, stops",
 }
 DIGITS = {"target_l2": 0}
@@ -241,6 +243,8 @@ def light_figures(light: torch.Tensor, true: torch.Tensor) -> dict[str, torch.Te
     edge_error  the same over the outermost texels alone, all of them alike
     frame       by how many stops the outermost texels are brighter than those four texels further
                 within, beyond the same of the true map; below 0 where a map has a dark frame
+    seam        mean over rows of the step in stops between the first and the last column, which
+                meet, beyond the same of the true map
     green       by how many stops the mean colour is greener than that of the true map
     """
     import torch
@@ -249,19 +253,20 @@ def light_figures(light: torch.Tensor, true: torch.Tensor) -> dict[str, torch.Te
 
     squared = (torch.log1p(light) - torch.log1p(true)) ** 2
     outermost = ring(light, 0)
-    brightness = []
-    colours = []
+    brightness, steps, colours = [], [], []
     for each in (light, true):
-        logarithm = each.mean(1).clamp(min=1e-4).log2()
+        logarithm = (FAINT + each.mean(1)).log2()
         brightness.append(
             logarithm[:, ring(light, 0)].mean(1) - logarithm[:, ring(light, 4)].mean(1)
         )
+        steps.append((logarithm[..., 0] - logarithm[..., -1]).abs().mean(1))
         mean = (each * solid_angles(each)).sum((2, 3)).clamp(min=1e-6).log2()
         colours.append(mean[:, 1] - (mean[:, 0] + mean[:, 2]) / 2)
     return {
         "light_log": (squared * solid_angles(light)).sum((2, 3)).mean(1),
         "edge_error": squared.mean(1)[:, outermost].mean(1),
         "frame": brightness[0] - brightness[1],
+        "seam": steps[0] - steps[1],
         "green": colours[0] - colours[1],
     }
 
@@ -331,8 +336,9 @@ def tables(report: runner.Report) -> str:
         f"Ratios to `{REFERENCE}` on the same pictures; below 1 is better:",
         runner.table(["variant", *ERRORS.values()], rows_of("ratios", ERRORS, others)),
         "## Edges of the map, and colour",
-        "Both beyond the true light's: the outermost texels beside those four texels further in,"
-        " below 0 where the map has a dark frame; and by how much the mean colour is greener.",
+        "All beyond the true light's: the outermost texels beside those four texels further in,"
+        " below 0 where the map has a dark frame; the mean step between the two columns that meet;"
+        " and by how much the mean colour is greener.",
         runner.table(["variant", *SIGNED.values()], rows_of("figures", SIGNED, names)),
     ]
     if AGAIN in names:

@@ -71,7 +71,7 @@ class Compact(Coded):
     hidden  units of the hidden layers of the heads of material and light; unit: their activation
     deep    channels of the deepest features, which the heads read
     wraps   whether the light head continues its maps around the circle and across the poles. With
-            zeros beyond the map's edges instead, every predicted map has a dark frame
+            zeros beyond the map's edges instead, every predicted map has a frame
     """
 
     name = "compact"

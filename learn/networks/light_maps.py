@@ -1,6 +1,6 @@
 """Layers for light maps, whose left and right edges meet, and whose rows end at the two poles.
 
-A convolution that pads a map with zeros sees a dark frame, and predicts one.
+A convolution that pads a map with zeros sees a dark frame, and predicts maps with a frame.
 
 x  (B, C, H, W) features of a map: row 0 at the upper pole, columns along the azimuth, W even
 """

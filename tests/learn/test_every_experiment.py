@@ -468,6 +468,7 @@ REPORTS = {
 }
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
+    "light-repairs",  # not yet run at its full size
 }
 
 

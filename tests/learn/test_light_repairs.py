@@ -57,9 +57,14 @@ def test_a_dark_frame_and_a_green_cast_are_seen_in_stops():
     framed[0] /= 4
     framed[1, 1] *= 2
     figures = light_repairs.light_figures(framed, true)
-    assert figures["frame"].tolist() == pytest.approx([-2, 0], abs=0.05)  # of random texels
+    # of random texels, and a little less for what is faint
+    assert figures["frame"].tolist() == pytest.approx([-2, 0], abs=0.15)
     assert figures["green"][1].item() == pytest.approx(1, abs=1e-4)
     assert figures["edge_error"][0] > figures["light_log"][0] > 0
+    smooth = torch.ones(1, 3, 16, 32)
+    stepped = smooth.clone()
+    stepped[..., 0] *= 8
+    assert light_repairs.light_figures(stepped, smooth)["seam"].item() == pytest.approx(3, abs=0.1)
     same = light_repairs.light_figures(true, true)
     assert all(value.abs().max() == 0 for value in same.values())
 
