@@ -4,34 +4,54 @@ import argparse
 import json
 
 import msgspec
+import numpy as np
 import pytest
 import torch
 
-from learn.data.relit import RelitDataset
-from learn.data.settings import read_run
+from learn.data import lights
+from learn.data.relit import DataSplit, RelitDataset
+from learn.data.settings import Data, Losses, Run, Schedule, read_run
 from learn.experiments import light_repairs, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches
 from learn.experiments.light_repairs import REFERENCE, VARIANTS
 from learn.training import losses
 from manifests.errors import InputError
-from tests.learn.test_objective_ablation import RUN, SIZE, data_splits  # noqa: F401 -- a fixture
+from tests.support.two_materials import album_of, written
 
-WRAPPED = msgspec.structs.replace(
-    RUN, network="compact-wrapped", losses=msgspec.structs.replace(RUN.losses, light_log=0.3)
+SIZE = 32
+RUN = Run(
+    name="lights",
+    network="compact-wrapped",
+    size=SIZE,
+    data=Data(sharing=2),
+    losses=Losses(normals=1, image=3, light_log=0.3, light_rendered=1),
+    schedule=Schedule(steps=99, batch=2, learning_rate=3e-3, warm_up=50),
 )
+
+
+@pytest.fixture(scope="module")
+def data_splits(tmp_path_factory):
+    """Three sides of the one shape there is."""
+    rendered_split = album_of(written(tmp_path_factory.mktemp("lights")).folder)
+    labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
+    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
+    return {
+        side: DataSplit(rendered_split.geometry, np.arange(1), labels, maps, side)
+        for side in ("train", "validation", "test")
+    }
 
 
 def options(**changes):
     return argparse.Namespace(**{"steps": 2, "size": SIZE, "seed": 0, "pictures": None} | changes)
 
 
-def test_every_variant_trains_the_light_alone_and_undoes_one_repair(data_splits, tmp_path):  # noqa: F811
-    source = RelitDataset(data_splits["train"], WRAPPED.data, 2, SIZE, 0)
+def test_every_variant_trains_the_light_alone_and_undoes_one_repair(data_splits, tmp_path):
+    source = RelitDataset(data_splits["train"], RUN.data, 2, SIZE, 0)
     kept = KeptBatches(source, tmp_path / "batches")
-    tested = objective_training.tests(data_splits, WRAPPED, SIZE, 1)
+    tested = objective_training.tests(data_splits, RUN, SIZE, 1)
     logged = {}
     for name, variant in VARIANTS.items():
-        run = light_repairs.settings(name, WRAPPED, options())
+        run = light_repairs.settings(name, RUN, options())
         make = objective_training.maker(kept, True, variant.of_luminance)
         result = variants.trained(
             run, data_splits, tested, tmp_path / name, 0, make, light_repairs.rows
@@ -69,12 +89,12 @@ def test_a_dark_frame_and_a_green_cast_are_seen_in_stops():
     assert all(value.abs().max() == 0 for value in same.values())
 
 
-def test_maps_may_be_compared_as_they_are(data_splits):  # noqa: F811
+def test_maps_may_be_compared_as_they_are(data_splits):
     """A light of unit luminance that is twice as bright costs nothing once both have unit mean."""
-    batch = RelitDataset(data_splits["test"], WRAPPED.data, 2, SIZE, 5)[0]
+    batch = RelitDataset(data_splits["test"], RUN.data, 2, SIZE, 5)[0]
     prediction = losses.Prediction(None, None, None, None, 2 * batch.light)
-    scaled = losses.light_terms(prediction, batch, WRAPPED.losses)
-    plain = losses.light_terms(prediction, batch, WRAPPED.losses, scaled=lambda light: light)
+    scaled = losses.light_terms(prediction, batch, RUN.losses)
+    plain = losses.light_terms(prediction, batch, RUN.losses, scaled=lambda light: light)
     assert all(value.item() == pytest.approx(0, abs=1e-9) for value in scaled.values())
     assert all(value > 0.01 for value in plain.values())
 
@@ -85,4 +105,4 @@ def test_a_run_without_the_repairs_is_refused():
         light_repairs.require_lights(read_run("joint-compact"), "joint-compact")
     without = msgspec.structs.replace(RUN.losses, light_log=0, light_rendered=0)
     with pytest.raises(InputError, match="light_log"):
-        light_repairs.require_lights(msgspec.structs.replace(WRAPPED, losses=without), "run.json")
+        light_repairs.require_lights(msgspec.structs.replace(RUN, losses=without), "run.json")
