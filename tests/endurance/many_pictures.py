@@ -49,6 +49,29 @@ def looked(process, folder, temporary, start):
     )
 
 
+def watched(command, folder, temporary, log):
+    """Run a command and look at it once per second; (exit status, rows of COLUMNS).
+
+    folder     the data set that it makes
+    temporary  its TMPDIR
+    log        file for what it says
+    """
+    start = time.monotonic()
+    with open(log, "w") as said:
+        run = subprocess.Popen(
+            command,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "TMPDIR": str(temporary)},
+        )
+        process, rows = psutil.Process(run.pid), []
+        while run.poll() is None:
+            if row := looked(process, folder, temporary, start):
+                rows.append(row)
+            time.sleep(1)
+    return run.returncode, rows
+
+
 def growth(rows, column):
     """How much a column's median grows, relative, from the tenth after FIRST to the last tenth."""
     pictures = rows[:, 1]
@@ -105,19 +128,7 @@ def main():
     command = [sys.executable, "-m", "factory", "render", options.job, "--out", str(data)]
     command += ["--workers", str(options.workers)]
     command += ["--limit", str(options.pictures)] if options.pictures else []
-    start = time.monotonic()
-    with open(options.out / "run.log", "w") as log:
-        run = subprocess.Popen(
-            command,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "TMPDIR": str(temporary)},
-        )
-        process, rows = psutil.Process(run.pid), []
-        while run.poll() is None:
-            if row := looked(process, data, temporary, start):
-                rows.append(row)
-            time.sleep(1)
+    status, rows = watched(command, data, temporary, options.out / "run.log")
     table = np.array(rows)
     grown = growth(table, 2)
     result = {
@@ -125,7 +136,7 @@ def main():
             "PYTHONPATH=. python tests/endurance/many_pictures.py "
             + " ".join(map(shortened, sys.argv[1:]))
         ),
-        "exit_status": run.returncode,
+        "exit_status": status,
         "pictures": sum(1 for _ in (data / "images").rglob("*.exr")),  # the last look is earlier
         "seconds": float(table[-1, 0]),
         "memory_growth": grown,
@@ -159,7 +170,7 @@ def main():
     ]
     write_text(options.out / "report.md", "\n".join(lines) + "\n")
     print("\n".join(lines[-7:]))
-    return 0 if run.returncode == 0 and grown <= options.most_growth else 1
+    return 0 if status == 0 and grown <= options.most_growth else 1
 
 
 if __name__ == "__main__":
