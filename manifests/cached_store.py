@@ -7,12 +7,14 @@ make room for others.
 
 import contextlib
 import hashlib
+import math
 import os
 import tempfile
 import threading
 import time
 import uuid
 import weakref
+from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
@@ -51,6 +53,8 @@ class CachedStore(Store):
             super().__init__(_cache() / hashlib.sha256(self.remote.url.encode()).hexdigest()[:24])
         self._limit = _limit_bytes() if limit_bytes is None else limit_bytes
         self._lock = threading.Lock()
+        # {copy: time.monotonic of this process's last use}, of the last RECENT seconds, oldest first
+        self._recent: OrderedDict[Path, float] = OrderedDict()
         self._held = self._size()
         self._copy_lines()
 
@@ -65,6 +69,7 @@ class CachedStore(Store):
         Raises  InputError for a path that leaves the folder; Unreachable
         """
         path = inside(self.folder, relative)
+        self._note_use(path)
         try:
             os.utime(path)  # it was used last, now
         except FileNotFoundError:
@@ -126,6 +131,15 @@ class CachedStore(Store):
         with replacing(path, draft) as file:
             file.write(data)
 
+    def _note_use(self, path: Path) -> None:
+        """Note that a copy is about to be read here."""
+        now = time.monotonic()
+        with self._lock:
+            self._recent[path] = now
+            self._recent.move_to_end(path)
+            while now - next(iter(self._recent.values())) > RECENT:
+                self._recent.popitem(last=False)
+
     def _size(self) -> int:
         return sum(size for _, size, _ in self._copies())
 
@@ -141,16 +155,24 @@ class CachedStore(Store):
         return result
 
     def _make_room(self, size: int) -> None:
-        """Remove the copies used longest ago if `size` more bytes would exceed the limit."""
+        """Remove the copies used longest ago if `size` more bytes would exceed the limit.
+
+        This process's own uses are known by the monotonic clock, and those of others by file times.
+        A file time that is far in the future is left by a clock that was set back, or by one that
+        was wrong, and does not keep a copy.
+        """
         with self._lock:
             self._held += size
             if self._held <= self._limit:
                 return
             copies = sorted(self._copies())
             self._held = sum(held for _, held, _ in copies) + size
+            now, here = time.time(), time.monotonic()
             for used, held, path in copies:
-                if self._held <= SHARE_KEPT * self._limit or time.time() - used < RECENT:
+                if self._held <= SHARE_KEPT * self._limit:
                     break
+                if abs(now - used) < RECENT or here - self._recent.get(path, -math.inf) < RECENT:
+                    continue
                 path.unlink(missing_ok=True)
                 self._held -= held
 

@@ -131,7 +131,8 @@ def _state(source: Source) -> tuple[int, ...] | None:
         status = os.stat(split_place(source.place)[0])
     except (OSError, ValueError, InputError):
         return None
-    if time.time() - max(status.st_mtime, status.st_ctime) < RECENT:
+    # a time in the future is left by a clock that was set back, and says no less than another
+    if abs(time.time() - max(status.st_mtime, status.st_ctime)) < RECENT:
         return None
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 

@@ -144,6 +144,16 @@ def test_a_file_that_changed_just_now_or_while_it_was_read_is_not_remembered(tmp
     assert not (tmp_path / facts.FOLDER).exists()
 
 
+def test_a_file_from_the_future_is_remembered(tmp_path, monkeypatch):
+    mesh, *_ = written(tmp_path / "meshes", 1)
+    real = facts.time.time
+    monkeypatch.setattr(facts.time, "time", lambda: real() - 3600.0)  # the clock was set back
+    memory, source = Memory(tmp_path), Source(str(mesh))
+    memory.note(memory.key(source), source, facts_of(source))
+    memory.close()
+    assert Memory(tmp_path).recall(Memory(tmp_path).key(source)) == facts_of(source)
+
+
 def test_other_code_reads_again(tmp_path, monkeypatch):
     memory, source = Memory(tmp_path), Source("cube")
     memory.note(memory.key(source), source, facts_of(source))

@@ -207,11 +207,38 @@ def test_copies_used_longest_ago_make_room(remote):
     for number, name in enumerate(names):
         path = store.fetch(name)
         os.utime(path, (begun + number, begun + number))
+        store._recent.clear()  # as if another process had used it
     held = [name for name in names if (store.folder / name).exists()]
     assert held == names[-len(held) :] and 3 <= len(held) <= 5
     assert store.fetch(names[0]).stat().st_size == 1000  # and they come back
     for name in names:  # used just now: none is removed while it may be read
         assert store.fetch(name).exists()
+    assert all((store.folder / name).exists() for name in names)
+
+
+def test_copies_make_room_after_the_clock_was_set_back(remote, monkeypatch):
+    names = [f"images/ab/{number}.exr" for number in range(10)]
+    for name in names:
+        remote.write(name, bytes(1000))
+    for name in names:
+        CachedStore(remote.url, limit_bytes=100_000).fetch(name)
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() - 86_400.0)
+    remote.write("images/ab/more.exr", bytes(1000))
+    store = CachedStore(remote.url, limit_bytes=5000)
+    store.fetch("images/ab/more.exr")
+    held = [name for name in names if (store.folder / name).exists()]
+    assert held == names[-len(held) :] and 3 <= len(held) <= 4
+
+
+def test_copies_about_to_be_read_stay_when_the_clock_jumps_ahead(remote, monkeypatch):
+    names = [f"images/ab/{number}.exr" for number in range(10)]
+    for name in names:
+        remote.write(name, bytes(1000))
+    store, real = CachedStore(remote.url, limit_bytes=5000), time.time
+    for number, name in enumerate(names):
+        monkeypatch.setattr(time, "time", lambda ahead=3600.0 * number: real() + ahead)
+        store.fetch(name)
     assert all((store.folder / name).exists() for name in names)
 
 
