@@ -5,7 +5,7 @@
 
 writes the meshes of JOB's shapes into DIR/meshes, in JOB's order, and renders them with one worker
 into DIR/data twice in one run: first all of them as they are, and then all of them once more,
-turned by a quarter about the vertical axis, so that they are other shapes of as many triangles. It
+laid on their sides, so that they are other shapes of as many triangles. It
 looks at the run once per second (many_pictures.py) and compares the memory while a mesh is in use
 the second time with that of the first time. DIR/report.json, DIR/report.md and DIR/chart.png are
 written. It fails if the job does, or if memory grows by more than the limit.
@@ -25,15 +25,15 @@ import msgspec
 import numpy as np
 from scipy.stats import t as student
 
-from factory.planning.assets import resolve
 from factory.planning.jobs import load
 from factory.planning.shape_names import sources
 from factory.shapes.catalogue import load as load_mesh
 from manifests.files import write_bytes, write_json, write_text
 from manifests.provenance import provenance, shortened
+from manifests.store import Store
 from tests.endurance.many_pictures import COLUMNS, FIRST, growth, watched
 
-TURNED = "front=y"  # a reading option; without it the front of a PLY file is its x
+LAID = "up=y"  # a reading option; without it a PLY file's z points up
 
 
 def written(mesh, path):
@@ -50,34 +50,36 @@ def written(mesh, path):
 
 
 def doubled(job, folder):
-    """Write the meshes of a job below a folder; (the job of them twice, triangles of each)."""
+    """Write the meshes of a job below a folder; (the job of them twice, {name: triangles})."""
     meshes = folder / "meshes"
     meshes.mkdir()
-    first, second, triangles = [], [], []
+    first, second, triangles = [], [], {}
     for number, source in enumerate(sources(job, folder)):
         mesh = load_mesh(source.place)
         name = f"{number:02d}-{source.place.replace(':', '-')}"
         written(mesh, meshes / f"{name}.ply")
-        (meshes / f"{name}-turned.ply").hardlink_to(meshes / f"{name}.ply")
+        (meshes / f"{name}-laid.ply").hardlink_to(meshes / f"{name}.ply")
         first.append(f"meshes/{name}.ply")
-        second.append(f"meshes/{name}-turned.ply?{TURNED}")
-        triangles.append(len(mesh.faces))
+        second.append(f"meshes/{name}-laid.ply?{LAID}")
+        triangles[name] = len(mesh.faces)
     return msgspec.structs.replace(job, shapes=(*first, *second)), triangles
 
 
-def by_mesh(rows, number, each):
+def by_mesh(rows, shapes, names):
     """Median memory (2, meshes) while each mesh is in use, both times; NaN where nobody looked.
 
-    number  of meshes
-    each    pictures of a mesh
+    shapes  of the pictures, in the order in which they were made
+    names   of the meshes
     The first look at a mesh is left out: it may see the mesh before, or both.
     """
-    result = np.full((2, number), np.nan)
-    in_use = (rows[:, 1] // each).astype(int)
-    for k in range(2 * number):
-        looks = rows[(in_use == k) & (rows[:, 1] >= FIRST), 2][1:]
-        if len(looks):
-            result[k // number, k % number] = np.median(looks)
+    result = np.full((2, len(names)), np.nan)
+    made = rows[:, 1].astype(int)
+    in_use = np.array([shapes[min(k, len(shapes) - 1)] for k in made])
+    for time, ending in enumerate(("", "-laid")):
+        for k, name in enumerate(names):
+            looks = rows[(in_use == name + ending) & (made >= FIRST), 2][1:]
+            if len(looks):
+                result[time, k] = np.median(looks)
     return result
 
 
@@ -103,7 +105,9 @@ def chart(rows, memory, triangles):
     left.plot(rows[:, 1], rows[:, 2], lw=1)
     left.set(xlabel="pictures", ylabel="memory (MB)", ylim=(0, None))
     for label, values in zip(("first time", "second time"), memory, strict=True):
-        right.plot(np.array(triangles) / 1000, values, "o", ms=4, alpha=0.7, label=label)
+        right.plot(
+            np.array(list(triangles.values())) / 1000, values, "o", ms=4, alpha=0.7, label=label
+        )
     right.set(xlabel="thousand triangles of the mesh in use", ylabel="memory (MB)")
     right.legend()
     for axes in (left, right):
@@ -131,20 +135,13 @@ def main():
     job, triangles = doubled(load(options.job)[0], options.out)
     path = options.out / "job.json"
     path.write_bytes(msgspec.json.encode(job))
-    # the number of pictures of a mesh, by the plan, whose shapes change least often
-    from factory.execution.run import planned
-
-    pictures = len(planned(job, resolve(job, options.out)))
-    each, rest = divmod(pictures, 2 * len(triangles))
-    if rest:
-        raise SystemExit(f"{options.job}: expected as many pictures of each mesh")
     command = [sys.executable, "-m", "factory", "render", str(path), "--out", str(data)]
     command += ["--workers", "1"]
     status, rows = watched(command, data, temporary, options.out / "run.log")
     table = np.array(rows)
-    memory = by_mesh(table, len(triangles), each)
+    shapes = [record.shape for record in Store(data).records()]
+    memory = by_mesh(table, shapes, list(triangles))
     mean, low, high = mean_growth(memory)
-    names = [source.place for source in sources(load(options.job)[0], options.out)]
     result = {
         **made_by,
         "exit_status": status,
@@ -160,7 +157,7 @@ def main():
                 "triangles": number,
                 "memory_mb": [None if np.isnan(v) else round(float(v), 1) for v in values],
             }
-            for name, number, values in zip(names, triangles, memory.T, strict=True)
+            for name, number, values in zip(triangles, triangles.values(), memory.T, strict=True)
         ],
         "columns": COLUMNS,
         "rows": [list(row) for row in rows[:: max(1, len(rows) // 400)]],
@@ -178,7 +175,8 @@ def main():
         "",
         "| | |",
         "|---|---|",
-        f"| pictures, meshes | {result['pictures']}, {len(triangles)} |",
+        f"| pictures; meshes, of which the memory is known both times |"
+        f" {result['pictures']}; {np.isfinite(memory).all(0).sum()} of {len(triangles)} |",
         f"| seconds | {result['seconds']:.0f} |",
         "| memory while a mesh is in use the second time, beside the first |"
         f" {mean:+.1%} [{low:+.1%}, {high:+.1%}] |",
