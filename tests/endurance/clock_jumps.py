@@ -14,7 +14,7 @@ continued  six runs that are killed once they have recorded pictures, each with 
            day, and one that ends
 parts      two tasks of a job array at once, whose clocks are ten hours apart and jump
 refused    a second run into a folder in use, whose clock is ten hours behind: it must end with one
-           line, and the first one must go on
+           line, and the first one, which stands still meanwhile, must go on
 store      a run into an object store (a folder by its URL), and a second one that its lease refuses
 ray        one run on a Ray cluster of this machine, all of whose processes have the clock
 
@@ -147,19 +147,22 @@ def parts(runs, folder, patience):
 def refused(runs, folder, patience, *options):
     """A second run that must be refused; the list's second status is 0 if it was, in one line."""
     clocks = [JumpingClock(runs.clocks, f"{folder.name}-{k}") for k in (1, 2)]
-    first_log, second_log = (runs.out / f"{folder.name}-{k}.log" for k in (1, 2))
+    said = runs.out / f"{folder.name}.log"
     where = options[0] if options else folder
     with runs.jumping(clocks[0]):
         clocks[1].jump(-3600 * HOURS)
-        first = runs.start(where, clock=clocks[0], log=first_log)
+        # the bar of a run that stands still says for how long, and is not read
+        first = runs.start(where, clock=clocks[0], log=runs.out / "first.txt")
         while first.poll() is None and not begun(folder):
             time.sleep(0.02)
-        os.kill(first.pid, signal.SIGSTOP) if not options else None
-        second = runs.start(where, clock=clocks[1], log=second_log)
+        if not options:  # a lease is renewed, a lock is held by standing still
+            os.kill(first.pid, signal.SIGSTOP)
+        second = runs.start(where, clock=clocks[1], log=said)
         status = finished(second, patience)
         os.kill(first.pid, signal.SIGCONT)
-        said = [line for line in second_log.read_text().splitlines() if "one in use" in line]
-        return [finished(first, patience), 0 if status == 1 and len(said) == 1 else status or 1]
+        refusals = [line for line in said.read_text().splitlines() if "one in use" in line]
+        was_refused = status == 1 and len(refusals) == 1
+        return [finished(first, patience), 0 if was_refused else 1]
 
 
 def begun(folder):
