@@ -15,6 +15,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
         "only root may mount; the same is tested by RLIMIT_FSIZE without it"
     ),
     r"needs root and Debian's packages slurmctld": "Slurm; stand-ins are tested too",
+    r"needs a C compiler": "a clock that jumps is a small library in C",
     r"needs Debian's package sweethome3d-furniture": "a mesh library of one distribution",
     r"needs Debian's packages chromium and chromium-driver": "a browser, for pages",
     r"needs Debian's packages firefox-esr and xvfb": "a second browser, for the page to keep",

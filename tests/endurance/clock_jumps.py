@@ -19,8 +19,9 @@ store      a run into an object store (a folder by its URL), and a second one th
 ray        one run on a Ray cluster of this machine, all of whose processes have the clock
 
 Each case is compared with the undisturbed run, verified, and its progress bars are read: none may
-show a negative time, or a time left or gone of more than twice the seconds that the case took. A
-case must not take more than four times the undisturbed seconds and 60 more, or it counts as hung.
+show a negative time or rate, a time gone of more than the seconds that the case took, or, once a
+tenth of the pictures is made, a time left of more than ten times those. A case must not take more
+than four times the undisturbed seconds and 60 more, or it counts as hung.
 DIR/report.json is written; exit status 0 if nothing is wrong.
 """
 
@@ -46,7 +47,8 @@ from tests.support.tetrahedron import ROOT, lines
 
 HOURS = 10.0  # of the largest jump
 EVERY = 0.33  # seconds between two jumps
-BAR = re.compile(r"\[(-?[\d:]+)<(-?[\d:?]+), +(-?[\d.?]+)")
+BAR = re.compile(r"(\d+)/(\d+) \[(-?[\d:]+)<(-?[\d:?]+), +(-?[\d.?]+)")
+EARLY = 0.1  # share of the pictures before which the start of the workers is all of the time gone
 
 
 class Runs:
@@ -189,21 +191,29 @@ def recorded(folder):
 
 
 def bars(logs):
-    """(number of readings, the least and the most seconds gone or left) of progress bars."""
-    seconds = []
+    """What progress bars showed: how often they were read, and seconds gone and left."""
+    gone, left, negative, readings = [0], [0], 0, 0
     for log in logs:
-        for gone, left, rate in BAR.findall(log.read_text(errors="replace")):
-            seconds += [of(text) for text in (gone, left) if "?" not in text]
-            seconds += [-1.0] if rate.startswith("-") else []
-    return len(seconds), min(seconds, default=0), max(seconds, default=0)
+        for made, total, passed, rest, rate in BAR.findall(log.read_text(errors="replace")):
+            readings += 1
+            negative += any(text.startswith("-") for text in (passed, rest, rate))
+            gone.append(of(passed))
+            if int(made) >= EARLY * int(total) and "?" not in rest:
+                left.append(of(rest))
+    return {
+        "readings": readings,
+        "negative": negative,
+        "most_gone": max(gone),
+        "most_left": max(left),
+    }
 
 
 def of(text):
-    """Seconds of "1:02:03"; negative where any part is."""
+    """Seconds of "1:02:03", without its sign."""
     total = 0
     for part in text.lstrip("-").split(":"):
         total = 60 * total + int(part)
-    return -total - 1 if text.startswith("-") else total
+    return total
 
 
 def main():
@@ -233,7 +243,6 @@ def main():
         start = time.monotonic()
         statuses = CASES[name](runs, folder, 4 * undisturbed + 60)
         seconds = time.monotonic() - start
-        readings, least, most = bars(options.out.glob(f"{name}*.log"))
         same = compared(whole, folder) if options.blender else differing(whole, folder)
         rows.append(
             {
@@ -245,7 +254,7 @@ def main():
                 # drafts of killed writes, which the next run into the folder removes
                 "faults": [fault.text for fault in faults_of(Store(folder))],
                 "seconds": round(seconds, 1),
-                "bars": {"readings": readings, "least": least, "most": most},
+                "bars": bars(options.out.glob(f"{name}*.log")),
             }
         )
         print(rows[-1], flush=True)
@@ -268,8 +277,9 @@ def wrong(row):
         or None in row["statuses"]
         or row["differences"]
         or row["faults"]
-        or times["least"] < 0
-        or times["most"] > 2 * row["seconds"] + 60
+        or times["negative"]
+        or times["most_gone"] > row["seconds"]
+        or times["most_left"] > 10 * row["seconds"]
     )
 
 
