@@ -198,12 +198,15 @@ class Pool:
         return worker
 
     def _drop(self, number: int) -> None:
-        """End a worker; one with pending shots is killed."""
+        """End a worker, of which no draft stays; one with pending shots is killed."""
         worker = self._workers.pop(number)
         self._selector.unregister(worker.output)
         if worker.pending:
             worker.process.kill()
         worker.end()
+        # what it was writing when it was killed; on a slow disk there nearly always is something
+        for draft in self._folder.glob(f"{worker.log.stem}-*"):
+            draft.unlink(missing_ok=True)
 
     def _gather(self) -> Iterator[tuple[Shot, Reply]]:
         """Wait for replies; yield the shots that are made or given up."""

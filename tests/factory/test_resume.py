@@ -134,6 +134,18 @@ def test_a_shot_that_always_crashes_is_given_up_with_the_signal_named(
     assert "signal 11" in next(iter(Store(tmp_path).failures())).reason
 
 
+def test_a_worker_that_ends_in_the_middle_of_a_file_leaves_no_draft(render, small_job, tmp_path):
+    partial = tmp_path / "partial"
+
+    def watch(event, value):
+        if event == "made":
+            (partial / "worker-00-half-written.exr").touch()
+            (partial / "worker-000-of-another.exr").touch()
+
+    render(small_job, tmp_path, watch, workers=2)
+    assert [path.name for path in partial.iterdir()] == ["worker-000-of-another.exr"]
+
+
 def test_two_runs_into_one_folder_do_not_meet(render, small_job, tmp_path):
     with (
         lock.writing(tmp_path),
