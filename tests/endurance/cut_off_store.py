@@ -12,9 +12,9 @@ store is then compared with the folder, verified, and read; DIR/report.json has 
 """
 
 import argparse
-import json
 import os
 import random
+import sys
 import threading
 import time
 from collections import Counter
@@ -28,6 +28,8 @@ from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests import object_store
 from manifests.cached_store import open_store
+from manifests.files import write_json
+from manifests.provenance import provenance, shortened
 from manifests.verification import faults_of
 from tests.support import store_servers
 from tests.support.network_faults import KINDS, Proxy
@@ -105,6 +107,8 @@ def main():
     job, folder = jobs.load(options.job)
     plan = planned(job, resolve(job, folder))
     run_options = RunOptions(workers=2, threads=1, studio=FAKE)
+    words = " ".join(map(shortened, sys.argv[1:]))
+    made_by = provenance(f"PYTHONPATH=. python tests/endurance/cut_off_store.py {words}")
     begun = time.monotonic()
     carry_out(plan, options.out / "whole", run_options)
     alone = time.monotonic() - begun
@@ -118,7 +122,7 @@ def main():
             outcome = carry_out(plan, url, run_options)
         seconds = time.monotonic() - begun
         theirs = open_store(url, fresh=True)
-        report = {
+        report = made_by | {
             "protocol": protocol,
             "shots": len(plan),
             "made": outcome.made,
@@ -128,9 +132,8 @@ def main():
             "seconds_alone": round(alone, 1),
             **compared(plan, open_store(options.out / "whole"), theirs),
         }
-    text = json.dumps(report, indent=1)
-    (options.out / "report.json").write_text(text + "\n")
-    print(text)
+    write_json(options.out / "report.json", report)
+    print((options.out / "report.json").read_text())
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ writes OBJ files of 30,000 triangles, each another torus, into DIR/meshes unless
 renders three pictures of 32 × 32 of a job of all of them into a new folder, in a process of its
 own; seconds are from the start of that process to the first picture. With --resumed all files are
 read first, as earlier runs would have done (half a second each), three pictures are made, and then
-a run is timed that makes three more.
+a run is timed that makes three more. DIR/report.json, or DIR/resumed.json, has the result.
 """
 
 import argparse
@@ -24,6 +24,8 @@ from factory.planning import jobs
 from factory.planning.assets import opened
 from factory.planning.facts import Memory
 from factory.planning.reading import Reading
+from manifests.files import write_json
+from manifests.provenance import provenance, shortened
 from manifests.subprocesses import processors
 
 ROUND, ALONG = 100, 150  # vertices; there are two triangles for each
@@ -91,7 +93,9 @@ def main():
     path.write_text(json.dumps(words | {"camera": {"size": [32, 32]}}))
     folder = options.out / "data"
     shutil.rmtree(folder, ignore_errors=True)
-    report = {"meshes": options.meshes, "workers": options.workers}
+    given = " ".join(map(shortened, sys.argv[1:]))
+    report = provenance(f"PYTHONPATH=. python tests/endurance/first_picture.py {given}")
+    report |= {"meshes": options.meshes, "workers": options.workers}
     if options.resumed:
         begun = time.monotonic()
         job, assets = jobs.load(path)
@@ -102,6 +106,7 @@ def main():
         report["seconds_of_reading"] = round(time.monotonic() - begun)
         first_picture(path, folder, options.workers)
     report["first_picture_seconds"] = first_picture(path, folder, options.workers)
+    write_json(options.out / ("resumed.json" if options.resumed else "report.json"), report)
     print(json.dumps(report))
 
 

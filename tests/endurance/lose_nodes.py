@@ -13,9 +13,9 @@ ids, since two renders of a shot differ by 2e-6.
 """
 
 import argparse
-import json
 import os
 import random
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -26,6 +26,8 @@ from factory.execution.run import RunOptions, carry_out, planned
 from factory.execution.worker import STUDIO
 from factory.planning import jobs
 from factory.planning.assets import resolve
+from manifests.files import write_json
+from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support.ray_cluster import STORE, started
@@ -51,7 +53,9 @@ def main():
     job, folder = jobs.load(options.job)
     plan = planned(job, resolve(job, folder))
     alone = RunOptions(workers=options.nodes, threads=1, studio=studio)
-    report = {"shots": len(plan), "losses": 0, "alone": timed(plan, options.out / "alone", alone)}
+    words = " ".join(map(shortened, sys.argv[1:]))
+    report = provenance(f"PYTHONPATH=. python tests/endurance/lose_nodes.py {words}")
+    report |= {"shots": len(plan), "losses": 0, "alone": timed(plan, options.out / "alone", alone)}
     draw = random.Random(options.seed)
     made = 0
     with started(ray, options.nodes) as (cluster, nodes):
@@ -73,9 +77,8 @@ def main():
         on_nodes = RunOptions(studio=studio, ray="auto")
         report["cluster"] = timed(plan, options.out / "cluster", on_nodes, watch)
     report |= compared(plan, options.out, options.fake)
-    text = json.dumps(report, indent=1)
-    (options.out / "report.json").write_text(text + "\n")
-    print(text)
+    write_json(options.out / "report.json", report)
+    print((options.out / "report.json").read_text())
 
 
 def timed(plan, folder, run_options, watch=None):

@@ -1,10 +1,10 @@
 """Time an edit alone and beside busy processes, in turn: wall clock and processor seconds.
 
-PYTHONPATH=. python tests/learn/measure_busy.py [PHOTO MASK] [--busy 4] [--rounds 2]
+PYTHONPATH=. python tests/learn/measure_busy.py [PHOTO MASK] [--busy 4] [--rounds 2] [--out DIR]
 
 Without a photograph it edits the example. Each row says how many processes ran or waited for a core
 before the edit began: figures "alone" need a machine where this is near 0. OPENBLAS_NUM_THREADS=2
-measures what a second thread of OpenBLAS costs.
+measures what a second thread of OpenBLAS costs. DIR/report.json has the rows and the ratios.
 """
 
 import argparse
@@ -16,6 +16,9 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+
+from manifests.files import write_json
+from manifests.provenance import provenance, shortened
 
 SPIN = "while True: pass"
 
@@ -60,7 +63,12 @@ def main() -> None:
     parser.add_argument("mask", type=Path, nargs="?")
     parser.add_argument("--busy", type=int, default=4)
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--out", type=Path, metavar="DIR")
     options = parser.parse_args()
+    given = " ".join(map(shortened, sys.argv[1:]))
+    report = provenance(f"PYTHONPATH=. python tests/learn/measure_busy.py {given}".rstrip())
+    rows: list[dict[str, object]] = []
+    ratios: dict[str, float] = {}
     alone: list[tuple[float, float]] = []
     beside: list[tuple[float, float]] = []
     for _ in range(options.rounds):
@@ -69,6 +77,14 @@ def main() -> None:
             with busy(count):
                 times.append(edit(options.photo, options.mask))
             wall, processor = times[-1]
+            rows.append(
+                {
+                    "busy": count,
+                    "seconds": round(wall, 2),
+                    "processor_seconds": round(processor, 2),
+                    "others_at_the_start": load,
+                }
+            )
             print(
                 f"{name:8}{wall:7.1f} s wall clock {processor:7.1f} s processor; {load} others",
                 flush=True,
@@ -76,6 +92,10 @@ def main() -> None:
     for k, name in enumerate(("wall clock", "processor")):
         ratio = min(each[k] for each in beside) / min(each[k] for each in alone)
         print(f"ratio, {name}: {ratio:.2f}")
+        ratios[name] = round(ratio, 3)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        write_json(options.out / "report.json", report | {"rows": rows, "ratios": ratios})
 
 
 if __name__ == "__main__":
