@@ -17,7 +17,8 @@ export    seconds until the first file of `export --to webdataset`, when it is k
 resume    `render`, which finds three pictures missing and makes them
 
 seconds and processor seconds are those of the process and its children; memory is the largest
-resident size of the process itself. The files are in the page cache. DIR/report.json is written, and DIR/data deleted.
+resident size of the process itself. The files are in the page cache. DIR/report.json is written,
+and DIR/data deleted.
 """
 
 import argparse
