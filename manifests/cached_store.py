@@ -53,7 +53,7 @@ class CachedStore(Store):
             super().__init__(_cache() / hashlib.sha256(self.remote.url.encode()).hexdigest()[:24])
         self._limit = _limit_bytes() if limit_bytes is None else limit_bytes
         self._lock = threading.Lock()
-        # {copy: time.monotonic of this process's last use}, of the last RECENT seconds, oldest first
+        # {copy: time.monotonic of its last use here}, of the last RECENT seconds, oldest first
         self._recent: OrderedDict[Path, float] = OrderedDict()
         self._held = self._size()
         self._copy_lines()

@@ -130,6 +130,17 @@ class Lines:
             raise OSError(error.errno, error.strerror, str(self.path)) from None
         self._length += len(line)
 
+    def sync(self) -> None:
+        """Wait until what was appended is on the disk, or on the server of a network's file system.
+
+        Raises  OSError: it could not be written. NFS says so here alone, for example after it has
+                lost the file's lock, and throws away what `append` took
+        """
+        try:
+            os.fsync(self._descriptor)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+
     def read(self) -> bytes:
         """Return the whole lines. To open the file by its name would end this process's lock."""
         parts, place = [], 0

@@ -160,6 +160,8 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
                 else {}
             )
             first = False
+            if shot is chunk.shots[-1]:  # the run may count on all that it was answered
+                lines.sync()
             file = record.image if isinstance(record, Record) else record.geometry
             size = (store.folder / file).stat().st_size
             answer(

@@ -146,6 +146,21 @@ def test_a_worker_that_ends_in_the_middle_of_a_file_leaves_no_draft(render, smal
     assert [path.name for path in partial.iterdir()] == ["worker-000-of-another.exr"]
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs Linux's account of a process")
+def test_records_that_a_file_system_throws_away_end_the_run(
+    render, small_job, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("FAKE_STUDIO", "lost")
+    with pytest.raises(
+        InputError, match=r"worker-00\.jsonl: expected a disk .* Input/output error"
+    ):
+        render(small_job, tmp_path)
+    assert ids(tmp_path) == []
+    monkeypatch.setenv("FAKE_STUDIO", "")
+    assert render(small_job, tmp_path).made == 12
+    assert faults(tmp_path) == []
+
+
 def test_two_runs_into_one_folder_do_not_meet(render, small_job, tmp_path):
     with (
         lock.writing(tmp_path),

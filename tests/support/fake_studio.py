@@ -3,9 +3,11 @@ misbehaviour on demand.
 
 What it does wrong stands in the environment variable FAKE_STUDIO, comma-separated, each for one
 shape: `nan:NAME` pixels, `crash:NAME`, `once:NAME` crashes only while the file named by
-FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture.
+FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture, `lost` has what was appended to files
+of lines thrown away, as NFS does after it has lost their locks.
 """
 
+import errno
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +27,8 @@ class Studio:
     def __init__(self, device, threads):
         self._wrong = set(os.environ.get("FAKE_STUDIO", "").split(","))
         self._seen = {}
+        if "lost" in self._wrong:
+            _lose_lines()
 
     def set_camera(self, camera):
         x, y = frames.pixel_grid(*camera.size)
@@ -98,3 +102,16 @@ class Studio:
 
     def direct_light(self, points, known=None, where=None):
         return None
+
+
+def _lose_lines():
+    """Let a sync of a file of lines empty it and fail."""
+    sync = os.fsync
+
+    def lost(descriptor):
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".jsonl"):
+            os.ftruncate(descriptor, 0)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        sync(descriptor)
+
+    os.fsync = lost
