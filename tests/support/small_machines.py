@@ -41,10 +41,10 @@ else
 fi
 while [ ! -e {folder}/$name.end ]; do
   for each in {folder}/$name.*.sh; do
-    [ -e $each ] || continue
-    mv $each $each.begun
-    (bash $each.begun > $each.out 2>&1; echo $? > $each.status.new
-     mv $each.status.new $each.status) &
+    [ -e "$each" ] || continue
+    mv "$each" "$each.begun"
+    (bash "$each.begun" > "$each.out" 2>&1; echo $? > "$each.status.new"
+     mv "$each.status.new" "$each.status") &
   done
   sleep 0.2
 done
