@@ -35,13 +35,13 @@ from pathlib import Path
 
 import msgspec
 
-from factory.execution.run import planned
+from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests.files import write_json
 from manifests.provenance import provenance, shortened
 from manifests.store import Store, geometry_path, image_path
-from tests.support.tetrahedron import ROOT
+from tests.support.tetrahedron import FAKE, ROOT
 
 WORKERS, MISSING = 8, 3
 WALK = """
@@ -59,7 +59,7 @@ print(*walk(sys.argv[1]))
 """
 
 
-def grown(job, plan, folder, count):
+def grown(plan, folder, count):
     """Write the files and lines of the first `count` pictures of a plan that are not there yet."""
     store = Store(folder)
     first, *_ = store.records()
@@ -160,13 +160,15 @@ def main():
     environment = {"PYTHONPATH": paths}
     render = [sys.executable, "-m", "tests.support.fake_command", "render", str(options.job)]
     render += ["--out", str(data)]
-    subprocess.run([*render, "--limit", "2"], check=True, env=os.environ | environment)
     job, folder = jobs.load(options.job)
+    # all shapes are read first, so that dataset.json has them all
     plan = planned(job, resolve(job, folder))
+    os.environ |= environment  # of workers
+    carry_out(plan, data, RunOptions(studio=FAKE, limit=2))
     count = (options.pictures or len(plan)) - MISSING
     room, start = os.statvfs(data), time.monotonic()
     processor = time.process_time()
-    grown(job, plan, data, count)
+    grown(plan, data, count)
     os.sync()
     now = os.statvfs(data)
     report |= {
