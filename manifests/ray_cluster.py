@@ -43,13 +43,18 @@ def connected(address: str) -> Iterator[None]:
         return
     if address != "auto":
         _require_answer(address)
+    elif _last_one_is_gone():
+        address = "local"
     shared: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
         try:
-            ray.init(address=address, **shared)
+            if address != "local":
+                ray.init(address=address, **shared)
         except ConnectionError:
             if address != "auto":
                 raise
+            address = "local"
+        if address == "local":
             ray.init(
                 address="local",
                 num_cpus=processors(),
@@ -65,6 +70,26 @@ def connected(address: str) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def _last_one_is_gone() -> bool:
+    """Return whether Ray's note of the cluster started last on this machine names one that is gone.
+
+    A cluster that was killed leaves its note, and Ray would try its address for minutes.
+    """
+    import os
+    from pathlib import Path
+
+    if os.environ.get("RAY_ADDRESS"):  # Ray looks there first
+        return False
+    note = Path(os.environ.get("RAY_TMPDIR", "/tmp")) / "ray" / "ray_current_cluster"
+    try:
+        _require_answer(note.read_text().strip())
+    except InputError:
+        return True
+    except (OSError, UnicodeDecodeError):  # no note, or one that cannot be read: Ray's own matter
+        return False
+    return False
 
 
 def _require_answer(address: str) -> None:

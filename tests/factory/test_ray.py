@@ -2,12 +2,14 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections import deque
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -19,7 +21,7 @@ from factory.execution.run import RunOptions, assign, carry_out, shape_sources, 
 from factory.execution.worker import Chunk, Reply
 from manifests.errors import InputError
 from manifests.line_files import Lines
-from manifests.ray_cluster import MOST_LOSSES, _require_answer
+from manifests.ray_cluster import MOST_LOSSES, _require_answer, connected
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support.tetrahedron import FAKE, ROOT
@@ -286,6 +288,29 @@ def test_without_ray_or_an_answer_the_command_says_what_to_do(
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(InputError, match="expected the package ray"):
         carry_out(plan_of(small_job), tmp_path / "b", RunOptions(studio=FAKE, ray="auto"))
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_cluster_that_was_killed_is_not_waited_for(tmp_path, monkeypatch, is_there):
+    begun = []
+    stand_in = SimpleNamespace(
+        is_initialized=lambda: False,
+        init=lambda address, **_: begun.append(address),
+        shutdown=lambda: None,
+        exceptions=SimpleNamespace(RayError=RuntimeError),
+    )
+    monkeypatch.setitem(sys.modules, "ray", stand_in)
+    monkeypatch.setitem(sys.modules, "ray.exceptions", stand_in.exceptions)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
+    (tmp_path / "ray").mkdir()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        if not is_there:
+            server.close()
+        (tmp_path / "ray" / "ray_current_cluster").write_text(address)
+        with connected("auto"):
+            assert begun == ["auto" if is_there else "local"]
 
 
 def test_a_run_waits_for_a_worker_on_another_machine(render, small_job, tmp_path):
