@@ -82,7 +82,8 @@ def _last_one_is_gone() -> bool:
 
     if os.environ.get("RAY_ADDRESS"):  # Ray looks there first
         return False
-    note = Path(os.environ.get("RAY_TMPDIR", "/tmp")) / "ray" / "ray_current_cluster"
+    folder = os.environ.get("RAY_TMPDIR") or os.environ.get("TMPDIR") or "/tmp"
+    note = Path(folder) / "ray" / "ray_current_cluster"
     try:
         _require_answer(note.read_text().strip())
     except InputError:
