@@ -61,7 +61,9 @@ class Killer:
                 continue
             if process.returncode == 0:
                 return
-            self.repeated += 1  # some were given up, because their workers were killed twice
+            # pictures were given up, because their workers were killed twice, or workers of the
+            # run before held its lock for longer than this one waited
+            self.repeated += 1
             if self.repeated > self.started // 2 + 5:
                 raise SystemExit(f"{folder}: the run fails by itself (run.log)")
 
@@ -148,7 +150,7 @@ def main():
     report = made_by | {
         "kills": dict(sorted(killer.killed.items())),
         "starts": killer.started,
-        "runs_that_gave_a_picture_up": killer.repeated,
+        "runs_that_ended_with_status_1": killer.repeated,
         "pictures": {folder.name: recorded(folder) for folder in [whole, *folders]},
         "differences": [
             f"{folder.name}: {line}"
