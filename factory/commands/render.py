@@ -299,6 +299,7 @@ class Progress:
             dynamic_ncols=True,
             mininterval=interval,
             delay=0.5,
+            smoothing=0.0,  # by recent pictures, the start of the workers would count for long
         )
         return self
 
