@@ -3,7 +3,8 @@ misbehaviour on demand.
 
 What it does wrong stands in the environment variable FAKE_STUDIO, comma-separated, each for one
 shape: `nan:NAME` pixels, `crash:NAME`, `once:NAME` crashes only while the file named by
-FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture, `lost` has what was appended to files
+FAKE_STUDIO_MARK is not there, `slow` takes 20 ms a picture and
+`slower` 0.4 s, `lost` has what was appended to files
 of lines thrown away, as NFS does after it has lost their locks.
 """
 
@@ -63,10 +64,10 @@ class Studio:
 
     def picture(self, samples, seed, tier="direct"):
         name = self._mesh.name
-        if "slow" in self._wrong:
+        if "slow" in self._wrong or "slower" in self._wrong:
             import time
 
-            time.sleep(0.02)
+            time.sleep(0.4 if "slower" in self._wrong else 0.02)
         if f"crash:{name}" in self._wrong:
             os.kill(os.getpid(), 11)
         if (
