@@ -2,7 +2,7 @@
 and a resumed run take, and what runs out first?
 
     PYTHONPATH=. python tests/endurance/many_files.py docs/jobs/many-files.json --out DIR
-    [--pictures N] [--seconds 60]
+    [--pictures N] [--seconds 60] [--keep]
 
 renders the first two pictures of JOB into DIR/data with the stand-in for Blender, and then writes
 all others but the last three as if they had been rendered: true ids, seeds, paths and lines, each
@@ -18,7 +18,7 @@ resume    `render`, which finds three pictures missing and makes them
 
 seconds and processor seconds are those of the process and its children; memory is the largest
 resident size of the process itself. The files are in the page cache. DIR/report.json is written,
-and DIR/data deleted.
+and DIR/data deleted unless --keep is given.
 """
 
 import argparse
@@ -151,6 +151,7 @@ def main():
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--pictures", type=int, help="so many alone (default: all of the job)")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--keep", action="store_true", help="do not delete DIR/data")
     options = parser.parse_args()
     data = options.out.resolve() / "data"
     options.out.mkdir(parents=True)
@@ -208,11 +209,10 @@ def main():
     note("export", **row)
     row = timed([*render, "--limit", str(MISSING)], environment, log=log)
     note("resume", **row, said=log.read_text().splitlines()[-1])
-    start = time.monotonic()
-    shutil.rmtree(data)
-    shutil.rmtree(exported, ignore_errors=True)
-    note("delete", seconds=round(time.monotonic() - start, 1))
     write_json(options.out / "report.json", report)
+    shutil.rmtree(exported, ignore_errors=True)
+    if not options.keep:
+        shutil.rmtree(data)
     return 0
 
 
