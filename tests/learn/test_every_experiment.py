@@ -468,7 +468,6 @@ REPORTS = {
 }
 NOT_PUBLISHED = {
     "calibrate-auto",  # its result is learn/methods/calibration.json
-    "light-repairs",  # not yet run at its full size
 }
 
 
