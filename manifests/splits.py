@@ -5,7 +5,8 @@ The decision follows from what they are, and never from the order in which they 
 role        pretrain, finetune, train or test
 side        train or test; every role but test is on the training side
 rule        "hash": by hash, a fifth is for testing (lights always follow this rule); "paper",
-            "multi-material" and "general": by number, as manifests/splits.json says
+            "multi-material" and "general": by number, as manifests/splits.json says. By every rule,
+            the families that this file calls test_only are for testing
 duplicates  one mesh or fit under two names, found by its hash: both get one role, and they are for
             testing if either is
 """
@@ -39,6 +40,15 @@ def rules() -> dict[str, Any]:
     return read(Path(__file__).parent / "splits.json", dict)
 
 
+def is_test_only(name: str) -> bool:
+    """Return whether a shape "shoe:17" is of a family that no training may have.
+
+    A mesh file that a user calls a shoe is none of them.
+    """
+    number = NUMBERED.match(name)
+    return number is not None and number[1] in rules()["test_only"]
+
+
 def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, Role]:
     """Return {name: role} of shapes.
 
@@ -53,7 +63,7 @@ def shape_roles(shapes: Sequence[tuple[str, str, str]], rule: str) -> dict[str, 
             by_number = _by_number(rank[category, hash_], ranges.get(category, {}))
         else:
             by_number = _by_seed(number, category, rule)
-        roles[name] = by_number or _by_hash(hash_)
+        roles[name] = "test" if is_test_only(name) else by_number or _by_hash(hash_)
     return _keep_duplicates_together(roles, {name: hash_ for name, _, hash_ in shapes})
 
 
@@ -62,6 +72,8 @@ def numbered_role(name: str, rule: str) -> Role | None:
 
     None where the rule has no range that holds the number: the hash decides then.
     """
+    if is_test_only(name):
+        return "test"
     number = NUMBERED.match(name)
     return _by_seed(int(number[2]), number[1], rule) if number else None
 
@@ -71,6 +83,8 @@ def role_of(name: str, category: str, hash_: str, rule: str) -> Role | None:
 
     None where it depends on the rank of the hash among the other meshes of its category.
     """
+    if is_test_only(name):
+        return "test"
     ranges = rules()[rule]["shapes"].get(category)
     if not ranges:
         return _by_hash(hash_)

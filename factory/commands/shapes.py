@@ -129,7 +129,8 @@ def run_list(options: argparse.Namespace) -> int:
 
 
 def _print_families(requested: str | None) -> None:
-    from factory.shapes.catalogue import GENERAL, PAPER_COUNTS, PRIMITIVES
+    from factory.shapes.catalogue import PAPER_COUNTS, PRIMITIVES
+    from factory.shapes.general import FAMILIES, TEST_ONLY
 
     print("family   a shape is FAMILY:SEED, with any seed; the family's segments")
     regions = {
@@ -145,7 +146,8 @@ def _print_families(requested: str | None) -> None:
                 f" {regions[family]}"
             )
     if requested is None:
-        print(f"general families, for variety: {', '.join(GENERAL)}")
+        print(f"general families, for variety: {', '.join(FAMILIES)}")
+        print(f"families for testing alone, never for training: {', '.join(TEST_ONLY)}")
     if requested in (None, "primitive"):
         print(f"primitives: {', '.join(PRIMITIVES)} (sphere:LEVEL, blob:SEED)")
 

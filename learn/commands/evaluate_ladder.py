@@ -8,7 +8,7 @@ from pathlib import Path
 from learn.commands import options
 from manifests.option_types import positive, whole
 
-SIDES = ("development", "test")
+SIDES = ("development", "test", "second-test")
 RUNGS = ("direct", "shadow", "full", "square", "8-bit", "camera")
 MESHES = 6  # that are used of a folder, unless --mesh-count is given
 
@@ -39,7 +39,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--side",
         choices=SIDES,
         default="development",
-        help="development (default), or test, which is opened once at the end",
+        help=(
+            "development (default); test, which is opened once at the end; or second-test, whose"
+            " families no training has and which has the rungs direct and 8-bit only"
+        ),
     )
     parser.add_argument(
         "--meshes",
@@ -66,7 +69,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         choices=RUNGS,
         default=RUNGS,
         metavar="RUNG",
-        help=f"rungs that are measured: {', '.join(RUNGS)} (default: all)",
+        help=f"rungs that are measured: {', '.join(RUNGS)} (default: all of the side)",
     )
     parser.add_argument(
         "--refined",

@@ -102,7 +102,7 @@ class Options:
     side                one of ladder_design.SIDES
     scenes              number of scenes per group, None: all
     refined             number of scenes per group that are refined on every rung
-    rungs               names of the rungs that are measured
+    rungs               names of the rungs that are measured, of those that the side has
     allow_overlap       whether pictures are measured that show what the weights saw in training
     incomplete          whether scenes are measured although others were not rendered
     ray                 address of a Ray cluster whose CPUs measure; None: this process does
@@ -123,7 +123,8 @@ class Options:
     @property
     def measured_rungs(self) -> tuple[Rung, ...]:
         """The rungs that are measured, in the order of the ladder."""
-        return tuple(rung for rung in RUNGS if rung.name in self.rungs)
+        of_side = ladder_design.rungs_of(ladder_design.preset(self.side))
+        return tuple(rung for rung in of_side if rung.name in self.rungs)
 
 
 def write_jobs(

@@ -20,7 +20,7 @@ from manifests.errors import InputError
 from manifests.reading import read
 from manifests.schema import Camera, Job, LightResolution, Record, Tier
 
-SIDES = ("development", "test")
+SIDES = ("development", "test", "second-test")
 PARTS = 3
 OWN = ("car", "chair", "sofa", "monitor")
 OWN_GROUP, HELD_OUT_GROUP, SEEN_GROUP, OUTSIDE_GROUP = (
@@ -66,6 +66,8 @@ RUNGS = (
     Rung("camera", "8-bit PNG, unknown camera", "camera", "full", "full", True),
 )
 HEADLINE = "8-bit"  # the rung of headline figures
+# rungs of the presets that do not have all
+RUNGS_OF = {"ladder-second-test": ("direct", HEADLINE)}
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,12 @@ def preset(side: str) -> Job:
     return read(JOBS / f"ladder-{side}.json", Job)
 
 
+def rungs_of(job: Job) -> tuple[Rung, ...]:
+    """Return the rungs of a preset, in order; all of them where RUNGS_OF has no entry."""
+    names = RUNGS_OF.get(job.name, tuple(rung.name for rung in RUNGS))
+    return tuple(rung for rung in RUNGS if rung.name in names)
+
+
 def group_of(shape: str, category: str) -> tuple[str, str]:
     """Return the group (one of GROUPS) and the family of a shape by its name and category.
 
@@ -105,6 +113,8 @@ def group_of(shape: str, category: str) -> tuple[str, str]:
     family = number[1] if number else ""
     if family in OWN:
         return OWN_GROUP, family
+    if splits.is_test_only(shape):
+        return HELD_OUT_GROUP, family
     known = splits.rules()["general"]["shapes"].get(family)
     if known is None:
         return OUTSIDE_GROUP, category
@@ -146,7 +156,7 @@ def outside_meshes(folder: Path, count: int) -> list[str]:
 
 
 def jobs(job: Job, meshes: Sequence[str] = ()) -> dict[str, Job]:
-    """Return {name: Job} of the jobs that render a side: PARTS for each camera.
+    """Return {name: Job} of the jobs that render a side: PARTS for each camera that it has.
 
     meshes  paths of outside meshes, relative to the folder that is given to `--assets`
     """
@@ -155,7 +165,9 @@ def jobs(job: Job, meshes: Sequence[str] = ()) -> dict[str, Job]:
     for part in range(PARTS):
         for set_, camera in cameras(job).items():
             name = f"{job.name}-{set_}-{part}"
-            rungs = [rung for rung in RUNGS if rung.cameras == set_]
+            rungs = [rung for rung in rungs_of(job) if rung.cameras == set_]
+            if not rungs:
+                continue
             result[name] = msgspec.structs.replace(
                 job,
                 name=name,
@@ -201,7 +213,7 @@ def scenes(
     records: Iterable[Record],
     job: Job,
     incomplete: bool = False,
-    rungs: Sequence[Rung] = RUNGS,
+    rungs: Sequence[Rung] | None = None,
 ) -> list[Scene]:
     """Return the edits of a side, in an order in which shapes take turns.
 
@@ -211,10 +223,11 @@ def scenes(
 
     incomplete  whether pictures that the preset calls for may be missing; scenes without them on
                 any rung are left out
-    rungs       that are measured, in the order of RUNGS
+    rungs       that are measured, in the order of RUNGS; None: all that the preset has
     Raises      InputError, with the number of missing pictures, where they may not, and where no
                 scene is complete
     """
+    rungs = rungs_of(job) if rungs is None else rungs
     by_camera = {camera: set_ for set_, camera in cameras(job).items()}
     pictures: dict[tuple[str, str], dict[tuple[str, str], Record]] = defaultdict(dict)
     for record in records:

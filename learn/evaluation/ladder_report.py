@@ -17,6 +17,7 @@ from learn.evaluation.ladder_design import (
     OTHER_FOV_DEG,
     OUTSIDE_GROUP,
     RUNGS,
+    Rung,
 )
 from learn.evaluation.page import text_of
 from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
@@ -122,6 +123,12 @@ def groups(lines: Sequence[Mapping]) -> list[str]:
     return [group for group in GROUPS if any(line["group"] == group for line in lines)]
 
 
+def rungs(lines: Sequence[Mapping]) -> list[Rung]:
+    """Return those of RUNGS that the lines have; the second test side has two."""
+    names = {line["rung"] for line in lines}
+    return [rung for rung in RUNGS if rung.name in names]
+
+
 def of(lines: Sequence[Mapping], rung: str, group: str) -> list[Mapping]:
     """Return the lines of a rung and a group."""
     return [line for line in lines if (line["rung"], line["group"]) == (rung, group)]
@@ -162,14 +169,19 @@ def ladder_table(lines: Sequence[Mapping]) -> Table | None:
     """Return the table of all rungs and groups."""
     rows: list[TableRow] = []
     for group in groups(lines):
-        for rung in RUNGS:
+        for rung in rungs(lines):
             if here := of(lines, rung.name, group):
                 rows.append({"name": f"{group}: {rung.name}", "cells": cells(here)})
+    other_camera = (
+        f" (elevation {OTHER_ELEVATION_DEG:g}°, field of view {OTHER_FOV_DEG:g}°, where the"
+        " networks assume 20° and a distant viewer)"
+        if any(rung.cameras == "camera" for rung in rungs(lines))
+        else ""
+    )
     note = (
         "Rungs: "
-        + "; ".join(f"*{rung.name}*, {rung.title}" for rung in RUNGS)
-        + f" (elevation {OTHER_ELEVATION_DEG:g}°, field of view {OTHER_FOV_DEG:g}°, where the"
-        " networks assume 20° and a distant viewer). A rung has what the rungs above it have. The"
+        + "; ".join(f"*{rung.name}*, {rung.title}" for rung in rungs(lines))
+        + f"{other_camera}. A rung has what the rungs above it have. The"
         f" rung *direct* is what the layer itself can compute; the headline is *{HEADLINE}*."
         " Predictions are not refined here. *True parts*: the edit from true normals, light and"
         " label, which is the error that the layer's missing shadows and interreflections leave."
@@ -187,7 +199,7 @@ def aligned_table(lines: Sequence[Mapping], kind: str, title: str) -> Table | No
     lines = [line for line in lines if line[kind] and line[kind].get(key) is not None]
     rows: list[TableRow] = []
     for group in groups(lines):
-        for rung in RUNGS:
+        for rung in rungs(lines):
             if here := of(lines, rung.name, group):
                 row = {name: cell for key in ALIGNMENTS for name, cell in _parts(here, kind, key)}
                 rows.append({"name": f"{group}: {rung.name}", "cells": row})
@@ -218,7 +230,7 @@ def family_table(lines: Sequence[Mapping]) -> Table | None:
     names = dict.fromkeys((line["group"], line["family"]) for line in lines)
     columns: list[Column] = [column("shapes", "shapes", 0), column("facing", "facing the viewer °")]
     columns = [columns[0], {**columns[1], "digits": 1}]
-    columns += [column(rung.name, rung.name, 1, True) for rung in RUNGS]
+    columns += [column(rung.name, rung.name, 1, True) for rung in rungs(lines)]
     rows: list[TableRow] = []
     for group, family in sorted(names, key=lambda pair: (GROUPS.index(pair[0]), pair[1])):
         own = [line for line in lines if (line["group"], line["family"]) == (group, family)]
@@ -228,7 +240,7 @@ def family_table(lines: Sequence[Mapping]) -> Table | None:
                 np.mean([line["facing_deg"] for line in own if line["rung"] == HEADLINE])
             ),
         }
-        for rung in RUNGS:
+        for rung in rungs(lines):
             if here := [line for line in own if line["rung"] == rung.name]:
                 row[rung.name] = Figures(here).interval(
                     lambda line: line["predicted"]["normals_mean_deg"]
@@ -247,7 +259,7 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
     refined = [line for line in lines if line["refined"] is not None]
     rows: list[TableRow] = []
     for group in groups(refined):
-        for rung in RUNGS:
+        for rung in rungs(lines):
             if not (here := of(refined, rung.name, group)):
                 continue
             figures = Figures(here)
@@ -381,15 +393,15 @@ def chart(lines: Sequence[Mapping], side: str) -> "Figure":
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(13, 4.4), layout="constrained", dpi=110)
-    shown = groups(lines)
+    shown, steps = groups(lines), rungs(lines)
     axes = figure.subplots(1, len(FIGURES))
     for place, (_, title, get) in zip(axes, FIGURES, strict=True):
         for number, group in enumerate(shown):
             _draw(place, lines, group, get, (number - (len(shown) - 1) / 2) * 0.08)
         place.set_title(title, fontsize=11)
-        place.set_xticks(range(len(RUNGS)), [rung.name for rung in RUNGS])
+        place.set_xticks(range(len(steps)), [rung.name for rung in steps])
         place.axvspan(-0.4, 0.4, color="0.94", zorder=0)
-        place.set_xlim(-0.4, len(RUNGS) - 0.6)
+        place.set_xlim(-0.4, len(steps) - 0.6)
         place.set_ylim(0, 1.1 * place.get_ylim()[1])
         place.grid(axis="y", alpha=0.3)
         for edge in ("top", "right"):
@@ -413,7 +425,7 @@ def _draw(
 ) -> None:
     points = [
         (number + shift, *(interval if isinstance(interval, list) else [interval] * 3))
-        for number, rung in enumerate(RUNGS)
+        for number, rung in enumerate(rungs(lines))
         if (here := of(lines, rung.name, group))
         and (interval := Figures(here).interval(get)) is not None
     ]

@@ -7,7 +7,7 @@ import pytest
 
 from factory.shapes.catalogue import load
 from factory.shapes.creases import edge_pairs
-from factory.shapes.general import FAMILIES, fields
+from factory.shapes.general import FAMILIES, TEST_ONLY, fields
 from factory.shapes.general.isosurface import surface_of
 from factory.shapes.raster import silhouette
 from manifests import splits
@@ -15,7 +15,7 @@ from manifests import splits
 SEEDS = 2
 
 
-@pytest.fixture(scope="module", params=list(FAMILIES))
+@pytest.fixture(scope="module", params=[*FAMILIES, *TEST_ONLY])
 def family(request):
     return request.param
 
@@ -41,7 +41,13 @@ def test_seeds_of_a_family_have_hashes_of_their_own(meshes):
     assert len({mesh.hash for mesh in meshes}) == SEEDS
 
 
-@pytest.mark.parametrize("spec", ["dish:1", "metaball:1", "extrusion:1", "cushion:1", "tool:1"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        *("dish:1", "metaball:1", "extrusion:1", "cushion:1", "tool:1"),
+        *("umbrella:1", "seashell:1", "screw:1", "cycle:1"),
+    ],
+)
 def test_a_seed_gives_the_same_shape_again(spec):
     """One family of each module, since all draw their numbers in one place."""
     first, again = load(spec), load(spec)
@@ -99,3 +105,7 @@ def test_whole_families_are_held_out_of_training():
 
 def test_every_general_family_has_a_rule():
     assert set(FAMILIES) <= set(splits.rules()["general"]["shapes"])
+    assert set(TEST_ONLY) == set(splits.rules()["test_only"])
+    assert not set(TEST_ONLY) & set(FAMILIES)
+    keys = [key for _, key in (FAMILIES | TEST_ONLY).values()]
+    assert len(set(keys)) == len(keys)  # or two families would draw the same numbers

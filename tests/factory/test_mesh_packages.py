@@ -4,6 +4,7 @@ import json
 import zipfile
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -139,6 +140,15 @@ def test_one_makers_meshes_share_a_side_and_a_module_is_read(tmp_path, monkeypat
     assert "pads-acme-one-left" in {row["name"] for row in of_pads}
     (pot,) = (row for row in rows if row["package"] == "pot")
     assert pot["hash"] == torus.hash and pot["licence"] == "public domain, Ada"
+
+
+def test_all_meshes_of_a_package_for_testing_only_are_on_the_test_side(root, tmp_path, monkeypatch):
+    listed = packages.packages()
+    before = {row["side"] for row in collect(root, tmp_path / "out", ["homes"])}
+    assert "development" in before
+    listed["homes"] = msgspec.structs.replace(listed["homes"], test_only=True)
+    monkeypatch.setattr(packages, "packages", lambda: listed)
+    assert {row["side"] for row in collect(root, tmp_path / "again", ["homes"])} == {"test"}
 
 
 def test_most_takes_one_variant_of_each_object(root, tmp_path):

@@ -4,7 +4,7 @@ are computed here.
 
 import json
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from types import SimpleNamespace
 
 import msgspec
@@ -20,9 +20,10 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
-from manifests import exr, picture_files
+from manifests import exr, picture_files, splits
 from manifests.errors import InputError
 from manifests.line_files import Lines
+from manifests.materials import BUILT_IN, load_catalogue
 from manifests.reading import read
 from manifests.schema import Camera, Job
 from shaders import frames, tone
@@ -125,15 +126,37 @@ def options(data, weights, tmp_path, small):
     return ladder.Options(data, weights, tmp_path / "out")
 
 
-def test_the_two_sides_share_no_shape_material_or_light():
+def test_the_sides_share_no_shape_or_light():
     sides = [ladder_design.preset(side) for side in ladder_design.SIDES]
-    for get in (lambda job: ladder_design._each(job.shapes), lambda j: j.materials):
-        development, test = (set(get(job)) for job in sides)
-        assert len(development) == len(test) > 1 and not development & test
-    development, test = (set(job.lights) for job in sides)
-    assert len(development) == len(test) == 9 and not development & test
-    assert len(ladder_design.light_seeds(sides[0])) == 6
-    assert len(ladder_design.light_seeds(sides[1])) == 9
+    for get in (lambda job: ladder_design._each(job.shapes), lambda job: job.lights):
+        for one, other in combinations(sides, 2):
+            assert len(get(one)) > 1 and not set(get(one)) & set(get(other))
+    assert [len(job.lights) for job in sides] == [9, 9, 9]
+    assert [len(ladder_design.light_seeds(job)) for job in sides] == [6, 9, 9]
+
+
+def test_materials_of_a_side_are_for_testing_and_no_others_are_in_the_first_two():
+    known = load_catalogue(*BUILT_IN)
+    development, test, second = (
+        set(ladder_design.preset(side).materials) for side in ladder_design.SIDES
+    )
+    assert len(development) == len(test) == len(second) == 6 and not development & test
+    assert all(known[name].split == "test" for name in development | test | second)
+    # only four metals are for testing: two of them come again on the third side
+    assert {known[n].family for n in second & (development | test)} == {"metal"}
+
+
+def test_the_second_test_side_has_families_that_no_training_has_on_two_rungs():
+    side = ladder_design.preset("second-test")
+    assert [rung.name for rung in ladder_design.rungs_of(side)] == ["direct", "8-bit"]
+    jobs = ladder_design.jobs(side, ["a.obj"])
+    assert len(jobs) == 2 * PARTS
+    assert {job.tiers for name, job in jobs.items() if "centre" in name} == {("direct",)}
+    assert {job.light_resolutions for name, job in jobs.items() if "square" in name} == {("full",)}
+    for spec in ladder_design._each(side.shapes):
+        assert splits.is_test_only(spec)
+        group, family = ladder_design.group_of(spec, "")
+        assert group == "held-out families" and spec.startswith(family)
 
 
 def test_jobs_show_the_same_shapes_materials_and_lights_on_every_rung():
@@ -323,6 +346,18 @@ def test_more_refined_scenes_are_added(options, monkeypatch):
     assert same[0] == same[1]
 
 
+def test_a_side_of_two_rungs_is_measured_and_charted_on_them(options, monkeypatch):
+    names = ("direct", "8-bit")
+    monkeypatch.setitem(ladder_design.RUNGS_OF, "ladder-small", names)
+    report = ladder.make(options)
+    assert {line["rung"] for line in ladder.rows_of(options.out).values()} == set(names)
+    rows = report["tables"]["ladder"]["rows"]
+    assert [row["name"] for row in rows] == [
+        f"{group}: {name}" for group in (OWN_GROUP, "outside meshes") for name in names
+    ]
+    assert "unknown camera" not in (options.out / "report.md").read_text()
+
+
 def test_other_settings_are_refused(options, monkeypatch):
     ladder.make(options)
     monkeypatch.setattr(
@@ -393,8 +428,7 @@ def test_a_group_without_scenes_has_no_row():
 
 def test_a_cluster_measures_the_same_lines_and_continues_them(options, monkeypatch, tmp_path):
     """Its first worker, and the first that has the third line in hand, are lost."""
-    few = [rung for rung in RUNGS if rung.name in ("direct", "8-bit")]
-    monkeypatch.setattr(ladder, "RUNGS", few)
+    monkeypatch.setitem(ladder_design.RUNGS_OF, "ladder-small", ("direct", "8-bit"))
     lines = {"here": replace(options, out=tmp_path / "here"), "there": replace(options, ray="auto")}
     ladder.make(lines["here"])
     given = []

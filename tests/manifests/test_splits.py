@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifests import JOBS, splits
+from manifests.reading import read
+from manifests.schema import Job
 
 PAPER = {"car": 130, "chair": 50, "sofa": 50, "monitor": 50}
 
@@ -148,3 +150,27 @@ def test_a_record_is_mixed_when_shape_and_material_disagree():
     assert (
         splits.split_of("train", ["train", "test"]) == splits.split_of("test", ["train"]) == "mixed"
     )
+
+
+@pytest.mark.parametrize("rule", ["hash", "paper", "multi-material", "general"])
+def test_families_for_testing_only_are_never_trained_on(rule):
+    names = [f"{family}:{k}" for family in splits.rules()["test_only"] for k in (0, 7, 10**12)]
+    shapes = [(name, name.split(":")[0], hash_of(name)) for name in names]
+    assert set(splits.shape_roles(shapes, rule).values()) == {"test"}
+    assert {splits.numbered_role(name, rule) for name in names} == {"test"}
+    assert {splits.role_of(*shape, rule) for shape in shapes} == {"test"}
+
+
+def test_a_users_own_mesh_of_such_a_category_may_be_trained_on():
+    shapes = [(f"my/{k}", "shoe", hash_of(str(k))) for k in range(60)]
+    assert set(splits.shape_roles(shapes, "hash").values()) == {"train", "test"}
+
+
+def test_no_preset_but_the_second_test_side_names_families_for_testing_only():
+    named = {
+        path.stem
+        for path in JOBS.glob("*.json")
+        for shape in read(path, Job).shapes
+        if shape.partition(":")[0] in splits.rules()["test_only"]
+    }
+    assert named == {"ladder-second-test"}

@@ -31,8 +31,9 @@ from factory.render import camera
 from factory.render.studio import Studio
 from factory.render.validation import command_line
 from factory.render.validation.scenes import meshes_of
-from factory.shapes.catalogue import FAMILIES, GENERAL, PRIMITIVES
+from factory.shapes.catalogue import FAMILIES, PRIMITIVES
 from factory.shapes.catalogue import load as load_shape
+from factory.shapes.general import FAMILIES as GENERAL
 from manifests.errors import InputError
 from manifests.provenance import provenance
 from manifests.schema import Camera
