@@ -69,7 +69,7 @@ def test_the_page_and_the_chart_have_every_setting(tmp_path):
     page = speed_accuracy_report.report(result)
     assert "| BlenderProc | defaults | 8 | 8 | 8.000 | 2.0 | 2.0 |" in page
     assert page.count(LIMIT) >= 3 and "1024 samples" in page
-    speed_accuracy_report.chart(figures, tmp_path / "chart.png")
+    speed_accuracy_report.chart(LIMITS, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -77,7 +77,7 @@ def test_the_page_compares_tier_by_tier_and_the_closed_form_with_path_tracing():
     """Two scenes: at full transport the peer takes twice a limit's time, in direct light four."""
     direct = [dict(each, scene=1, tier="direct") for each in LIMITS]
     direct += [row("BlenderProc", "defaults", 4.0, 32.0, 1, "direct")]
-    direct += [row("ratio", "4 samples", 0.1, 1.0, 1, "direct")]
+    direct += [row("closed form", "64 points", 0.1, 1.0, 1, "direct")]
     direct += [row("path tracing", "64 samples", 1.0, 2.0, 1, "direct")]
     rows = [*LIMITS, row("BlenderProc", "defaults", 4.0, 16.0), *direct]
     result = {key: 2 for key in ("scenes", "size", "reference")} | {"tier": "tiers in turn"}
@@ -175,9 +175,9 @@ def test_direct_light_is_compared_with_the_time_of_path_tracing_at_its_error():
     def scene(number, error, seconds):
         traced = row("path tracing", "256 samples", 2.0, 10.0, number)
         few = row("path tracing", "4 samples", 200.0, 1.0, number)
-        closed = row("ratio", "4 samples", error, seconds, number)
-        slower = row("ratio", "64 samples", error, 2 * seconds, number)
-        return [dict(each, shape="s", material="m") for each in (traced, few, closed, slower)]
+        coarse = row("closed form", "16 points", 50.0, 0.5 * seconds, number)
+        closed = row("closed form", "64 points", error, seconds, number)
+        return [dict(each, shape="s", material="m") for each in (traced, few, coarse, closed)]
 
     lines = speed_accuracy_report.against_path_tracing([*scene(0, 0.5, 2.0), *scene(1, 0.001, 4.0)])
     assert lines[-3:] == [
@@ -242,6 +242,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     options = Namespace(
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
+    options.bare_loop = False
     options.no_adaptive, options.bias, options.rounds, options.meshes = True, False, 1, None
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
@@ -287,7 +288,7 @@ def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "spoon.obj").touch()
     options = Namespace(scenes=1, seed=7, size=16, tier="full", reference=8, blenderproc=None)
-    options.no_adaptive, options.bias, options.rounds = True, False, 1
+    options.no_adaptive, options.bias, options.rounds, options.bare_loop = True, False, 1, False
     options.out, options.meshes = tmp_path / "out", tmp_path / "meshes"
     rows = speed_accuracy.measure(options)
     assert shown == [str(tmp_path / "meshes" / "spoon.obj")]
@@ -298,3 +299,56 @@ def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch
 def test_a_python_without_blenderproc_is_refused_before_anything_is_rendered():
     with pytest.raises(InputError, match=r"--blenderproc: .*package blenderproc is missing"):
         settings.run_peer(sys.executable, "--check")
+
+
+@pytest.mark.blender
+def test_a_plain_loop_renders_the_same_scene_by_its_own_settings(studio):
+    from factory.lights import load as load_light
+    from factory.shapes.catalogue import load
+
+    mesh = load("sphere")
+    studio.set_camera(Camera(size=(32, 32)))
+    studio.set_shape(mesh)
+    studio.set_light(load_light("city").L64, 0)
+    studio.set_materials([Mixture.lambert([0.2, 0.4, 0.6])] * mesh.segments)
+    studio.set_view(0.0)
+    mask = studio.geometry().mask
+    shown = Shown(studio, 3, "direct", mask)
+    expected = studio.picture(256, 3, "direct")[0]
+    made = {name: (of, spent) for _, name, of, spent in settings.rendered_by_bare_loop(shown, 2)}
+    assert list(made) == list(settings.BARE_SETTINGS)
+    for pictures, spent in made.values():
+        assert pictures.shape == (2, 32, 32, 3) and spent > 0
+        assert np.any(pictures[0] != pictures[1])  # seeds of their own
+        np.testing.assert_allclose(
+            pictures[:, mask].mean((0, 1)), expected[mask].mean(0), rtol=0.05
+        )
+    noise = {name: float(np.abs(of[0] - of[1])[mask].mean()) for name, (of, _) in made.items()}
+    assert noise["64 samples, no denoiser"] > 2 * noise["64 samples"]
+    assert noise["16 samples"] > noise["defaults"]
+
+
+def test_a_plain_loop_that_fails_says_why(tmp_path):
+    with pytest.raises(RuntimeError, match=r"bare_loop_peer\.py: .*missing\.json"):
+        settings.run_bare_loop(str(tmp_path / "missing.json"))
+
+
+def test_the_closed_form_is_a_setting_of_direct_light_alone_and_the_ratio_of_the_others():
+    known = settings.methods(None, adaptively=False)
+    families = {
+        tier: {family for family, _ in settings.of_tier(known, tier)}
+        for tier in ("direct", "shadow", "full")
+    }
+    assert families["shadow"] == families["full"] == families["direct"] ^ {"ratio", "closed form"}
+    assert "closed form" in families["direct"] and "ratio" not in families["direct"]
+
+
+def test_the_chart_has_a_row_of_axes_for_each_tier(tmp_path):
+    from matplotlib.image import imread
+
+    direct = [dict(each, scene=1, tier="direct") for each in LIMITS]
+    direct += [row("closed form", "16 points", 0.1, 1.0, 1, "direct")]
+    speed_accuracy_report.chart(LIMITS, tmp_path / "one.png")
+    speed_accuracy_report.chart([*LIMITS, *direct], tmp_path / "two.png")
+    one, two = (imread(tmp_path / f"{name}.png") for name in ("one", "two"))
+    assert two.shape[1] == one.shape[1] and two.shape[0] > 1.8 * one.shape[0]

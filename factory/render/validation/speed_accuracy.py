@@ -1,8 +1,9 @@
 """Error against processor time per picture: fixed samples, adaptive sampling, the denoiser, a
-limit on the error, and BlenderProc, on the same scenes in the same run.
+limit on the error, BlenderProc and a plain loop in Blender, on the same scenes in the same run.
 
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --blenderproc PYTHON
+python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --bare-loop
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --rounds 2
 
 A measurement that was stopped is continued by the same command, scene by scene. --rounds measures
@@ -23,6 +24,9 @@ time       processor seconds per picture in one thread, without loading shape, l
 PYTHON     an interpreter with the packages blenderproc and bpy. BlenderProc renders the same
            objects, materials, light, pixel filter and bounces, saved as .blend files, with its own
            defaults for everything else, and with fewer samples in place of its 1,024
+bare loop  a few lines of Blender's Python module that render the same scene to EXR files
+           (bare_loop_peer), by Cycles' defaults, and with fewer samples in place of its 4,096.
+           Cycles' defaults drop dim light and clamp bright reflected light, so it has a bias
 speed      of a limit on the error against another method: the other's time divided by that of the
            limit at the other's error, interpolated between limits (logarithms of both); and the
            same of the family that is fastest there, for which one would have to know the errors
@@ -58,7 +62,9 @@ from factory.render.validation.speed_accuracy_settings import (
     Rendered,
     limited,
     methods,
+    of_tier,
     rendered,
+    rendered_by_bare_loop,
     rendered_by_peer,
     run_peer,
     smaller_limits,
@@ -140,6 +146,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
     return {
         **{name: getattr(options, name) for name in ("size", "reference")},
         "peer": bool(options.blenderproc),
+        "bare_loop": options.bare_loop,
         "adaptive": not options.no_adaptive,
         "bias": options.bias,
         "rules": choice.VERSION,
@@ -203,13 +210,16 @@ def _all_rendered(
     scene: Scene,
     options: argparse.Namespace,
 ) -> tuple[Shown, list[Rendered]]:
-    """Return what a scene shows, and the pictures of all settings, BlenderProc's included."""
+    """Return what a scene shows, and the pictures of all settings, other programs' included."""
     shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
+    known = of_tier(known, scene.tier)
     # the largest limit stands for all of them, and the fewest samples
     warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
     pictures = rendered(known, shown, _count(options))
     if options.blenderproc:
         pictures += rendered_by_peer(shown, options.blenderproc)
+    if options.bare_loop:
+        pictures += rendered_by_bare_loop(shown, _count(options))
     return shown, pictures
 
 
@@ -225,6 +235,9 @@ def main() -> None:
     )
     parser.add_argument("--tier", choices=TIERS, help="of all scenes (default: each in turn)")
     parser.add_argument("--blenderproc", metavar="PYTHON", help="compare with BlenderProc, too")
+    parser.add_argument(
+        "--bare-loop", action="store_true", help="compare with a plain loop in Blender, too"
+    )
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
     )
@@ -251,7 +264,7 @@ def main() -> None:
         "rows": rows,
     }
     command_line.write_report(options.out, result, report(result))
-    chart(result["figures"], options.out / "chart.png")
+    chart(rows, options.out / "chart.png")
     print(f"See {options.out / 'report.md'}")
 
 

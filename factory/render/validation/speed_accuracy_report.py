@@ -17,11 +17,13 @@ from manifests.files import write_bytes
 
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
 LIMIT = "limit on the error"
+CLOSED = "closed form"
 PEER_NAME = "BlenderProc"
+BARE_LOOP = "bare loop in Blender"
 UNLIKE = "no denoiser"  # of a setting that differs in more than samples from its family
 PEER_DEFAULTS = "defaults"  # of its settings
-OURS = ("path tracing", "denoised", "ratio", LIMIT)
-BIASED = ("denoised", "ratio")
+OURS = ("path tracing", "denoised", "ratio", CLOSED, LIMIT)
+BIASED = ("denoised", "ratio", CLOSED)
 
 
 def at_error(rows: list[dict[str, Any]], error: float, family: str = LIMIT) -> float:
@@ -180,7 +182,7 @@ def by_tier(rows: list[dict[str, Any]], tiers: Sequence[str]) -> list[str]:
 def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
     """Return lines on how much longer path tracing takes to reach the closed form's error.
 
-    In the tier `direct` the ratio is the closed form alone. Path tracing's error is taken to fall
+    The closed form counts with the most points for a pixel. Path tracing's error is taken to fall
     in proportion to its time beyond its most samples, and errors below LEAST_ERROR count as that.
     """
     lines = [
@@ -193,7 +195,7 @@ def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
     speeds = []
     for scene in sorted({row["scene"] for row in rows}):
         of = [row for row in rows if row["scene"] == scene]
-        closed = min((r for r in of if r["family"] == "ratio"), key=lambda row: row["seconds"])
+        closed = [row for row in of if row["family"] == CLOSED][-1]
         traced = max(
             (r for r in of if r["family"] == "path tracing"), key=lambda row: row["seconds"]
         )
@@ -207,48 +209,56 @@ def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
     return [*lines, f"| geometric mean, worst | | | {mean:.0f}, {min(speeds):.0f} |"]
 
 
-def chart(figures: list[dict[str, Any]], path: Path) -> None:
-    """Draw mean and worst errors over pictures per second, of settings that all scenes have."""
+def chart(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw mean and worst errors over pictures per second, tier by tier."""
     from matplotlib.figure import Figure
 
-    most = max(each["scenes"] for each in figures)
-    figures = [each for each in figures if each["scenes"] == most]
-
-    drawing = Figure(figsize=(11, 4.6), layout="constrained")
-    families = list(dict.fromkeys(each["family"] for each in figures))
-    for axes, key, title in zip(
-        drawing.subplots(1, 2, sharey=True),
-        ("error_mean", "error_worst"),
-        ("mean over scenes", "worst scene"),
-        strict=True,
-    ):
-        for family in families:
-            of = sorted(
-                (each for each in figures if each["family"] == family),
-                key=lambda each: each["seconds"],
-            )
-            # more samples, and whether they are denoised, are two things: one line has the first
-            alike = [each for each in of if UNLIKE not in each["setting"]]
-            width = 2.5 if family == LIMIT else 1.2
-            (line,) = axes.plot(*_places(alike, key), "o-", label=family, lw=width, ms=5)
-            others = [each for each in of if each not in alike]
-            axes.plot(*_places(others, key), "o", color=line.get_color(), ms=5)
-            if family == PEER_NAME:
-                for each, x, y in zip(of, *_places(of, key), strict=True):
-                    axes.annotate(
-                        each["setting"],
-                        (x, y),
-                        xytext=(5, 4),
-                        textcoords="offset points",
-                        fontsize=7,
-                    )
-        axes.set(xscale="log", yscale="log", title=title, xlabel="pictures per second and core")
-        axes.grid(alpha=0.3, which="both")
-    drawing.axes[0].set_ylabel("display L2 over the object")
-    drawing.axes[0].legend(fontsize=8)
+    tiers = list(dict.fromkeys(row["tier"] for row in rows))
+    drawing = Figure(figsize=(11, 0.4 + 4.4 * len(tiers)), layout="constrained")
+    families = list(dict.fromkeys(row["family"] for row in rows))
+    colours = {family: f"C{k % 10}" for k, family in enumerate(families)}
+    grid = drawing.subplots(len(tiers), 2, sharex="row", sharey="row", squeeze=False)
+    for line, tier in zip(grid, tiers, strict=True):
+        figures = summary([row for row in rows if row["tier"] == tier])
+        for axes, key, title in zip(
+            line, ("error_mean", "error_worst"), ("mean over scenes", "worst scene"), strict=True
+        ):
+            _draw(axes, figures, key, colours)
+            axes.set_title(f"{tier}: {title}" if len(tiers) > 1 else title)
+        line[0].set_ylabel("display L2 over the object")
+        line[0].legend(fontsize=7)
     buffer = io.BytesIO()
     drawing.savefig(buffer, dpi=110)
     write_bytes(path, buffer.getvalue())
+
+
+def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str, str]) -> None:
+    """Draw a line for each family, of its settings that all scenes have."""
+    most = max(each["scenes"] for each in figures)
+    figures = [each for each in figures if each["scenes"] == most]
+    for family in dict.fromkeys(each["family"] for each in figures):
+        of = sorted(
+            (each for each in figures if each["family"] == family),
+            key=lambda each: each["seconds"],
+        )
+        # more samples, and whether they are denoised, are two things: one line has the first
+        alike = [each for each in of if UNLIKE not in each["setting"]]
+        others = [each for each in of if each not in alike]
+        colour, width = colours[family], 2.5 if family == LIMIT else 1.2
+        axes.plot(*_places(alike, key), "o-", label=family, color=colour, lw=width, ms=5)
+        axes.plot(*_places(others, key), "o", color=colour, ms=5)
+        if family in (PEER_NAME, BARE_LOOP):
+            for each, x, y in zip(of, *_places(of, key), strict=True):
+                axes.annotate(
+                    each["setting"],
+                    (x, y),
+                    xytext=(5, 4),
+                    textcoords="offset points",
+                    fontsize=6,
+                    color=colour,
+                )
+    axes.set(xscale="log", yscale="log", xlabel="pictures per second and core")
+    axes.grid(alpha=0.3, which="both")
 
 
 def _places(of: list[dict[str, Any]], key: str) -> tuple[list[float], list[float]]:

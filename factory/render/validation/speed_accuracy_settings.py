@@ -10,11 +10,13 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -23,12 +25,14 @@ from factory.render.estimators import choice, ratio
 from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.studio import Studio
-from factory.render.validation.speed_accuracy_report import LIMIT, PEER_NAME
+from factory.render.validation.speed_accuracy_report import BARE_LOOP, CLOSED, LIMIT, PEER_NAME
 from manifests.errors import InputError
 from manifests.files import write_json
+from manifests.schema import Tier
 
 SAMPLES = (4, 16, 64, 256)
 RATIO_SAMPLES = (4, 16, 64)
+CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
 LIMITS = (60.0, 20.0, 5.0, 2.0)
 SMALLER_LIMITS = (0.5, 0.125)  # tried until a limit's picture is as good as the other program's
 LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
@@ -41,7 +45,19 @@ PEER_SETTINGS = {
     "64 samples": {"samples": 64, "threshold": 0, "denoiser": "INTEL"},
     "64 samples, no denoiser": {"samples": 64, "threshold": 0, "denoiser": None},
 }
+# without "samples" they are Cycles' own, at most 4,096 to a threshold of 0.01, and denoised
+BARE_SETTINGS: dict[str, dict[str, Any]] = {
+    "defaults": {},
+    "16 samples": {"samples": 16, "use_adaptive_sampling": False},
+    "64 samples": {"samples": 64, "use_adaptive_sampling": False},
+    "64 samples, no denoiser": {
+        "samples": 64,
+        "use_adaptive_sampling": False,
+        "use_denoising": False,
+    },
+}
 PEER = Path(__file__).with_name("blenderproc_peer.py")
+BARE = Path(__file__).with_name("bare_loop_peer.py")
 
 Method = Callable[[Shown], np.ndarray]
 # family, setting, pictures (pictures, height, width, 3), processor seconds of each
@@ -54,7 +70,7 @@ def limited(error: float) -> Method:
 
 
 def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Method]:
-    """Return functions that render a shot, by family and setting."""
+    """Return functions that render a shot, by family and setting; `of_tier` selects among them."""
 
     def fixed(samples: int) -> Method:
         return lambda at: studio.picture(samples, at.seed, at.tier)[0]
@@ -74,14 +90,20 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
     def by_ratio(samples: int) -> Method:
         def render(at: Shown) -> np.ndarray:
             exact = studio.direct_light()
-            if exact is not None and at.tier == "direct":
-                return exact.radiance
             shown = smooth(samples)(at)
             if exact is None:
                 return shown
             return ratio.combined(
                 exact.radiance, shown, smooth(samples)(replace(at, tier="direct"))
             )
+
+        return render
+
+    def closed(points: int) -> Method:
+        def render(at: Shown) -> np.ndarray:
+            exact = studio.direct_light(points)
+            assert exact is not None
+            return exact.radiance
 
         return render
 
@@ -93,8 +115,15 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
         }
         | {("denoised", f"{n} samples"): smooth(n) for n in SAMPLES}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
+        | {(CLOSED, f"{n} points"): closed(n) for n in CLOSED_POINTS}
         | {(LIMIT, f"{e:g}"): limited(e) for e in LIMITS}
     )
+
+
+def of_tier(known: dict[tuple[str, str], Method], tier: Tier) -> dict[tuple[str, str], Method]:
+    """Return the settings that a tier has: the closed form alone in `direct`, else the ratio."""
+    other = "ratio" if tier == "direct" else CLOSED
+    return {key: method for key, method in known.items() if key[0] != other}
 
 
 def save(shown: Shown, path: Path) -> None:
@@ -153,30 +182,41 @@ def smaller_limits(
 
 def rendered_by_peer(shown: Shown, python: str) -> list[Rendered]:
     """Return BlenderProc's pictures of what is shown. Raises InputError if it does not run."""
-    settings = {f"s{k}": value for k, value in enumerate(PEER_SETTINGS.values())}
+    return _rendered_elsewhere(
+        shown, PEER_NAME, PEER_SETTINGS, FRAMES, lambda order: run_peer(python, order)
+    )
+
+
+def rendered_by_bare_loop(shown: Shown, count: int) -> list[Rendered]:
+    """Return a plain loop's pictures of what is shown, as many of each setting."""
+    return _rendered_elsewhere(shown, BARE_LOOP, BARE_SETTINGS, count, run_bare_loop)
+
+
+def _rendered_elsewhere(
+    shown: Shown,
+    family: str,
+    settings: dict[str, dict[str, Any]],
+    count: int,
+    run: Callable[[str], subprocess.CompletedProcess[str]],
+) -> list[Rendered]:
+    """Return pictures of what is shown by a program in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         blend, order = Path(folder) / "scene.blend", Path(folder) / "scene.json"
         save(shown, blend)
+        words = {f"s{k}": value for k, value in enumerate(settings.values())}
         write_json(
-            order, {"scenes": [str(blend)], "settings": settings, "threads": 1, "frames": FRAMES}
+            order, {"scenes": [str(blend)], "settings": words, "threads": 1, "frames": count}
         )
-        done = run_peer(python, str(order))
-        seconds = json.loads(done.stdout.strip().splitlines()[-1])
+        seconds = json.loads(run(str(order)).stdout.strip().splitlines()[-1])
         return [
-            (PEER_NAME, name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
-            for k, name in enumerate(PEER_SETTINGS)
+            (family, name, np.load(f"{blend}.s{k}.npy"), seconds[f"s{k}"][0])
+            for k, name in enumerate(settings)
         ]
 
 
 def run_peer(python: str, argument: str) -> subprocess.CompletedProcess[str]:
     """Run blenderproc_peer. Raises InputError if it fails."""
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    done = subprocess.run(
-        [python, str(PEER), argument],
-        capture_output=True,
-        text=True,
-        env={**environment, "OMP_NUM_THREADS": "1"},
-    )
+    done = _run(python, PEER, argument)
     if done.returncode:
         raise InputError(
             "--blenderproc",
@@ -185,3 +225,21 @@ def run_peer(python: str, argument: str) -> subprocess.CompletedProcess[str]:
             "docs/error-limit.md lists what it needs",
         )
     return done
+
+
+def run_bare_loop(order: str) -> subprocess.CompletedProcess[str]:
+    """Run bare_loop_peer in this interpreter. Raises RuntimeError if it fails."""
+    done = _run(sys.executable, BARE, order)
+    if done.returncode:
+        raise RuntimeError(f"{BARE.name}: {done.stderr.strip().splitlines()[-1][:200]}")
+    return done
+
+
+def _run(python: str, script: Path, argument: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    return subprocess.run(
+        [python, str(script), argument],
+        capture_output=True,
+        text=True,
+        env={**environment, "OMP_NUM_THREADS": "1"},
+    )
