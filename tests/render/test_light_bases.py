@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from factory.render.estimators.relighting import summed
 from factory.render.validation.light_bases import cells, factors, harmonics
 from manifests.arrays import LIGHT_SHAPE
 from shaders import envmap
@@ -50,3 +51,18 @@ def test_factors_find_the_maps_of_which_lights_are_made():
         assert np.abs(basis.light(L) - L).mean() < 0.05 * L.mean()
     with pytest.raises(ValueError, match="not enough values"):
         basis.weights(lights[0].copy())
+
+
+def test_a_picture_under_a_light_is_the_sum_of_pictures_under_the_basis():
+    """A surface that takes in two texels: its picture under any light is linear in them."""
+    basis = cells(8, 16)
+    L = basis.light(drawn(3))
+    (one, other), share = ((20, 30), (40, 90)), np.array([0.7, 0.2, 0.1], np.float32)
+
+    def picture(of):
+        return (of[one] + 2 * of[other]) * share[None, None]
+
+    under_maps = np.stack([picture(np.repeat(each[..., None], 3, -1)) for each in basis.maps])
+    np.testing.assert_allclose(summed(under_maps, basis.weights(L)), picture(L), rtol=1e-4)
+    negative = summed(under_maps, -basis.weights(L))
+    assert negative.shape == (1, 1, 3) and np.all(negative == 0)

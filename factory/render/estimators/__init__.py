@@ -7,6 +7,7 @@ ratio         direct light without noise, times a denoised ratio of two pictures
 closed_form   direct light without noise alone, where nothing is blocked
 blends        takes bias out of the last three by a share of the noisy picture
 adaptive_sampling  Cycles' own: measured, and not among them
+relighting    sums of pictures under a basis of lights: measured, and not among them
 self_shading  in factory.render: no shadow rays for any of them where an object cannot shade itself
 renderer      what all of them ask of a renderer
 
