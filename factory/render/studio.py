@@ -35,6 +35,7 @@ from factory.render import (
 from factory.render.direct_light import (
     USUAL,
     DirectLights,
+    Points,
     leaning_share,
     merged,
     picture_of,
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
 Purpose = Literal["picture", "geometry"]
+
+MOST_KEPT = 1 << 23  # points on the object whose normals are kept, of 29 bytes each
 
 
 class Studio:
@@ -102,6 +105,9 @@ class Studio:
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
+        # of the view that was seen last, by points across a pixel and place of the grid
+        self._grids: dict[tuple[int, tuple[float, float]], Surface] = {}
+        self._grids_of: tuple[float, Camera] | None = None
         self._materials = SegmentMaterials()
         self.versions = {
             "blender": bpy.app.version_string,
@@ -146,6 +152,7 @@ class Studio:
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
         self._visible = None
+        self.forget_grids()
         self._body = body.build(mesh)
         for surface in self._materials.of_new_shape(self._segments):
             self._body.materials.append(surface)
@@ -370,15 +377,35 @@ class Studio:
         at = points_of(direct, lens, points) if direct else None
         if at is None:
             return None
+        picture = picture_of(direct, self._grids_at(lens, at), lens, at, where)
+        return picture if known is None or where is None else merged(known, picture, where)
+
+    def _grids_at(self, lens: Camera, at: Points) -> list[Surface]:
+        """Return what grids of points see. They are kept, for a limit asks for them repeatedly."""
+        if self._grids_of != (self._azimuth, lens):
+            self.forget_grids()
+            self._grids_of = self._azimuth, lens
         height, width = lens.size
         fine = msgspec.structs.replace(lens, size=(height * at.across, width * at.across))
-        self.set_camera(fine)
+        result = []
         try:
-            grids = [self._surface(*shift) for shift in at.shifts]
+            for shift in at.shifts:
+                grid = self._grids.get((at.across, shift))
+                if grid is None:
+                    self.set_camera(fine)
+                    grid = self._surface(*shift)
+                    kept = sum(len(each.depth) for each in self._grids.values())
+                    if kept + len(grid.depth) <= MOST_KEPT:
+                        self._grids[at.across, shift] = grid
+                result.append(grid)
         finally:
             self.set_camera(lens)
-        picture = picture_of(direct, grids, lens, at, where)
-        return picture if known is None or where is None else merged(known, picture, where)
+        return result
+
+    def forget_grids(self) -> None:
+        """Forget what `direct_light` has seen of the view, as another view makes it do."""
+        self._grids.clear()
+        self._grids_of = None
 
     def _direct_lights(self, lens: Camera) -> list[DirectLight]:
         """Return the direct light of each segment's material under the light that is shown.

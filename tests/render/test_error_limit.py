@@ -188,6 +188,38 @@ def test_direct_light_is_made_finer_where_it_is_asked_for(chair):
         assert np.abs(after[where] - before[where]).max() > 1e-3 * np.abs(before).max()
 
 
+def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypatch):
+    from factory.render import studio as module
+
+    surface, seen = chair._surface, []
+
+    def counted(*shift):
+        seen.append((chair._lens.size[0] // SIZE, shift))
+        return surface(*shift)
+
+    monkeypatch.setattr(chair, "_surface", counted)
+    chair.forget_grids()
+    first = chair.direct_light(64)
+    where = chair.geometry().mask
+    seen.clear()
+    again = chair.direct_light(64)
+    assert seen == []
+    chair.direct_light(16, again, where)
+    assert [across for across, _ in seen] == [2] * 4
+    for name in ("radiance", "alpha", "variance"):
+        assert (getattr(first, name) == getattr(again, name)).all()
+    # another view, the same view again, and more points than are kept: nothing old is shown
+    chair.set_view(1.5)
+    other = chair.direct_light(64).radiance
+    assert np.abs(other - first.radiance).max() > 0.1
+    monkeypatch.setattr(module, "MOST_KEPT", 0)
+    chair.forget_grids()
+    seen.clear()
+    assert (chair.direct_light(64).radiance == other).all()
+    assert (chair.direct_light(64).radiance == other).all()
+    assert len(seen) == 8 and not chair._grids
+
+
 def test_the_share_of_leaning_points_is_known_before_direct_light_is_computed(chair):
     share = chair.direct_light_work(16).leaning
     surface = chair._surface()
@@ -242,6 +274,7 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
         (4 * SIZE**2 - 1, []),
     ):
         scales.clear()
+        chair.forget_grids()
         monkeypatch.setattr(direct_light, "MOST_POINTS", most)
         assert (chair.direct_light() is None) == (not grids)
         assert scales == grids

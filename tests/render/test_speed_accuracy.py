@@ -106,8 +106,16 @@ def test_the_page_has_the_bias_where_it_was_measured():
 
 
 def test_each_picture_of_a_setting_has_a_seed_of_its_own():
-    shown = Shown(None, 8, "full", np.ones((1, 1), bool))
+    class Renderer:
+        forgotten = 0
+
+        def forget_grids(self):
+            self.forgotten += 1
+
+    renderer = Renderer()
+    shown = Shown(renderer, 8, "full", np.ones((1, 1), bool))
     pictures, _ = settings.timed(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
+    assert renderer.forgotten == 2  # each is timed as the first of its view
     assert pictures.shape == (2, 1, 1, 3) and pictures[0, 0, 0, 0] != pictures[1, 0, 0, 0]
 
 
@@ -231,7 +239,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
 
     seen = []
 
-    def measured(stage, known, scene, options):
+    def measured(stage, known, scene, options, longer):
         if len(seen) == 2:
             raise KeyboardInterrupt
         seen.append(scene.seed)
@@ -242,7 +250,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
     options = Namespace(
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
-    options.bare_loop = False
+    options.bare_loop, options.longer_reference, options.longer_scenes = False, 16, 0
     options.no_adaptive, options.bias, options.rounds, options.meshes = True, False, 1, None
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
@@ -279,7 +287,7 @@ def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch
 
     shown = []
 
-    def measured(stage, known, scene, options):
+    def measured(stage, known, scene, options, longer):
         shown.append(scene.shape)
         return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
 
@@ -289,6 +297,7 @@ def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch
     (tmp_path / "meshes" / "spoon.obj").touch()
     options = Namespace(scenes=1, seed=7, size=16, tier="full", reference=8, blenderproc=None)
     options.no_adaptive, options.bias, options.rounds, options.bare_loop = True, False, 1, False
+    options.longer_reference, options.longer_scenes = 16, 0
     options.out, options.meshes = tmp_path / "out", tmp_path / "meshes"
     rows = speed_accuracy.measure(options)
     assert shown == [str(tmp_path / "meshes" / "spoon.obj")]
@@ -352,3 +361,59 @@ def test_the_chart_has_a_row_of_axes_for_each_tier(tmp_path):
     speed_accuracy_report.chart([*LIMITS, *direct], tmp_path / "two.png")
     one, two = (imread(tmp_path / f"{name}.png") for name in ("one", "two"))
     assert two.shape[1] == one.shape[1] and two.shape[0] > 1.8 * one.shape[0]
+
+
+def test_the_doubt_about_an_error_is_how_much_it_differs_between_references():
+    """Pictures that are off by a known amount, and 300 references with noise of their own."""
+    rng = np.random.default_rng(4)
+    mask = np.ones((24, 24), bool)
+    truth = np.full((24, 24, 3), 0.1, np.float32)
+    truth[0, :12] = 0.4  # white: the rest is darker, so that nothing is cut off
+    picture = truth * rng.uniform(0.8, 1.2, (24, 24, 1)).astype(np.float32)
+
+    class Reference:
+        shown = Shown(None, 0, "full", mask)
+
+        def __init__(self):
+            # channels share their noise, as those of a white surface do
+            noise = 1 + 0.1 * rng.normal(size=(2, 24, 24, 1)).astype(np.float32)
+            self.pictures = truth * noise
+            # under one exposure for all, so that it does not add a doubt of its own
+            self.picture = truth
+
+    errors, doubts = [], []
+    for _ in range(300):
+        reference = Reference()
+        errors.append(settings_compared(picture, reference))
+        doubts.append(speed_accuracy.doubt(picture[None], reference))
+    assert np.mean(doubts) == pytest.approx(np.std(errors), rel=0.12)
+
+
+def settings_compared(picture, reference):
+    from factory.render.validation.scenes import compared
+
+    return compared(picture, picture, reference).error
+
+
+def test_the_page_says_what_a_longer_reference_changes():
+    peer = row("BlenderProc", "defaults", 8.0, 8.0)
+    rows = [
+        {
+            **each,
+            "standard_error": 0.4,
+            "longer": {
+                "error": 2 * each["error"],
+                "standard_error": 0.1,
+                "reference_noise": 0.07,
+            },
+        }
+        for each in (*LIMITS, peer)
+    ]
+    result = {key: 1 for key in ("scenes", "size", "tier", "reference")}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    figures = speed_accuracy_report.summary(rows)
+    page = speed_accuracy_report.report({"figures": figures, "rows": rows, **result})
+    assert "gives an error is at most 0.4; of other programs' errors it is 5 %" in page
+    assert "whose own display error is at most 0.07" in page
+    # twice all errors: the same place between the same limits
+    assert "| BlenderProc | defaults | 8 ± 0.4 | 16 ± 0.1 | 2.00 | 2.00 |" in page

@@ -13,7 +13,9 @@ scenes     drawn from a seed (validation.scenes); tiers in turn, or the one that
            --meshes shows files in place of the program's shapes
 guides     of the denoiser are not filtered in fixed samples: one picture does not show their noise
 error      display L2 over the mask against a reference in two independent halves, whose noise
-           cancels in the mean; a negative error is one below the reference's noise
+           cancels in the mean; a negative error is one below the reference's noise. The standard
+           error that this noise gives each error is in report.json, and --longer-scenes measures
+           some scenes' errors by a longer reference, too
 bias       squared, and part of the error; measured by --bias, which renders everything twice with
            seeds of its own. The error is then the mean of both pictures'
 time       processor seconds per picture in one thread, without loading shape, light and materials.
@@ -44,6 +46,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.estimators import choice
+from factory.render.estimators.halves import Halves
 from factory.render.estimators.renderer import Shown
 from factory.render.validation import command_line
 from factory.render.validation.scenes import (
@@ -72,8 +75,9 @@ from factory.render.validation.speed_accuracy_settings import (
 )
 from manifests.errors import InputError
 from manifests.files import write_json
-from manifests.option_types import positive
+from manifests.option_types import positive, whole
 from manifests.provenance import provenance
+from shaders import tone
 
 
 def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
@@ -99,11 +103,12 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             rows[number], done = _stored(path, key)
             if done >= turn:
                 continue
+            longer = options.longer_reference if number < options.longer_scenes else 0
             if done:
                 again = timed_again(stage, known, scene, options, rows[number])
                 rows[number] = _least(rows[number], again)
             else:
-                measured = measured_scene(stage, known, scene, options)
+                measured = measured_scene(stage, known, scene, options, longer)
                 rows[number] = [{**words, "scene": number, **row} for row in measured]
             path.parent.mkdir(parents=True, exist_ok=True)
             write_json(path, {"scene": key, "rounds": turn, "rows": rows[number]})
@@ -144,7 +149,7 @@ def _least(rows: list[dict[str, Any]], again: list[Rendered]) -> list[dict[str, 
 def _condition(options: argparse.Namespace) -> dict[str, Any]:
     """Return what scenes that are reported together have in common."""
     return {
-        **{name: getattr(options, name) for name in ("size", "reference")},
+        **{name: getattr(options, name) for name in ("size", "reference", "longer_reference")},
         "peer": bool(options.blenderproc),
         "bare_loop": options.bare_loop,
         "adaptive": not options.no_adaptive,
@@ -158,10 +163,13 @@ def measured_scene(
     known: dict[tuple[str, str], Method],
     scene: Scene,
     options: argparse.Namespace,
+    longer: int = 0,
 ) -> list[dict[str, Any]]:
     """Return family, setting, seconds, error and the reference's noise for each setting.
 
     With --bias the squared bias, too.
+
+    longer  samples of each half of a reference by which errors are measured again, 0: of none
     """
     shown, pictures = _all_rendered(stage, known, scene, options)
     mask, count = shown.mask, _count(options)
@@ -182,12 +190,39 @@ def measured_scene(
                 "setting": name,
                 "seconds": seconds,
                 "error": error(of),
+                "standard_error": doubt(of, reference),
                 **({} if bias is None else {"squared_bias": bias}),
                 "reference_noise": reference.estimate().error,
                 "reference_seconds": spent,
             }
         )
+    if longer:
+        reference.grow(longer - options.reference)
+        for row, (_, _, of, _) in zip(rows, pictures, strict=True):
+            row["longer"] = {
+                "error": error(of),
+                "standard_error": doubt(of, reference),
+                "reference_noise": reference.estimate().error,
+            }
     return rows
+
+
+def doubt(pictures: np.ndarray, reference: Halves) -> float:
+    """Return the standard error that a reference's noise gives the mean error of pictures.
+
+    What of the standard error of `compared` comes from the pictures' own noise is no doubt about
+    their error, and does not count.
+    """
+    mask = reference.shown.mask
+    exposure = tone.auto_exposure(reference.picture, mask)
+    first, second = (tone.display(each[mask], exposure) for each in reference.pictures)
+    # of (a − R1)(a − R2) the references' noise n has the parts −(a − t)(n1 + n2) and n1 · n2, where
+    # t is the truth. (n1 − n2) / 2 is as large as (n1 + n2) / 2, and a − (R1 + R2) / 2 differs from
+    # a − t by as much as the second part counts
+    noise, mean = (first - second) / 2, (first + second) / 2
+    off = np.mean([tone.display(each[mask], exposure) - mean for each in pictures], axis=0)
+    parts = (2 * off * noise).mean(-1, dtype=np.float64)
+    return float(np.sqrt((parts**2).sum()) / len(parts))
 
 
 def timed_again(
@@ -240,6 +275,20 @@ def main() -> None:
     )
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
+    )
+    parser.add_argument(
+        "--longer-reference",
+        type=positive,
+        default=2048,
+        metavar="N",
+        help="samples of each half of the longer reference of some scenes (default: 2048)",
+    )
+    parser.add_argument(
+        "--longer-scenes",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="measure errors of the first N scenes with the longer reference, too (default: 0)",
     )
     parser.add_argument(
         "--bias", action="store_true", help="render each setting twice, and report its bias"

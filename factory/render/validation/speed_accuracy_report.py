@@ -110,7 +110,7 @@ def report(result: dict[str, Any]) -> str:
         f"Commit {result['commit']}, {result['date']}, {result['machine']}.",
         f"{result['scenes']} scenes of {result['size']}×{result['size']}, {result['tier']};"
         f" references of {2 * result['reference']} samples, whose own display error is at most"
-        f" {noise:.2g}.",
+        f" {noise:.2g}.{_of_doubt(result['rows'])}",
         f"Times are processor seconds in one thread{_of_rounds(result)}; the speed is the time"
         " divided by the one that a limit on the error takes at the same error, per scene; and by"
         " the one of our family of settings that is fastest there, as one chooses who knows the"
@@ -139,9 +139,66 @@ def report(result: dict[str, Any]) -> str:
     tiers = list(dict.fromkeys(row["tier"] for row in result["rows"]))
     if len(tiers) > 1 and any(row["family"] == PEER_NAME for row in result["rows"]):
         lines += by_tier(result["rows"], tiers)
+    if again := [row for row in result["rows"] if "longer" in row]:
+        lines += by_longer_reference(again)
     if direct := [row for row in result["rows"] if row["tier"] == "direct"]:
         lines += against_path_tracing(direct)
     return "\n".join(lines) + "\n"
+
+
+def _of_doubt(rows: list[dict[str, Any]]) -> str:
+    """Say what standard errors the references' noise gives the errors, where they are known."""
+    if not any("standard_error" in row for row in rows):
+        return ""
+    shares = [
+        row["standard_error"] / max(row["error"], LEAST_ERROR)
+        for row in rows
+        if row["family"] in (PEER_NAME, BARE_LOOP)
+    ]
+    most = max(row["standard_error"] for row in rows)
+    of_peers = (
+        f"; of other programs' errors it is {100 * float(np.median(shares)):.2g} % in the median"
+        f" and {100 * max(shares):.2g} % at most"
+        if shares
+        else ""
+    )
+    return f" The standard error that this gives an error is at most {most:.2g}{of_peers}."
+
+
+def by_longer_reference(rows: list[dict[str, Any]]) -> list[str]:
+    """Return lines on the errors and speeds that a longer reference shows.
+
+    rows  of scenes that have both
+    """
+    noise = max(row["longer"]["reference_noise"] for row in rows)
+    count = len({row["scene"] for row in rows})
+    lines = [
+        "",
+        f"{count} of the scenes with a longer reference, too, whose own display error is at most"
+        f" {noise:.2g}; ± is the standard error that the reference's noise gives, in the mean:",
+        "",
+        "| method | setting | error: mean | by the longer reference | speed of a limit: mean |"
+        " by the longer reference |",
+        "|---|---|---|---|---|---|",
+    ]
+    again = [{**row, **row["longer"]} for row in rows]
+    for short, long in zip(summary(rows), summary(again), strict=True):
+        names = short["family"], short["setting"]
+        doubts = [
+            float(
+                np.mean([r["standard_error"] for r in of if (r["family"], r["setting"]) == names])
+            )
+            for of in (rows, again)
+        ]
+        speeds = [f"{each['speed_mean']:.2f}" for each in (short, long)]
+        if names[0] == LIMIT:
+            speeds = ["–", "–"]
+        lines.append(
+            f"| {names[0]} | {names[1]}"
+            f" | {short['error_mean']:.3g} ± {doubts[0]:.2g}"
+            f" | {long['error_mean']:.3g} ± {doubts[1]:.2g} | {speeds[0]} | {speeds[1]} |"
+        )
+    return lines
 
 
 def _bias_cells(figures: dict[str, Any]) -> str:
