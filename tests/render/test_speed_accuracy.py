@@ -251,6 +251,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
         scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
     )
     options.bare_loop, options.longer_reference, options.longer_scenes = False, 16, 0
+    options.most_samples = 256
     options.no_adaptive, options.bias, options.rounds, options.meshes = True, False, 1, None
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
@@ -297,7 +298,7 @@ def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch
     (tmp_path / "meshes" / "spoon.obj").touch()
     options = Namespace(scenes=1, seed=7, size=16, tier="full", reference=8, blenderproc=None)
     options.no_adaptive, options.bias, options.rounds, options.bare_loop = True, False, 1, False
-    options.longer_reference, options.longer_scenes = 16, 0
+    options.longer_reference, options.longer_scenes, options.most_samples = 16, 0, 256
     options.out, options.meshes = tmp_path / "out", tmp_path / "meshes"
     rows = speed_accuracy.measure(options)
     assert shown == [str(tmp_path / "meshes" / "spoon.obj")]
@@ -350,6 +351,12 @@ def test_the_closed_form_is_a_setting_of_direct_light_alone_and_the_ratio_of_the
     }
     assert families["shadow"] == families["full"] == families["direct"] ^ {"ratio", "closed form"}
     assert "closed form" in families["direct"] and "ratio" not in families["direct"]
+
+
+def test_settings_of_more_samples_can_be_left_out():
+    every = settings.methods(None, adaptively=False)
+    fewer = settings.methods(None, adaptively=False, most=64)
+    assert set(every) - set(fewer) == {("path tracing", "256 samples"), ("denoised", "256 samples")}
 
 
 def test_the_chart_has_a_row_of_axes_for_each_tier(tmp_path):

@@ -7,6 +7,7 @@ The second form says whether the packages are there, and renders nothing.
 PYTHON must have the packages blenderproc and bpy; nothing of this project is imported. The order
 names .blend files, settings, threads and pictures per setting; their radiance is written beside
 each scene, and processor seconds per picture are printed as JSON. Seeds differ between pictures.
+A setting may have a number of pictures of its own, "frames".
 
 BlenderProc usually starts Blender itself. Here its modules are called in Blender's Python module,
 by the path of the package, because its own entrance would install packages.
@@ -74,12 +75,13 @@ def main(order: Path) -> None:
                 renderer.set_output_format("OPEN_EXR", 32, True, view_transform="Raw")
                 scene.frame_start = scene.frame_end = 0
                 scene.cycles.use_animated_seed = True
-                for _ in range(words["frames"]):
+                frames = settings.get("frames", words["frames"])
+                for _ in range(frames):
                     camera.add_camera_pose(np.array(scene.camera.matrix_basis))
                 start = time.process_time()
                 # verbose: its progress bar waits for ever where standard output is a pipe
                 data = renderer.render(str(temporary), load_keys={"colors"}, verbose=True)
-                spent = (time.process_time() - start) / words["frames"]
+                spent = (time.process_time() - start) / frames
             seconds.setdefault(name, []).append(spent)
             np.save(f"{blend}.{name}.npy", np.asarray(data["colors"], np.float32)[..., :3])
     print(json.dumps(seconds))

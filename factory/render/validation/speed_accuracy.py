@@ -60,6 +60,7 @@ from factory.render.validation.scenes import (
 )
 from factory.render.validation.speed_accuracy_report import LIMIT, chart, report, summary
 from factory.render.validation.speed_accuracy_settings import (
+    SAMPLES,
     SMALLER_LIMITS,
     Method,
     Rendered,
@@ -93,7 +94,7 @@ def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each scene and setting; scenes that DIR has already are not repeated."""
     stage = Stage(options.size, 1)
-    known = methods(stage.studio, not options.no_adaptive)
+    known = methods(stage.studio, not options.no_adaptive, options.most_samples)
     rows: dict[int, list[dict[str, Any]]] = {}
     for turn in range(1, options.rounds + 1):
         for number, scene in enumerate(scenes(options, stage.materials)):
@@ -150,6 +151,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
     """Return what scenes that are reported together have in common."""
     return {
         **{name: getattr(options, name) for name in ("size", "reference", "longer_reference")},
+        "most_samples": options.most_samples,
         "peer": bool(options.blenderproc),
         "bare_loop": options.bare_loop,
         "adaptive": not options.no_adaptive,
@@ -252,7 +254,7 @@ def _all_rendered(
     warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
     pictures = rendered(known, shown, _count(options))
     if options.blenderproc:
-        pictures += rendered_by_peer(shown, options.blenderproc)
+        pictures += rendered_by_peer(shown, options.blenderproc, _count(options))
     if options.bare_loop:
         pictures += rendered_by_bare_loop(shown, _count(options))
     return shown, pictures
@@ -275,6 +277,13 @@ def main() -> None:
     )
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
+    )
+    parser.add_argument(
+        "--most-samples",
+        type=positive,
+        default=max(SAMPLES),
+        metavar="N",
+        help="leave path tracing and the denoiser by more samples out (default: %(default)s)",
     )
     parser.add_argument(
         "--longer-reference",

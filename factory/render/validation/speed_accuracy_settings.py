@@ -25,7 +25,13 @@ from factory.render.estimators import choice, ratio
 from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.studio import Studio
-from factory.render.validation.speed_accuracy_report import BARE_LOOP, CLOSED, LIMIT, PEER_NAME
+from factory.render.validation.speed_accuracy_report import (
+    BARE_LOOP,
+    CLOSED,
+    LIMIT,
+    PEER_DEFAULTS,
+    PEER_NAME,
+)
 from manifests.errors import InputError
 from manifests.files import write_json
 from manifests.schema import Tier
@@ -69,8 +75,14 @@ def limited(error: float) -> Method:
     return lambda at: choice.picture(at, error).radiance
 
 
-def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Method]:
-    """Return functions that render a shot, by family and setting; `of_tier` selects among them."""
+def methods(
+    studio: Studio, adaptively: bool = True, most: int = max(SAMPLES)
+) -> dict[tuple[str, str], Method]:
+    """Return functions that render a shot, by family and setting; `of_tier` selects among them.
+
+    most  samples of path tracing and of the denoiser, of which there are no more
+    """
+    counts = [n for n in SAMPLES if n <= most]
 
     def fixed(samples: int) -> Method:
         return lambda at: studio.picture(samples, at.seed, at.tier)[0]
@@ -108,12 +120,12 @@ def methods(studio: Studio, adaptively: bool = True) -> dict[tuple[str, str], Me
         return render
 
     return (
-        {("path tracing", f"{n} samples"): fixed(n) for n in SAMPLES}
+        {("path tracing", f"{n} samples"): fixed(n) for n in counts}
         | {
             ("adaptive sampling", f"threshold {t:g}"): adaptive(t)
             for t in (THRESHOLDS if adaptively else ())
         }
-        | {("denoised", f"{n} samples"): smooth(n) for n in SAMPLES}
+        | {("denoised", f"{n} samples"): smooth(n) for n in counts}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
         | {(CLOSED, f"{n} points"): closed(n) for n in CLOSED_POINTS}
         | {(LIMIT, f"{e:g}"): limited(e) for e in LIMITS}
@@ -187,10 +199,18 @@ def smaller_limits(
         yield LIMIT, f"{limit:g}", made, seconds
 
 
-def rendered_by_peer(shown: Shown, python: str) -> list[Rendered]:
-    """Return BlenderProc's pictures of what is shown. Raises InputError if it does not run."""
+def rendered_by_peer(shown: Shown, python: str, count: int = FRAMES) -> list[Rendered]:
+    """Return BlenderProc's pictures of what is shown, FRAMES of each setting.
+
+    Of its defaults, which take long, there are `count`: what a first picture takes besides its
+    samples is little of their time. Raises InputError if it does not run.
+    """
+    settings = {
+        name: {**words, "frames": count if name == PEER_DEFAULTS else FRAMES}
+        for name, words in PEER_SETTINGS.items()
+    }
     return _rendered_elsewhere(
-        shown, PEER_NAME, PEER_SETTINGS, FRAMES, lambda order: run_peer(python, order)
+        shown, PEER_NAME, settings, FRAMES, lambda order: run_peer(python, order)
     )
 
 
