@@ -45,7 +45,7 @@ LONGEST = 60.0  # processor seconds of a setting beyond which its family's next 
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
 FRAMES = 2
-PEER_SETTINGS = {
+PEER_SETTINGS: dict[str, dict[str, Any]] = {
     "defaults": {"samples": 1024, "threshold": 0.01, "denoiser": "INTEL"},
     "16 samples": {"samples": 16, "threshold": 0, "denoiser": "INTEL"},
     "64 samples": {"samples": 64, "threshold": 0, "denoiser": "INTEL"},
