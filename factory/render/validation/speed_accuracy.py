@@ -60,7 +60,7 @@ from factory.render.validation.scenes import (
 )
 from factory.render.validation.speed_accuracy_report import LIMIT, chart, report, summary
 from factory.render.validation.speed_accuracy_settings import (
-    SAMPLES,
+    MOST,
     SMALLER_LIMITS,
     Method,
     Rendered,
@@ -281,9 +281,9 @@ def main() -> None:
     parser.add_argument(
         "--most-samples",
         type=positive,
-        default=max(SAMPLES),
+        default=MOST,
         metavar="N",
-        help="leave path tracing and the denoiser by more samples out (default: %(default)s)",
+        help="of path tracing and the denoiser, up to 1024 (default: %(default)s)",
     )
     parser.add_argument(
         "--longer-reference",

@@ -36,7 +36,8 @@ from manifests.errors import InputError
 from manifests.files import write_json
 from manifests.schema import Tier
 
-SAMPLES = (4, 16, 64, 256)
+SAMPLES = (4, 16, 64, 256, 1024)
+MOST = 256  # samples, unless more are requested
 RATIO_SAMPLES = (4, 16, 64)
 CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
 LIMITS = (60.0, 20.0, 5.0, 2.0)
@@ -76,7 +77,7 @@ def limited(error: float) -> Method:
 
 
 def methods(
-    studio: Studio, adaptively: bool = True, most: int = max(SAMPLES)
+    studio: Studio, adaptively: bool = True, most: int = MOST
 ) -> dict[tuple[str, str], Method]:
     """Return functions that render a shot, by family and setting; `of_tier` selects among them.
 
