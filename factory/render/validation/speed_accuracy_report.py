@@ -240,40 +240,38 @@ def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
     """Return lines on how much longer path tracing takes to reach the closed form's error.
 
     The closed form counts with the most points for a pixel, and errors below LEAST_ERROR count as
-    that. Beyond path tracing's most samples its error is taken to fall as it does between its last
-    two settings: faster than 1/time, since Cycles' samples lie between each other.
+    that. Beyond path tracing's most samples its error is continued in two ways: as 1/time, and at
+    the rate of its last two settings, which is mostly faster, since Cycles' samples lie between
+    each other.
     """
     lines = [
         "",
-        "Direct light by the closed form, and the time of path tracing for the same error:",
+        "Direct light by the closed form, and how many times as long path tracing takes for the"
+        " same error, which it is continued to beyond its most samples:",
         "",
-        "| scene | error | seconds | path tracing, times as long |",
-        "|---|---|---|---|",
+        "| scene | error | seconds | path tracing: error | times as long, by 1/time | at the rate"
+        " of its last settings | that rate |",
+        "|---|---|---|---|---|---|---|",
     ]
-    speeds, rates = [], []
+    speeds = []
     for scene in sorted({row["scene"] for row in rows}):
         of = [row for row in rows if row["scene"] == scene]
         closed = [row for row in of if row["family"] == CLOSED][-1]
-        traced = sorted(
+        few, many = sorted(
             (row for row in of if row["family"] == "path tracing"), key=lambda row: row["seconds"]
-        )
-        least = [max(row["error"], LEAST_ERROR) for row in (*traced[-2:], closed)]
-        rate = np.log(least[0] / least[1]) / np.log(traced[-1]["seconds"] / traced[-2]["seconds"])
-        factor = (least[1] / least[2]) ** (1 / max(rate, 1.0))
-        rates.append(rate)
-        speeds.append(factor * traced[-1]["seconds"] / closed["seconds"])
+        )[-2:]
+        errors = [max(row["error"], LEAST_ERROR) for row in (few, many, closed)]
+        rate = np.log(errors[0] / errors[1]) / np.log(many["seconds"] / few["seconds"])
+        factor, longer = errors[1] / errors[2], many["seconds"] / closed["seconds"]
+        speeds.append((factor * longer, factor ** (1 / rate) * longer))
         lines.append(
             f"| {closed['shape']}, {closed['material']} | {closed['error']:.2f}"
-            f" | {closed['seconds']:.2f} | {speeds[-1]:.0f} |"
+            f" | {closed['seconds']:.2f} | {many['error']:.2f} | {speeds[-1][0]:.0f}"
+            f" | {speeds[-1][1]:.0f} | −{rate:.2f} |"
         )
-    mean = float(np.exp(np.log(speeds).mean()))
-    return [
-        *lines,
-        f"| geometric mean, worst | | | {mean:.0f}, {min(speeds):.0f} |",
-        "",
-        f"Path tracing's error falls as its time to the power −{np.mean(rates):.2f} in the mean over"
-        " the scenes.",
-    ]
+    mean, least = np.exp(np.log(speeds).mean(0)), np.min(speeds, axis=0)
+    both = " | ".join(f"{m:.0f}, {w:.0f}" for m, w in zip(mean, least, strict=True))
+    return [*lines, f"| geometric mean, worst | | | | {both} | |"]
 
 
 def chart(rows: list[dict[str, Any]], path: Path) -> None:
@@ -319,7 +317,7 @@ def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str,
                 axes.annotate(
                     each["setting"],
                     (x, y),
-                    xytext=(5, 4),
+                    xytext=(5, 4) if family == PEER_NAME else (5, -9),
                     textcoords="offset points",
                     fontsize=6,
                     color=colour,
