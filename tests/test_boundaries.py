@@ -201,6 +201,10 @@ WRITERS = {
         "tempfile.TemporaryDirectory",
     ): "scenes that another renderer reads",
     (
+        "factory/render/validation/bare_loop_peer.py",
+        "….save",
+    ): "run in a process of its own, without this project's packages",
+    (
         "factory/render/validation/blenderproc_peer.py",
         "….save",
     ): "run by another Python, without this project's packages",

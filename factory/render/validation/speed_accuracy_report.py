@@ -261,13 +261,13 @@ def against_path_tracing(rows: list[dict[str, Any]]) -> list[str]:
             (row for row in of if row["family"] == "path tracing"), key=lambda row: row["seconds"]
         )[-2:]
         errors = [max(row["error"], LEAST_ERROR) for row in (few, many, closed)]
-        rate = np.log(errors[0] / errors[1]) / np.log(many["seconds"] / few["seconds"])
+        power = np.log(errors[0] / errors[1]) / np.log(many["seconds"] / few["seconds"])
         factor, longer = errors[1] / errors[2], many["seconds"] / closed["seconds"]
-        speeds.append((factor * longer, factor ** (1 / rate) * longer))
+        speeds.append((factor * longer, factor ** (1 / power) * longer))
         lines.append(
             f"| {closed['shape']}, {closed['material']} | {closed['error']:.2f}"
             f" | {closed['seconds']:.2f} | {many['error']:.2f} | {speeds[-1][0]:.0f}"
-            f" | {speeds[-1][1]:.0f} | −{rate:.2f} |"
+            f" | {speeds[-1][1]:.0f} | −{power:.2f} |"
         )
     mean, least = np.exp(np.log(speeds).mean(0)), np.min(speeds, axis=0)
     both = " | ".join(f"{m:.0f}, {w:.0f}" for m, w in zip(mean, least, strict=True))
