@@ -48,7 +48,10 @@ class InputError(ValueError):
 def _shown(where: object) -> str:
     """Return where an error is as text; a URL that was held as a path has lost a slash."""
     text = str(where)
-    return re.sub(r"^(\w[\w+.-]+):/(?=[^/])", r"\1://", text) if isinstance(where, Path) else text
+    if not isinstance(where, Path):
+        return text
+    text = re.sub(r"^file:/(?=[^/])", "file:///", text)
+    return re.sub(r"^(\w[\w+.-]+):/(?=[^/])", r"\1://", text)
 
 
 def missing_package(error: ModuleNotFoundError) -> InputError | None:

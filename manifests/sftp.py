@@ -48,6 +48,9 @@ class SSHFileSystem(SFTPFileSystem):
             self.ftp = self.client.open_sftp()
         except BaseException as error:
             self.client.close()
+            if isinstance(error, FileNotFoundError):  # or the store would look empty
+                text = f"a file that ~/.ssh/config names is missing: {error.filename}"
+                raise PermissionError(f"{self.host}: {text}") from None
             if (text := _refusal(error)) is None:
                 raise
             raise PermissionError(f"{self.host}: {text}") from None
@@ -67,8 +70,9 @@ class SSHFileSystem(SFTPFileSystem):
             result["port"] = int(entry["port"])
         if "user" in entry:
             result["username"] = entry["user"]
-        if "identityfile" in entry:
-            result["key_filename"] = entry["identityfile"]
+        keys = [key for key in entry.get("identityfile", []) if Path(key).expanduser().exists()]
+        if keys:  # ssh leaves out those that are missing, too
+            result["key_filename"] = keys
         return result
 
     def close(self) -> None:

@@ -25,7 +25,7 @@ class Sessions:
 
     def __init__(self, connect: Callable[[], Any]):
         self._connect = connect
-        self._begin()
+        self._of_process: dict[int, _Connections] = {}
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name.startswith("__"):
@@ -37,30 +37,34 @@ class Sessions:
 
         return called
 
-    def _begin(self) -> None:
-        self._process, self._idle = os.getpid(), list[Any]()
-        self._places = threading.BoundedSemaphore(SESSIONS)
-
     @contextlib.contextmanager
     def _session(self) -> Iterator[Any]:
-        if self._process != os.getpid():
-            self._begin()
-        with self._places:
+        # threads of a forked process that come at once all get the one that was set first
+        own = self._of_process.setdefault(os.getpid(), _Connections())
+        with own.places:
             try:
-                files = self._idle.pop()
+                files = own.idle.pop()
             except IndexError:
                 files = self._connect()
             try:
                 yield files
             except (FileNotFoundError, PermissionError):  # the server's answers
-                self._idle.append(files)
+                own.idle.append(files)
                 raise
             except BaseException:
-                idle, self._idle = self._idle, []
+                idle, own.idle = own.idle, []
                 for each in (files, *idle):
                     close(each)
                 raise
-            self._idle.append(files)
+            own.idle.append(files)
+
+
+class _Connections:
+    """Those of one process: idle ones, and places for SESSIONS that are used or made."""
+
+    def __init__(self) -> None:
+        self.idle: list[Any] = []
+        self.places = threading.BoundedSemaphore(SESSIONS)
 
 
 def close(files: Any) -> None:

@@ -152,6 +152,7 @@ def _serve(config: WorkerConfig, answer: Callable[..., None]) -> None:
             except OSError:
                 raise
             except (BadShot, InputError, RuntimeError, ValueError) as error:
+                lines.sync()
                 answer(bad=shot.id, reason=str(error).replace("\n", " "))
                 break
             extra = (

@@ -41,6 +41,8 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     polygons = _decoded(cells, list[Cell], "cells", where)
     corners = np.array([corner for cell in polygons for corner in cell], np.int64)
     lengths = np.array([len(cell) for cell in polygons], np.int64)
+    # cells of one or two corners, which are no triangles, had lowered the estimate
+    require_count(int(np.maximum(lengths - 2, 0).sum()), maximum, where)
     vertices = np.array(positions, np.float64)
     return from_polygons(vertices, corners, lengths, where)
 

@@ -99,6 +99,11 @@ def grown(plan, folder, count):
         file.close()
 
 
+def _shortened(line, out):
+    """A line as it is published: without the path of this machine."""
+    return line.replace(str(out.resolve()), "…")
+
+
 def timed(words, environment=None, until=None, seconds=None, log=os.devnull):
     """What a process takes; it is killed when `until` says so or after some seconds."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
@@ -208,7 +213,7 @@ def main():
     )
     note("export", **row)
     row = timed([*render, "--limit", str(MISSING)], environment, log=log)
-    note("resume", **row, said=log.read_text().splitlines()[-1])
+    note("resume", **row, said=_shortened(log.read_text().splitlines()[-1], options.out))
     write_json(options.out / "report.json", report)
     shutil.rmtree(exported, ignore_errors=True)
     if not options.keep:

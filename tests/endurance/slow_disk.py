@@ -163,7 +163,11 @@ def filled(disk, limit, command, folder, room):
     row = {
         "room_kib": room // 1024,
         "status": process.returncode,
-        "lines": [line for line in said.splitlines() if line.startswith("factory: ")],
+        "lines": [
+            line.replace(str(folder.parent), "…")  # without the path of this machine
+            for line in said.splitlines()
+            if line.startswith("factory: ")
+        ],
         "pictures": recorded(folder) if folder.exists() else 0,
         "bad": bad_records(folder),
         "drafts": [path.name for path in drafts(folder)] if folder.exists() else [],

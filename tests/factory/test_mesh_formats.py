@@ -692,5 +692,9 @@ def test_a_module_of_too_many_triangles_is_refused_before_they_are_held():
     polygon = "exports.positions=[[0,0,0]];exports.cells=[[" + ",".join("0" * 99) + "]]"
     with pytest.raises(InputError, match="at most 50 triangles, found 97"):
         from_bytes(polygon.encode(), ".js", "mesh.js", 50)
+    # 3,000 cells of one corner do not hide a polygon
+    hidden = polygon.replace("cells=[[", "cells=[" + "[0]," * 3000 + "[")
+    with pytest.raises(InputError, match="at most 50 triangles, found 97"):
+        from_bytes(hidden.encode(), ".js", "mesh.js", 50)
     with pytest.raises(InputError, match="bytes"):
         from_bytes(b" " * 10_000 + module(), ".js", "mesh.js", 20)

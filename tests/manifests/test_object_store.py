@@ -264,3 +264,8 @@ def test_verify_ends_where_the_store_is_lost(stored, kind):
     store.remote.read = lost
     with pytest.raises(Unreachable, match=rf"{kind}/.* found none"):
         faults_of(store)
+
+
+def test_a_url_held_as_a_path_is_shown_with_its_slashes():
+    for text in ("s3://bucket/x", "file:///tmp/x", "az://c/x"):
+        assert str(InputError(Path(text), "a", "b", "c")).startswith(f"{text}: expected a")
