@@ -48,9 +48,6 @@ class SSHFileSystem(SFTPFileSystem):
             self.ftp = self.client.open_sftp()
         except BaseException as error:
             self.client.close()
-            if isinstance(error, FileNotFoundError):  # or the store would look empty
-                text = f"a file that ~/.ssh/config names is missing: {error.filename}"
-                raise PermissionError(f"{self.host}: {text}") from None
             if (text := _refusal(error)) is None:
                 raise
             raise PermissionError(f"{self.host}: {text}") from None
@@ -117,6 +114,8 @@ def _refusal(error: BaseException) -> str | None:
     """Return why a server or its user is refused; None for what another try may mend."""
     if isinstance(error, paramiko.BadHostKeyException):
         return "the server's key is not the one in ~/.ssh/known_hosts"
+    if isinstance(error, FileNotFoundError):  # or the store would look empty
+        return f"a file that ~/.ssh/config names is missing: {error.filename or error}"
     text = str(error)
     if "not found in known_hosts" in text:
         return "the server's key is not in ~/.ssh/known_hosts: connect once with ssh"
