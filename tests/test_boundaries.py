@@ -36,7 +36,8 @@ for module in pkgutil.walk_packages(root.__path__, package + "."):
         try:
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
-            if error.name not in {"triton", "gradio"}:  # of the extras `cuda` and `app`
+            # of the extras `cuda`, `app` and `sftp`
+            if error.name not in {"triton", "gradio", "paramiko"}:
                 raise
 """
 

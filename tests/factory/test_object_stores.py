@@ -244,7 +244,11 @@ def test_a_part_that_was_written_before_an_error_is_written_once(
                 self._seen.add(path)
                 raise OSError("reset by peer")
 
-    monkeypatch.setattr(object_store, "_file_system", lambda *words: Deaf(made(*words)))
+    def deaf(*words):
+        files, base = made(*words)
+        return Deaf(files), base
+
+    monkeypatch.setattr(object_store, "_file_system", deaf)
     render(small_job, url)
     theirs = open_store(url, fresh=True)
     assert len(content(theirs)) == 12 and faults_of(theirs) == []
