@@ -1,40 +1,28 @@
-"""The ladder's report: one table per group of shapes, the families, refinement, and one figure.
+"""The ladder's report: tables of the rungs, the alignments, the families and refinement.
 
 Brackets are 95 % intervals by bootstrap in which whole shapes, target materials and lights are
 drawn with replacement.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from learn.evaluation.ladder_chart import chart
 from learn.evaluation.ladder_design import (
     GROUPS,
     HEADLINE,
     OTHER_ELEVATION_DEG,
     OTHER_FOV_DEG,
-    OUTSIDE_GROUP,
-    RUNGS,
-    Rung,
 )
+from learn.evaluation.ladder_lines import Figures, figure_of, groups, of, rungs
 from learn.evaluation.page import text_of
 from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
 from learn.metrics import bootstrap
 from manifests import files
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 TITLE = "The ladder: from direct light to a photograph"
-COLOURS = {
-    "own families": "#2f6f9f",
-    "general families of training": "#8a6fb0",
-    "held-out families": "#b3402a",
-    "outside meshes": "#2e7d4f",
-}
 COLUMNS = (
     column("normals", "normals ° ↓", 1, True),
     column("median", "median ° ↓", 1),
@@ -77,61 +65,6 @@ REFINED_COLUMNS = (
     column("light_before", "irradiance error, predicted ↓", 3, True),
     column("light_after", "refined ↓", 3, True),
 )
-FIGURES: tuple[tuple[str, str, Callable[[Mapping], float]], ...] = (
-    ("normals", "normals, mean angle (°)", lambda line: line["predicted"]["normals_mean_deg"]),
-    ("irradiance", "light, irradiance error", lambda line: line["predicted"]["irradiance"]),
-    ("edit", "edits, display L2", lambda line: line["predicted"]["edit_l2"]),
-)
-
-
-class Figures:
-    """The lines of one rung and group, and their weights in each bootstrap draw."""
-
-    def __init__(self, lines: Sequence[Mapping]):
-        self.lines = lines
-        names = [[line[key] for line in lines] for key in ("shape", "target", "light")]
-        self.weights = bootstrap.draws(bootstrap.groups_of(*names))
-        # a single shape, material or light cannot be drawn differently
-        self.enough = all(len(set(each)) > 1 for each in names)
-
-    def values(self, get: Callable[[Mapping], float | None]) -> np.ndarray:
-        """Return a figure (P,) float64, NaN where a line has none."""
-        values = [get(line) for line in self.lines]
-        return np.array([np.nan if value is None else value for value in values], np.float64)
-
-    def interval(
-        self, get: Callable[[Mapping], float | None], kept: np.ndarray | None = None
-    ) -> list[float] | float | None:
-        """Return [mean, low, high] over the lines that have the figure; None if none has.
-
-        Of a single shape, material or light the mean alone is returned.
-
-        kept  (P,) bool, the lines that count; None: all
-        """
-        values = self.values(get)
-        present = np.isfinite(values) & (True if kept is None else kept)
-        if not present.any():
-            return None
-        if not self.enough:
-            return float(values[present].mean())
-        weights = self.weights[:, present]
-        return bootstrap.interval(values[present], weights[weights.sum(1) > 0])
-
-
-def groups(lines: Sequence[Mapping]) -> list[str]:
-    """Return those of GROUPS that the lines have."""
-    return [group for group in GROUPS if any(line["group"] == group for line in lines)]
-
-
-def rungs(lines: Sequence[Mapping]) -> list[Rung]:
-    """Return those of RUNGS that the lines have; the second test side has two."""
-    names = {line["rung"] for line in lines}
-    return [rung for rung in RUNGS if rung.name in names]
-
-
-def of(lines: Sequence[Mapping], rung: str, group: str) -> list[Mapping]:
-    """Return the lines of a rung and a group."""
-    return [line for line in lines if (line["rung"], line["group"]) == (rung, group)]
 
 
 def cells(lines: Sequence[Mapping]) -> dict[str, Cell]:
@@ -216,7 +149,7 @@ def _parts(lines: Sequence[Mapping], kind: str, key: str) -> list[tuple[str, Cel
     """Return the cells of one alignment in `aligned_table`."""
     figures = Figures(lines)
     metal = np.array([line["metal"] for line in lines])
-    get = _figure(kind, key)
+    get = figure_of(kind, key)
     return [
         (f"{key}_mean", figures.interval(get)),
         (f"{key}_median", float(np.median(figures.values(get)))),
@@ -271,10 +204,10 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
                     ("normals_mean_deg", f"normals_{after}"),
                     ("irradiance", f"light_{after}"),
                 ):
-                    row[name] = figures.interval(_figure(kind, key))
+                    row[name] = figures.interval(figure_of(kind, key))
             for key, name in (("edit_l2", "ratio"), ("edit_l2_aligned", "aligned_ratio")):
                 before, end = (
-                    figures.values(_figure(kind, key)) for kind in ("predicted", "refined")
+                    figures.values(figure_of(kind, key)) for kind in ("predicted", "refined")
                 )
                 row[name] = (
                     bootstrap.relative(before, end, figures.weights)
@@ -287,11 +220,6 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
         " after the factor on the edit's radiance that makes it least."
     )
     return table("Refinement on the ladder", note, REFINED_COLUMNS, rows)
-
-
-def _figure(kind: str, key: str) -> Callable[[Mapping], float]:
-    """The figure `key` of a line's "predicted" or "refined"."""
-    return lambda line: line[kind][key]
 
 
 def counts(lines: Sequence[Mapping]) -> dict[str, int]:
@@ -386,59 +314,3 @@ def origin(about: Mapping) -> list[str]:
             " (`python -m learn evaluate-ladder --jobs DIR --meshes FOLDER` adds them to the jobs)."
         )
     return lines
-
-
-def chart(lines: Sequence[Mapping], side: str) -> "Figure":
-    """Return the figure: normals, light and edits over the rungs, one line per group."""
-    from matplotlib.figure import Figure as Drawing
-
-    figure = Drawing(figsize=(13, 4.4), layout="constrained", dpi=110)
-    shown, steps = groups(lines), rungs(lines)
-    axes = figure.subplots(1, len(FIGURES))
-    for place, (_, title, get) in zip(axes, FIGURES, strict=True):
-        for number, group in enumerate(shown):
-            _draw(place, lines, group, get, (number - (len(shown) - 1) / 2) * 0.08)
-        place.set_title(title, fontsize=11)
-        place.set_xticks(range(len(steps)), [rung.name for rung in steps])
-        place.axvspan(-0.4, 0.4, color="0.94", zorder=0)
-        place.set_xlim(-0.4, len(steps) - 0.6)
-        place.set_ylim(0, 1.1 * place.get_ylim()[1])
-        place.grid(axis="y", alpha=0.3)
-        for edge in ("top", "right"):
-            place.spines[edge].set_visible(False)
-    handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    figure.suptitle(
-        f"Predictions on the {side} side; each rung adds one thing (bars: 95 % intervals; grey:"
-        " the picture the layer itself can compute)",
-        fontsize=10,
-    )
-    return figure
-
-
-def _draw(
-    place: "Axes",
-    lines: Sequence[Mapping],
-    group: str,
-    get: Callable[[Mapping], float],
-    shift: float,
-) -> None:
-    points = [
-        (number + shift, *(interval if isinstance(interval, list) else [interval] * 3))
-        for number, rung in enumerate(rungs(lines))
-        if (here := of(lines, rung.name, group))
-        and (interval := Figures(here).interval(get)) is not None
-    ]
-    x, mean, low, high = np.array(points).T
-    marker = "s--" if group == OUTSIDE_GROUP else "o-"
-    place.errorbar(
-        x,
-        mean,
-        [np.maximum(mean - low, 0), np.maximum(high - mean, 0)],
-        fmt=marker,
-        color=COLOURS[group],
-        capsize=3,
-        lw=1.6,
-        ms=5,
-        label=group,
-    )

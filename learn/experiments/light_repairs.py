@@ -81,29 +81,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the run, and what is trained and measured."""
     options.add_data(parser)
     options.add_lights(parser)
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="general-compact",
-        metavar="NAME|FILE.json",
-        help="a preset of manifests/runs, or a run file, of the network compact-wrapped with losses"
-        " of the light (default general-compact)",
-    )
-    parser.add_argument(
-        "--steps", type=positive, default=600, metavar="N", help="of each variant (default 600)"
-    )
+    ablation_options.add_run(parser, "the network compact-wrapped with losses of the light")
     parser.add_argument(
         "--pictures",
         type=positive,
         metavar="N",
         help="pictures of each step (default: as many as the run says)",
     )
-    parser.add_argument(
-        "--variants",
-        nargs="*",
-        metavar="NAME",
-        help=f'of {", ".join(VARIANTS)}; "{REFERENCE}" must be among them (default: all)',
-    )
+    ablation_options.add_variants(parser, VARIANTS, REFERENCE)
     ablation_options.add_batches(parser)
     options.add_size(parser, 64)
     options.add_seed(parser, "seed of the network and the batches")
@@ -252,13 +237,11 @@ def light_figures(light: torch.Tensor, true: torch.Tensor) -> dict[str, torch.Te
     from learn.training.losses import solid_angles
 
     squared = (torch.log1p(light) - torch.log1p(true)) ** 2
-    outermost = ring(light, 0)
+    outermost, within = ring(light, 0), ring(light, 4)
     brightness, steps, colours = [], [], []
     for each in (light, true):
         logarithm = (FAINT + each.mean(1)).log2()
-        brightness.append(
-            logarithm[:, ring(light, 0)].mean(1) - logarithm[:, ring(light, 4)].mean(1)
-        )
+        brightness.append(logarithm[:, outermost].mean(1) - logarithm[:, within].mean(1))
         steps.append((logarithm[..., 0] - logarithm[..., -1]).abs().mean(1))
         mean = (each * solid_angles(each)).sum((2, 3)).clamp(min=1e-6).log2()
         colours.append(mean[:, 1] - (mean[:, 0] + mean[:, 2]) / 2)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from manifests.schema import Record
 
 DRAWS = 2000
-LEVELS = (2.5, 97.5)
 KINDS = ("light", "shape", "material")  # what the bootstrap draws; keys of a row
 GROUPS = ("nearest third", "middle third", "farthest third")
 FEWEST = 4  # shapes, of which a rank correlation is given
@@ -240,6 +239,8 @@ def rank_correlation(pairs: np.ndarray, seed: int = 0) -> tuple[float, float, fl
     import numpy as np
     from scipy.stats import rankdata
 
+    from learn.metrics import bootstrap
+
     if len(pairs) < FEWEST or (np.ptp(pairs, 0) == 0).any():
         return None
 
@@ -250,7 +251,7 @@ def rank_correlation(pairs: np.ndarray, seed: int = 0) -> tuple[float, float, fl
 
     rng = np.random.default_rng(seed)
     drawn = [of(pairs[rng.integers(len(pairs), size=len(pairs))]) for _ in range(DRAWS)]
-    low, high = np.nanpercentile(drawn, LEVELS)
+    low, high = np.nanpercentile(drawn, bootstrap.LEVELS)
     return of(pairs), float(low), float(high)
 
 

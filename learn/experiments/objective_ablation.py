@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import ablation_options, runner
-from manifests.option_types import positive
 from manifests.training_runs import LayerMethod
 
 if TYPE_CHECKING:
@@ -91,17 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the run, and what is trained and measured."""
     options.add_data(parser)
     options.add_lights(parser)
-    parser.add_argument(
-        "--run",
-        dest="run_name",
-        default="general-compact",
-        metavar="NAME|FILE.json",
-        help="a preset of manifests/runs, or a run file, of a compact network and all parts"
-        " (default general-compact)",
-    )
-    parser.add_argument(
-        "--steps", type=positive, default=600, metavar="N", help="of each variant (default 600)"
-    )
+    ablation_options.add_run(parser, "a compact network and all parts")
     parser.add_argument(
         "--starts",
         dest="initialisations",
@@ -117,12 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|NAME",
         help="the weights of --starts weights (default general-compact)",
     )
-    parser.add_argument(
-        "--variants",
-        nargs="*",
-        metavar="NAME",
-        help=f'of {", ".join(VARIANTS)}; "{REFERENCE}" must be among them (default: all)',
-    )
+    ablation_options.add_variants(parser, VARIANTS, REFERENCE)
     parser.add_argument(
         "--features",
         metavar="FILE.safetensors",

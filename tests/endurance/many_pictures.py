@@ -14,7 +14,6 @@ temporary   files in the run's own TMPDIR
 """
 
 import argparse
-import io
 import os
 import subprocess
 import sys
@@ -24,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from manifests.files import write_bytes, write_json, write_text
+from manifests.files import write_figure, write_json, write_text
 from manifests.provenance import provenance, shortened
 
 FIRST = 100  # pictures after which memory should not grow
@@ -85,7 +84,7 @@ def growth(rows, column):
 
 
 def chart(rows):
-    """A PNG of all columns over the number of pictures."""
+    """A figure of all columns over the number of pictures."""
     from matplotlib.figure import Figure
 
     drawing = Figure(figsize=(10, 6), layout="constrained")
@@ -106,9 +105,7 @@ def chart(rows):
         each.grid(alpha=0.3)
     for each in axes[2:]:
         each.set_xlabel("pictures")
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, dpi=100)
-    return buffer.getvalue()
+    return drawing
 
 
 def main():
@@ -148,7 +145,7 @@ def main():
         "rows": [list(row) for row in rows[:: max(1, len(rows) // 400)]],
     }
     write_json(options.out / "report.json", result)
-    write_bytes(options.out / "chart.png", chart(table))
+    write_figure(options.out / "chart.png", chart(table), dpi=100)
     lines = [
         "# Many pictures in one run",
         "",

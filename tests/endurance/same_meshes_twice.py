@@ -19,7 +19,6 @@ by the usual measure   the last tenth of the pictures beside the tenth after the
 """
 
 import argparse
-import io
 import sys
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from scipy.stats import t as student
 from factory.planning.jobs import load
 from factory.planning.shape_names import sources
 from factory.shapes.catalogue import load as load_mesh
-from manifests.files import write_bytes, write_json, write_text
+from manifests.files import write_figure, write_json, write_text
 from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from tests.endurance.many_pictures import COLUMNS, FIRST, growth, watched
@@ -68,7 +67,7 @@ def doubled(job, folder):
 
 
 def by_mesh(rows, shapes, names):
-    """Median memory (2, meshes) while each mesh is in use, both times; NaN where nobody looked.
+    """Median memory (2, meshes) while each mesh is in use, both times; NaN without a sample.
 
     shapes  of the pictures, in the order in which they were made
     names   of the meshes
@@ -99,7 +98,7 @@ def mean_growth(memory):
 
 
 def chart(rows, memory, triangles):
-    """A PNG of memory over the number of pictures, and of the second time over the first."""
+    """A figure of memory over the number of pictures, and of the second time over the first."""
     from matplotlib.figure import Figure
 
     drawing = Figure(figsize=(10, 4), layout="constrained")
@@ -114,9 +113,7 @@ def chart(rows, memory, triangles):
     right.legend()
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, dpi=100)
-    return buffer.getvalue()
+    return drawing
 
 
 def main():
@@ -167,7 +164,7 @@ def main():
         "rows": [list(row) for row in rows[:: max(1, len(rows) // 400)]],
     }
     write_json(options.out / "report.json", result)
-    write_bytes(options.out / "chart.png", chart(table, memory, triangles))
+    write_figure(options.out / "chart.png", chart(table, memory, triangles), dpi=100)
     lines = [
         "# The same meshes twice in one run",
         "",

@@ -123,7 +123,7 @@ def test_plain_torch_is_compared_with_the_sum_and_its_time_is_scaled_to_all_pixe
 def test_a_renewed_report_has_the_new_rows_of_the_methods_and_the_old_ones_of_all_others(
     tmp_path, capsys, monkeypatch
 ):
-    """Without measuring: every setting takes as many seconds as the run is told."""
+    """Without measuring: every setting takes as many seconds as the run is given."""
     taking = {"seconds": 77.0}
 
     def measured(cases, folder, with_torch, with_mitsuba, methods):

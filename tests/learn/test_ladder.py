@@ -14,7 +14,7 @@ import torch
 
 from learn.commands import evaluate_ladder
 from learn.data.records import Records
-from learn.evaluation import ladder, ladder_design, ladder_pictures, ladder_report
+from learn.evaluation import ladder, ladder_design, ladder_lines, ladder_pictures, ladder_report
 from learn.evaluation.ladder_design import OWN_GROUP, PARTS, RUNGS
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -414,10 +414,10 @@ def test_intervals_need_several_shapes_materials_and_lights():
             "value": float(number)
         }
 
-    several = ladder_report.Figures([line(k, f"s{k // 3}") for k in range(12)])
+    several = ladder_lines.Figures([line(k, f"s{k // 3}") for k in range(12)])
     mean, low, high = several.interval(lambda row: row["value"])
     assert mean == 5.5 and low < 4 and high > 7
-    one = ladder_report.Figures([line(k, "s") for k in range(12)])
+    one = ladder_lines.Figures([line(k, "s") for k in range(12)])
     assert one.interval(lambda row: row["value"]) == 5.5
     assert one.interval(lambda row: None) is None
 

@@ -53,7 +53,7 @@ sync; echo o > /proc/sysrq-trigger; sleep 5
 
 
 def missing():
-    """The programs that are not installed; all of them where nobody may start machines."""
+    """The programs that are not installed; all of them where machines may not be started."""
     if os.geteuid() or not MODULES.is_dir():
         return list(PROGRAMS)
     path = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"

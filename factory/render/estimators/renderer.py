@@ -92,7 +92,7 @@ class Renderer(Protocol):
                           where memory does not suffice. None where no closed form holds. With
                           `where` (height, width) only these pixels, and the others as in `known`
     direct_light_work     what it takes; None as above
-    forget_grids          makes `direct_light` see the shape anew, as it does in another view
+    forget_grids          makes `direct_light` see the shape again, as it does in another view
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
 

@@ -6,7 +6,6 @@ view and material, 0 of what renders light by light, and `each` for every pictur
 
 from __future__ import annotations
 
-import io
 import math
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.validation.speed_accuracy_report import at_error
-from manifests.files import write_bytes
+from manifests.files import write_figure
 
 COUNTS = (1, 4, 16, 64)  # pictures of a view and material
 OTHERS = ("path tracing", "denoised", "ratio")
@@ -149,6 +148,4 @@ def chart(of: list[dict[str, Any]], path: Path) -> None:
         axes.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("display L2 over the object, mean")
     panels[-1].legend(fontsize=7)
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, dpi=100)
-    write_bytes(path, buffer.getvalue())
+    write_figure(path, drawing, dpi=100)

@@ -6,14 +6,13 @@ rows  dictionaries of one scene and setting each, with family, setting, seconds 
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manifests.files import write_bytes
+from manifests.files import write_figure
 
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
 LIMIT = "limit on the error"
@@ -292,9 +291,7 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
             axes.set_title(f"{tier}: {title}" if len(tiers) > 1 else title)
         line[0].set_ylabel("display L2 over the object")
         line[0].legend(fontsize=7)
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, dpi=110)
-    write_bytes(path, buffer.getvalue())
+    write_figure(path, drawing, dpi=110)
 
 
 def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str, str]) -> None:
