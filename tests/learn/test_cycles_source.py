@@ -174,6 +174,13 @@ def test_no_picture_of_a_material_that_the_data_set_holds_out_trains(store):
     assert of_training(store, Data(source="pictures")) == {("light",)}
 
 
+def test_pictures_of_every_material_train_where_nothing_but_shapes_is_held_out(store):
+    dark = materials.read_catalogue(store.folder / "materials.json").materials[0]
+    synthetic.exchange(store, msgspec.structs.replace(dark, split="test"))
+    every = Data(source="pictures", all_materials_and_lights=True)
+    assert of_training(store, every) == {("dark",), ("light",)}
+
+
 def of_training(store, data, maps=None):
     """The materials of the pictures that would train."""
     records = Records(store.folder)
