@@ -14,8 +14,8 @@ EPILOG = """examples:
   python -m factory export out/demo --to records --out demo.parquet
   python -m factory export out/demo --to tars --out demo-tars --split train
 
-Run the same command again to continue: files that exist are whole and stay. A table of records is
-replaced; tars need a folder without tars.
+Run the same command again to continue: files that exist are complete and are kept. But a table of
+records is replaced, and tars need a folder that has none yet.
 docs/exporting.md describes the formats."""
 
 # what is no format of samples: the data set's own files, and a table of its records
@@ -40,16 +40,19 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--to",
         choices=(*FORMATS, *OWN),
         help=(
-            "webdataset, parquet, huggingface, hdf5 (as BlenderProc writes it): pictures, geometry,"
-            " records and labels, with a data card; tars: the data set's own files, unchanged;"
-            " records: a table of the records alone, as one Parquet file"
+            "the format. webdataset, parquet, huggingface or hdf5 (as BlenderProc writes it):"
+            " pictures, geometry, records and labels, with a data card; tars: the data set's own"
+            " files, unchanged; records: a table of the records alone, as one Parquet file"
         ),
     )
     parser.add_argument(
-        "--out", type=Path, metavar="PATH", help="the folder to write to; of records, the file"
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="the folder to write to; with --to records, the file",
     )
     parser.add_argument(
-        "--by", metavar="NAME", help="who rendered it, for the data card of formats that have one"
+        "--by", metavar="NAME", help="who rendered the data set; the data card states it"
     )
     for name, form in (("--parquet", "records"), ("--tars", "tars")):
         parser.add_argument(
@@ -64,7 +67,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--each",
         type=positive,
         metavar="N",
-        help=f"number of samples per file, of hdf5 per folder (default {EACH})",
+        help=f"number of samples per file, or with hdf5 per folder (default {EACH})",
     )
     parser.set_defaults(run=run)
 

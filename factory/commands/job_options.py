@@ -40,14 +40,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lights",
         metavar="DIR",
-        help="a folder of further light maps, which the job may then name",
+        help="a folder of your own light maps, which the job may then name",
     )
     parser.add_argument(
         "--catalogue",
         action="append",
         default=[],
         metavar="FILE",
-        help="a catalogue of materials besides the built-in ones; repeat the option for several",
+        help="a catalogue of materials to add to the built-in ones; repeat the option for several",
     )
 
 
@@ -58,8 +58,9 @@ def add_error(parser: argparse.ArgumentParser) -> None:
         type=above_zero,
         metavar="E",
         help=(
-            "the display L2 over the object, of noise and bias together, that each picture may"
-            " have; samples are then chosen for each picture"
+            "the largest error that a picture may have (display L2 over the object, noise and bias"
+            " together); the number of samples is then chosen for each picture (default: no limit;"
+            " every picture has the job's samples)"
         ),
     )
 

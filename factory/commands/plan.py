@@ -32,11 +32,11 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `plan`."""
     parser = subparsers.add_parser(
         "plan",
-        help="show how many pictures a job has, and how much time and space it takes",
+        help="show how many pictures a job has, and how much time and disk space it takes",
         description=(
-            "Counts the pictures of a job and of its splits, and forecasts time and disk space"
-            " from pictures of all its parts, which it renders for a quarter of a minute. Writes"
-            " nothing."
+            "Counts the pictures of a job and of its splits, and forecasts time and disk space. For"
+            " the forecast it renders pictures of all parts of the job for a quarter of a minute."
+            " Writes no files."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,

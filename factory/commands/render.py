@@ -26,13 +26,13 @@ EPILOG = """examples:
     python -m factory render geometry --out out/geometry
   part 3 of a job array of 8, whose tasks all write into one folder:
     python -m factory render my-job.json --out out/mine --shard 3/8
-  every picture with at most a display L2 of 5, by as few samples as that takes:
+  every picture with an error of at most 5 (display L2), with as few samples as that takes:
     python -m factory render my-job.json --out out/mine --error 5
   on a Ray cluster, or on a local one if none is there:
     python -m factory render my-job.json --out out/mine --ray auto
-  into an object store; credentials are those of the environment:
+  into an object store, with credentials from the environment:
     python -m factory render my-job.json --out s3://bucket/mine
-  no job file:
+  without a job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
 Presets: agreement, demo-full, demo, finetune, geometry-20, geometry-general, geometry-meshes,
@@ -50,8 +50,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "render",
         help="render a job, or a few meshes, into a data set",
         description=(
-            "Renders pictures, normals and labels into a data set's folder: of a job, or of the"
-            " meshes, materials and lights that options name."
+            "Renders a job, or the meshes, materials and lights that options name. Writes pictures,"
+            " normals, depth and labels into the folder of a data set."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -64,8 +64,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         metavar="DIR",
         help=(
-            "the data set's folder; made if it does not exist, and added to if it does; or the"
-            " URL of one on an object store, such as s3://bucket/mine (extra stores)"
+            "the data set's folder, which is made if it does not exist and added to if it does; or"
+            " the URL of a folder on an object store, such as s3://bucket/mine (extra stores)"
         ),
     )
     job_options.add(parser)
@@ -82,16 +82,16 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--ray",
         metavar="ADDRESS",
         help=(
-            "render on all CPUs of a Ray cluster at HOST:PORT that shares the folder; auto: this"
-            " machine's cluster, or a new one here (needs the package ray)"
+            "render on all CPUs of the Ray cluster at HOST:PORT, which shares the folder; or auto:"
+            " on the cluster that this machine belongs to, or else on a new one here (extra ray)"
         ),
     )
     parser.add_argument(
         "--geometry-only",
         action="store_true",
         help=(
-            "render normals, depth and segments of every view and no pictures, for training that"
-            " relights"
+            "render normals, depth and segments of every view but no pictures, for training that"
+            " relights geometry"
         ),
     )
     _add_job_without_file(parser)
@@ -114,7 +114,7 @@ WITHOUT_JOB = {
 def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     single = parser.add_argument_group(
         "options in place of a job file",
-        "Files of --mesh and --light that do not lie where they are named are looked for in"
+        "Files of --mesh and --light that are not where their path says are looked for in"
         " --assets.",
     )
     single.add_argument(

@@ -22,9 +22,9 @@ EPILOG = """examples:
   python -m factory shapes preview car:3 sphere my/kettle.obj --out three.png
   python -m factory shapes add my/kettle.obj --category object --library my-shapes --licence CC0
 
-A shape is FAMILY:SEED (car, chair, sofa or monitor, and any whole number), a primitive (sphere,
-cube, torus, disc or blob), or a mesh file: OBJ, PLY, GLB, STL, OFF, or LIBRARY.sh3f#NAME of Sweet
-Home 3D's furniture libraries."""
+A shape is FAMILY:SEED (such as chair:3 or vessel:0; `shapes list` names all families, and a seed is
+any whole number), a primitive (sphere, cube, torus, disc or blob), or a mesh file (OBJ, PLY, GLB,
+STL or OFF). LIBRARY.sh3f#NAME is a piece of one of Sweet Home 3D's furniture libraries."""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:

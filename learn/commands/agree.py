@@ -8,10 +8,17 @@ import argparse
 from pathlib import Path
 
 from learn.commands import options
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive
 
 # exit status: the report is whole, and says that the renderers disagree beyond the limit
 DISAGREE = 3
+
+EPILOG = """example:
+  python -m learn agree demo-data --out agreement
+
+Exit status: 0 where the two renderers agree within the limit, or where the pictures do not suffice
+to judge it; 3 where they disagree beyond it; 1 and 2 as for every command."""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -20,14 +27,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "agree",
         help="compare Cycles' pictures with the layer's, and say why they differ",
         description=(
-            "Renders every record of a dataset again with the differentiable layer, from its label,"
-            " normals and light, and compares. Writes index.html (open it first), report.md,"
-            " report.json and charts. Pictures rendered twice with different seeds (a job's repeats"
-            " = 2) let it separate noise from disagreement. Exit status: 0 where the two renderers"
-            " agree within the limit, or where the pictures do not suffice to judge it; 3 where"
-            " they disagree beyond it; 1 and 2 as for every command. Example: python -m learn agree"
-            " demo-data --out agreement"
+            "Renders every record of a data set again with the differentiable layer, from its"
+            " label, normals and light, and compares the result with Cycles' picture. Writes"
+            " index.html (open it first), report.md, report.json and charts. Pictures that were"
+            " rendered twice with different seeds (a job's repeats = 2) let it separate noise"
+            " from disagreement."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "dataset", type=Path, metavar="DIR", help="a folder that `python -m factory render` wrote"

@@ -9,9 +9,15 @@ from pathlib import Path
 from learn.commands import options
 from manifests import other_threads
 from manifests.errors import InputError
+from manifests.help_format import HelpFormatter
 
 LOCAL = "127.0.0.1"
 LARGEST_PORT = 65535
+
+EPILOG = """examples:
+  python -m learn app
+  python -m learn app --host 0.0.0.0 --port 8080
+  python -m learn app photo.jpg --mask mask.png --repeat edit.json --out edited"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -20,13 +26,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "app",
         help="edit photographs on a page in the browser",
         description=(
-            "Serves a page on which a photograph is chosen, its object marked by clicks, and the"
-            " object given other materials, blends of two, and other lights. It needs the extra"
-            " `app` and no network, and listens on this computer alone. With --repeat it serves"
-            " nothing, and repeats an edit that was made on the page. Examples: brdfactory app;"
-            " brdfactory app --host 0.0.0.0 --port 8080; brdfactory app photo.jpg --mask mask.png"
-            " --repeat edit.json --out edited"
+            "Serves a web page for editing: choose a photograph, click on its object to make"
+            " the mask, and give the object another material, a blend of two, or another light."
+            " It needs the extra `app` but no network, and only this computer can open the page."
+            " With --repeat it serves nothing, and repeats an edit that was made on the page."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "photo", nargs="?", metavar="PHOTO", help="with --repeat: the photograph, or example:NAME"

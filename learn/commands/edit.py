@@ -8,6 +8,12 @@ from pathlib import Path
 from learn.commands import editing_options, options
 from manifests import other_threads
 from manifests.errors import InputError
+from manifests.help_format import HelpFormatter
+
+EPILOG = """examples:
+  python -m learn edit photo.jpg --mask mask.png --material brass red-fabric --out edited
+  python -m learn edit cut-out.png --material other-photo.png --out edited
+  python -m learn edit example:espresso-cup --material dark-blue-paint+keep --out cup"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -16,19 +22,20 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "edit",
         help="change what the object of a photograph is made of",
         description=(
-            "Decomposes a photograph of one object into normals, light and material, refines them"
-            " until their rendering looks like the photograph, and renders the object again in"
-            " other materials, in front of its own background and at the photograph's size. Writes"
-            " the edited pictures, the decomposition, and one contact sheet (sheet.png). Example:"
-            " python -m learn edit chair.png --mask chair-mask.png --material brass red-fabric"
-            " --out edited"
+            "Changes the material of one object in a photograph. Normals, light and material"
+            " are predicted from the photograph and refined until a rendering of them looks like"
+            " it; then the object is rendered again in each of the materials that you name, in"
+            " front of its own background and at the photograph's size. Writes the edited"
+            " pictures, the decomposition, and one contact sheet (sheet.png)."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "photo",
         type=Path,
         metavar="PHOTO",
-        help="PNG, JPEG, TIFF, EXR …, of any size; a dataset's folder; or example:espresso-cup",
+        help="PNG, JPEG, TIFF, EXR …, of any size; a data set's folder; or example:espresso-cup",
     )
     parser.add_argument(
         "--mask",

@@ -8,7 +8,11 @@ import argparse
 from pathlib import Path
 
 from learn.commands import options
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive, whole
+
+EPILOG = """example:
+  python -m learn evaluate --data test-data --out evaluation"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -17,13 +21,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "evaluate",
         help="measure edits against Cycles' renderings of the same edits",
         description=(
-            "Edits pictures of a data set into materials in which the data set holds the same"
-            " shape, view and light, and compares each edit with that rendering, for our method and"
-            " for others. Writes index.html (open it first), report.md and report.json. Each"
-            " finished edit is a line in edits.jsonl, so that the same command continues a stopped"
-            " run, and a larger --edits adds to it. Example: python -m learn evaluate --data"
-            " test-data --out evaluation"
+            "Compares edits with the truth. Pictures of a data set are edited into materials in"
+            " which the data set holds the same shape, view and light, by our method and by"
+            " others, and each edit is compared with that rendering. Writes index.html (open it"
+            " first), report.md and report.json. Every finished edit is a line in edits.jsonl:"
+            " the same command continues a stopped run, and a larger --edits adds to it."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     options.add_data(parser, "a data set with pictures in two materials or more of each view")
     options.add_weights(parser, options.TABLE_WEIGHTS)

@@ -6,11 +6,16 @@ import argparse
 from pathlib import Path
 
 from learn.commands import options
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive, whole
 
 SIDES = ("development", "test", "second-test")
 RUNGS = ("direct", "shadow", "full", "square", "8-bit", "camera")
 MESHES = 6  # that are used of a folder, unless --mesh-count is given
+
+EPILOG = """examples:
+  python -m learn evaluate-ladder --jobs ladder-jobs
+  python -m learn evaluate-ladder --data ladder-data --out ladder"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -19,15 +24,19 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "evaluate-ladder",
         help="measure weights from direct light, rung by rung, up to photographs",
         description=(
-            "Measures weights on the same objects with direct light only, with shadows, with"
-            " interreflection, with square pixels, as an 8-bit PNG, and from an unknown camera:"
-            " normals, light and edits, for own families, held-out families and outside meshes."
-            " --jobs DIR writes the jobs that render the pictures; --data and --out measure them."
-            " The same command continues a stopped run. Example: python -m learn evaluate-ladder"
-            " --data ladder-data --out ladder"
+            "Measures weights on pictures of the same objects that come closer to a photograph"
+            " with each rung: direct light only, with shadows, with interreflection, with square"
+            " pixels, as an 8-bit PNG, and from an unknown camera. Reports normals, light and"
+            " edits for the program's own families of shapes, for held-out families and for"
+            " outside meshes. First write the jobs with --jobs DIR and render them; then measure"
+            " the pictures with --data and --out. The same command continues a stopped run."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
-    parser.add_argument("--data", type=Path, metavar="DIR", help="the data set of these jobs")
+    parser.add_argument(
+        "--data", type=Path, metavar="DIR", help="the data set that these jobs rendered"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results")
     parser.add_argument(
         "--jobs",

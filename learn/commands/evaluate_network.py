@@ -6,7 +6,11 @@ import argparse
 from pathlib import Path
 
 from learn.commands import options
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive
+
+EPILOG = """example:
+  python -m learn evaluate-network run/weights.safetensors --data geometry-data --out card"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -15,11 +19,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "evaluate-network",
         help="measure weights on shapes, materials and lights that they never saw",
         description=(
-            "Measures weights on the test split of a data set. Writes card.md and card.json, which"
-            " say what the weights were trained on and how large their errors are, and a contact"
-            " sheet (sheet.jpg). Example: python -m learn evaluate-network run/weights.safetensors"
-            " --data geometry-data --out card"
+            "Measures weights on the test split of a data set. Writes card.md and card.json,"
+            " which say what the weights were trained on and how large their errors are, and a"
+            " contact sheet (sheet.jpg)."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("weights", type=Path, metavar="FILE", help="weights.safetensors of a run")
     options.add_data(parser, "the data set that the run was trained on")

@@ -5,6 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from manifests.help_format import HelpFormatter
+
+EPILOG = """example:
+  python -m learn join-weights --normals normals/weights.safetensors \\
+      --others run/weights.safetensors --out joined.safetensors"""
+
 
 def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the command's parser."""
@@ -12,12 +18,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "join-weights",
         help="join weights that predict normals with others that predict all parts",
         description=(
-            "Writes weights whose normals are the mean of those of a network of type"
-            " compact-pretrained and of one of type compact-wrapped, which predicts material and"
-            " light as well. Example: python -m learn"
-            " join-weights --normals normals/weights.safetensors --others run/weights.safetensors"
-            " --out joined.safetensors"
+            "Joins two networks into one whose normals are the mean of both. One is of type"
+            " compact-pretrained and predicts normals; the other is of type compact-wrapped and"
+            " predicts material and light as well."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "--normals", type=Path, required=True, metavar="FILE", help="weights that predict normals"

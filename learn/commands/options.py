@@ -32,8 +32,8 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
         "--overwrite",
         action="store_true",
         help=(
-            "replace earlier results in the folder; those that this run does not make are removed,"
-            " if they are as an earlier run of the command left them"
+            "replace earlier results in the folder; results of an earlier run that this one does"
+            " not make are removed, unless they were changed since"
         ),
     )
 
@@ -58,10 +58,10 @@ def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS
         metavar="FILE|NAME",
         help=(
             "weights.safetensors of a training run, or the name of weights that come with the"
-            " program: general-compact, which knows any object and photographs, or joint-compact,"
-            " which knows chairs, sofas, cars and monitors from one elevation, and of which most"
-            " published figures are, or general-two-encoders, whose normals are nearer the truth"
-            f" than general-compact's and whose edits are not (default: {default.stem})"
+            " program: general-compact (any object, and photographs), joint-compact (chairs, sofas,"
+            " cars and monitors seen from one elevation; used for most published figures), or"
+            " general-two-encoders (better normals than general-compact, but no better edits)"
+            f" (default: {default.stem})"
         ),
     )
 
@@ -91,8 +91,8 @@ def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
         type=float,
         metavar="X",
         help=(
-            f"multiply the {picture} by X to get radiance (default: estimated from what is rendered"
-            " again and from the background)"
+            f"multiply the {picture} by X to get radiance (default: estimated from a rendering of"
+            " the predicted object and from the background)"
         ),
     )
 
@@ -149,8 +149,9 @@ def add_ray(parser: argparse.ArgumentParser) -> None:
         "--ray",
         metavar="ADDRESS",
         help=(
-            "measure on all CPUs of a Ray cluster at HOST:PORT that shares the folders, with one"
-            " thread each; auto: this machine's cluster, or a new one here (needs the package ray)"
+            "measure on all CPUs of the Ray cluster at HOST:PORT, which shares the folders, with"
+            " one thread each; or auto: on the cluster that this machine belongs to, or else on a"
+            " new one here (extra ray)"
         ),
     )
 
@@ -170,8 +171,8 @@ def add_allow_overlap(parser: argparse.ArgumentParser) -> None:
         "--allow-overlap",
         action="store_true",
         help=(
-            "go on where the weights saw a tested shape, material or light in training; the report"
-            " says so at its top"
+            "measure even if the weights saw a tested shape, material or light in training; the"
+            " report then says so at its top"
         ),
     )
 

@@ -7,6 +7,10 @@ from pathlib import Path
 
 from learn.commands import editing_options, options
 from manifests import other_threads
+from manifests.help_format import HelpFormatter
+
+EPILOG = """example:
+  python -m learn predict photo.jpg --mask mask.png --out parts"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -16,18 +20,19 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="decompose one picture into normals, light and material",
         description=(
             "Predicts normals, light and material of the object in one picture, and renders it"
-            " again from them. Writes normals, light and the rendering as EXR and PNG, the material"
-            " as JSON, and one contact sheet (sheet.png). Example: python -m learn predict"
-            " photo.jpg --mask mask.png --out parts"
+            " again from them. Writes normals, light and the rendering as EXR and PNG, the"
+            " material as JSON, and one contact sheet (sheet.png)."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "image",
         type=Path,
         metavar="IMAGE",
         help=(
-            "a picture of any size (PNG, JPEG, TIFF, EXR …); a data set's folder, of which a"
-            " held-out record is taken; or example:espresso-cup, whose cup and saucer are one"
+            "a picture of any size (PNG, JPEG, TIFF, EXR …); a data set's folder, from which one"
+            " held-out record is chosen; or example:espresso-cup, whose cup and saucer count as one"
             " object here"
         ),
     )

@@ -7,7 +7,11 @@ from pathlib import Path
 
 from learn.commands import options
 from manifests import RUNS
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive, whole
+
+EPILOG = """example:
+  python -m learn train joint-compact --data geometry-data --out run"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -17,14 +21,15 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "train",
         help="train networks that predict normals, material and light from a picture",
         description=(
-            "Trains on a data set's geometry. The rendering layer relights it while training, each"
-            " time in other materials and under other lights of the data set (or in the built-in"
-            " materials, where the run or --materials says so). Writes weights.safetensors,"
-            " checkpoint.safetensors, log.jsonl, run.json, made.json and, now and then, a contact"
-            " sheet. The same command continues a stopped run, and a run that was stopped and"
-            " continued ends with the same weights. Example: python -m learn train joint-compact"
-            " --data geometry-data --out run"
+            "Trains a network on a data set's geometry. While training, the rendering layer"
+            " relights the geometry, each time in other materials and under other lights of the"
+            " data set (or in the built-in materials, where the run or --materials says so)."
+            " Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json"
+            " and, from time to time, a contact sheet. The same command continues a stopped run,"
+            " which then ends with the same weights as one that was never stopped."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}"
@@ -38,8 +43,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=Path,
         metavar="DIR",
         help=(
-            'a dataset with pictures that Cycles rendered, for runs whose data.source is "pictures"'
-            ' or "mix" (default: --data)'
+            "a data set with pictures that Cycles rendered, for runs whose data.source is"
+            ' "pictures" or "mix" (default: --data)'
         ),
     )
     parser.add_argument(
@@ -50,7 +55,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--tensorboard",
         action="store_true",
-        help="write TensorBoard's events too (needs the package tensorboard)",
+        help="also write events for TensorBoard (needs the package tensorboard)",
     )
     parser.add_argument(
         "--steps", type=positive, metavar="N", help="number of steps (default: as the run says)"

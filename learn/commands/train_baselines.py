@@ -8,9 +8,13 @@ import argparse
 
 from learn.commands import options
 from manifests import RUNS
+from manifests.help_format import HelpFormatter
 from manifests.option_types import positive
 
 PRESETS = {"baseline-1": "baseline-1-compact", "baseline-2": "baseline-2-compact"}
+
+EPILOG = """example:
+  python -m learn train-baselines --data geometry-data --out baselines"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -19,13 +23,16 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "train-baselines",
         help="train the methods that the paper compares with",
         description=(
-            "Fits the priors of the Lombardi-like method (seconds) and trains Baseline 1 and"
-            " Baseline 2 (an hour or so each on one processor core), on the same data and the same"
-            " split as weights that you have. Writes lombardi.safetensors, baseline-1.safetensors"
-            " and baseline-2.safetensors into DIR: what `python -m learn evaluate --baselines DIR`"
-            " reads. Run the same command again to continue; what is finished is kept."
-            " Example: python -m learn train-baselines --data geometry-data --out baselines"
+            "Makes the files of the methods that the paper compares itself with: fits the"
+            " priors of the Lombardi-like method (seconds), and trains Baseline 1 and Baseline 2"
+            " (an hour or so each on one processor core). Writes lombardi.safetensors,"
+            " baseline-1.safetensors and baseline-2.safetensors into the folder, for `python -m"
+            " learn evaluate --baselines DIR`. With --like, they train on the same split as"
+            " weights that you have. Run the same command again to continue; what is finished is"
+            " kept."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     options.add_data(parser)
     options.add_out(parser, "folder for the three files and for a folder per training")

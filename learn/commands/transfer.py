@@ -8,6 +8,11 @@ from pathlib import Path
 from learn.commands import editing_options, options
 from manifests import other_threads
 from manifests.errors import InputError
+from manifests.help_format import HelpFormatter
+
+EPILOG = """examples:
+  python -m learn transfer a.png b.png c.png --out swapped
+  python -m learn transfer a.png b.png --light room.exr --out lit"""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -16,13 +21,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "transfer",
         help="render each picture's object in the materials of the others",
         description=(
-            "Decomposes several pictures and renders the object of each, under its own light, in"
-            " the material of every other one. Writes one picture per pair and a grid with a row"
-            " per object and a column per material. With --light, the objects are rendered in every"
-            " material, their own too, under that light. Examples: python -m learn transfer a.png"
-            " b.png c.png --out swapped; python -m learn transfer a.png b.png --light room.exr"
-            " --out lit"
+            "Decomposes several pictures, and renders the object of each one, under its own"
+            " light, in the materials of all the others. Writes one picture per pair, and a grid"
+            " with a row per object and a column per material. With --light, all objects are"
+            " rendered under that light, and in their own material too."
         ),
+        epilog=EPILOG,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument(
         "pictures",
