@@ -56,8 +56,9 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
     except msgspec.ValidationError as error:
         reason = str(error)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        result = str(error).removeprefix("JSON is malformed: ") or "nesting beyond measure"
-        raise InputError(where, "JSON", result, "check commas, quotes and brackets there") from None
+        result = str(error).removeprefix("JSON is malformed: ") or "brackets nested too deeply"
+        remedy = "check commas, quotes and brackets there"
+        raise InputError(where, "JSON", f"a mistake in it: {result}", remedy) from None
     try:
         problem = _explained(reason, data, type_, where)
     except (msgspec.DecodeError, RecursionError):  # no JSON behind the place of the wrong type
@@ -99,7 +100,7 @@ def _explained(message, data, type_, where):
         place,
         expected,
         _shown(_at(data, path)),
-        "see manifests/json-schema for what may stand there",
+        "the schemas in manifests/json-schema say what may stand there",
     )
 
 

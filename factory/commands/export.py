@@ -15,7 +15,7 @@ EPILOG = """examples:
   python -m factory export out/demo --to tars --out demo-tars --split train
 
 Run the same command again to continue: files that exist are complete and are kept. But a table of
-records is replaced, and tars need a folder that has none yet.
+records is replaced, and tars need a folder without tars.
 docs/exporting.md describes the formats."""
 
 # what is no format of samples: the data set's own files, and a table of its records

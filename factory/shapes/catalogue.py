@@ -57,7 +57,7 @@ def load(spec: str | Path, **options: Any) -> Mesh:
         "a shape",
         "an unknown name",
         closest(family, (*FAMILIES, *GENERAL, *PRIMITIVES))
-        + " (FAMILY:SEED, a primitive, or a mesh file)",
+        + "; a shape is FAMILY:SEED, a primitive or a mesh file",
     )
 
 

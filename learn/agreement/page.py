@@ -78,8 +78,8 @@ def verdict(head: Mapping) -> str:
     """Return the headline in sentences."""
     if not head["conditions"]:
         return (
-            "No picture of the direct tier under the 64×128 map: what the layer models was not"
-            " rendered. Render with tiers direct."
+            "The layer models only the direct tier under the 64×128 map, and there is no such"
+            " picture here. Render some: a job's tiers direct, or the option --tier direct."
         )
     if head["like_net"] is None:
         return (

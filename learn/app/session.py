@@ -228,7 +228,11 @@ class Session:
             labels, were = material_file.read_with_origin(sent)
             count = len(self.decomposed()[1].regions)
             if len(labels) not in (1, count):
-                rule = "one material" if count == 1 else f"one material, or {count}: one a region"
+                rule = (
+                    "one material"
+                    if count == 1
+                    else f"one material, or {count}: one for each region"
+                )
                 remedy = "give the photograph these regions, or keep one label in the file"
                 raise InputError(sent, rule, f"{len(labels)}", remedy)
             if len(labels) > 1:

@@ -148,7 +148,7 @@ def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
     path = Path(path)
     if holds_radiance(path):
         raise InputError(
-            path, "a picture of whole numbers, one a region", "an EXR", "save it as PNG"
+            path, "a picture of whole numbers, one for each region", "an EXR", "save it as PNG"
         )
     values = _decoded(path, _label_values)
     _require_size(path, values.shape[:2], size, "regions")

@@ -12,7 +12,7 @@ import msgspec
 
 from manifests import RUNS
 from manifests.arrays import LIGHT_SHAPE
-from manifests.errors import InputError
+from manifests.errors import InputError, closest
 from manifests.reading import decode, read_bytes
 from manifests.renamed_keys import with_current_names
 from manifests.training_runs import VERSION, Data, Losses, Run, Schedule, Stage
@@ -56,6 +56,11 @@ def read_run(
     """
     path = Path(name)
     where = path if path.suffix == ".json" else RUNS / f"{path.name}.json"
+    if where is not path and not where.exists():
+        presets = [preset.stem for preset in RUNS.glob("*.json")]
+        raise InputError(
+            f"run '{name}'", "a .json file or a preset", "neither", closest(name, presets)
+        )
     run = decode_run(read_bytes(where), where)
     if steps is not None:
         run = msgspec.structs.replace(

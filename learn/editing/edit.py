@@ -185,12 +185,12 @@ def labels_of(
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
-        raise InputError(
-            f"--material {text}",
-            f"one material, or {regions}: one a region",
-            f"{len(parts)}",
-            "keep leaves a region as it is",
-        )
+        rule = "one material"
+        remedy = "give regions with --regions, or several --mask"
+        if regions > 1:
+            rule += f", or {regions}: one for each region"
+            remedy = "keep leaves a region as it is"
+        raise InputError(f"--material {text}", rule, f"{len(parts)}", remedy)
     labels = [None if part is None else part[0] for part in parts]
     return labels if len(labels) > 1 else labels * regions
 

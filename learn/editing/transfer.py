@@ -44,7 +44,7 @@ def listed(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
     """
     results = [Path(path) for path in paths]
     if list_file is not None:
-        rule = "a text file with a path a line"
+        rule = "a text file with one path per line"
         require_file(list_file, rule, maximum_bytes=LARGEST_LIST)
         try:
             lines = Path(list_file).read_text(encoding="utf-8").splitlines()
@@ -61,7 +61,7 @@ def listed(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
             "pictures",
             "two or more",
             str(len(results)),
-            "name them, or give --list FILE with a path a line",
+            "name them, or give --list FILE with one path per line",
         )
     names = [path.stem for path in results]
     if len(set(names)) < len(names):

@@ -28,7 +28,7 @@ from manifests.inputs import require_file
 
 EXPECTED = "weights in a .safetensors file"
 AGAIN = "copy the file again, or make it again"
-REMEDY = "train some: python -m learn train RUN.json"
+REMEDY = "check the path, or train some: python -m learn train RUN.json"
 LARGEST_FILE = 4 << 30  # bytes: ten times the largest checkpoint of this package's networks
 LARGEST_HEADER = 8 << 20  # bytes: 300 tensors take 30 KiB, and a run's settings a few
 NUMBERS = ("F16", "BF16", "F32", "F64", "I64")

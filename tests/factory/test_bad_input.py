@@ -53,7 +53,7 @@ def a_job(tmp_path, small_job, light_file):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('{"shapes": ["cube"', "expected JSON"),
+        ('{"shapes": ["cube"', "expected JSON, found a mistake in it: Input data was truncated"),
         (
             '{"shapes": ["cube"], "materials": ["small"], "lights": ["lamp.exr"], "sampels": 3}',
             "did you mean samples",
@@ -485,4 +485,4 @@ def test_an_export_that_is_refused_has_written_nothing(tmp_path, command, monkey
     )
     assert status == 1 and "a folder without tars" in said and not written
     said = export.EPILOG.replace("\n", " ")
-    assert "A table of records is replaced; tars need a folder without tars." in said
+    assert "a table of records is replaced, and tars need a folder without tars." in said

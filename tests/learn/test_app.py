@@ -447,7 +447,8 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
     with pytest.raises(gr.Error) as caught:
         send(3)
     assert str(caught.value.message) == (
-        "material.json: expected one material, or 2: one a region, found 3 (give the photograph"
+        "material.json: expected one material, or 2: one for each region, found 3 (give the"
+        " photograph"
         " these regions, or keep one label in the file)"
     )
     assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))

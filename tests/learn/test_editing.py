@@ -487,8 +487,12 @@ def test_materials_are_given_to_regions_in_their_order():
     np.testing.assert_array_equal(result[0], label_of("brass")[0])
     assert result[1] is None
     assert len(edit.labels_of("brass", 3, None)) == 3
-    with pytest.raises(ValueError, match="one a region"):
+    with pytest.raises(
+        ValueError, match=r"one material, or 2: one for each region, found 3 \(keep"
+    ):
         edit.labels_of("brass+keep+keep", 2, None)
+    with pytest.raises(ValueError, match=r"expected one material, found 2 \(give regions"):
+        edit.labels_of("brass+keep", 1, None)
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():

@@ -247,3 +247,8 @@ def test_a_run_of_all_materials_and_lights_cannot_hold_out_lights(tmp_path):
     path.write_text(json.dumps(run))
     with pytest.raises(InputError, match=r"expected no held-out lights .* found pmndrs_lab"):
         settings.read_run(path)
+
+
+def test_a_misspelt_preset_is_neither_file_nor_preset():
+    with pytest.raises(InputError, match=r"run 'joint-compakt': .*did you mean joint-compact,"):
+        settings.read_run("joint-compakt")
