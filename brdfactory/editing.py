@@ -85,7 +85,10 @@ class EditedPicture(Picture):
 
 
 class Decomposition:
-    """A photograph's normals, light and material, in which its object can be painted again.
+    """The normals, light and material of a photographed object, made by `decompose`.
+
+    `paint` gives the object other materials, and `relight` shows it under another light; neither
+    decomposes the photograph again.
 
     photograph, computed  as learn.editing has them
     detail                share of the photograph's fine shading that edits keep
@@ -263,9 +266,13 @@ def edit(
 ) -> EditedPicture:
     """Return a photograph with its object in another material.
 
-    photo, mask, options  as `decompose` takes them
-    material              one, or a list with one for each region; as `Decomposition.paint` has them
-    Raises                InputError
+    For several materials, call `decompose` once, and then `paint` for each.
+
+    photo, mask, options  as for `decompose`
+    material              a name, an expression such as "principled(roughness=.35)", a label (108,)
+                          or a Material; or a list with one for each region, of which None leaves
+                          a region as it is
+    Raises                InputError: a file or a name that does not exist, a mask of another size
     """
     one = material is None or isinstance(material, str | Path | np.ndarray | Material)
     drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]

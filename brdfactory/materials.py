@@ -80,9 +80,11 @@ def blend(
     second: str | Path | np.ndarray | Material,
     share: float = 0.5,
 ) -> Material:
-    """Return a blend that has the share `share` of the second material, from 0 to 1.
+    """Return a blend of two materials.
 
-    Raises InputError for another share, and as `material`.
+    first, second  as `material` takes them
+    share          of the second material, from 0 (only the first) to 1 (only the second)
+    Raises         InputError: another share, an unknown name
     """
     if not 0 <= share <= 1:
         raise InputError("blend: share", "a number from 0 to 1", f"{share:g}", "0.5 is half each")

@@ -26,13 +26,14 @@ EXTRAS = {
 
 
 class InputError(ValueError):
-    """An error in data or arguments from outside.
+    """An error in what a user gave: a file, an argument, a value in a data set.
 
-    The command line prints it as one line; `--debug` shows the trace.
+    Its text is one line, "WHERE: expected EXPECTED, found FOUND (REMEDY)", which the command line
+    prints; there, `--debug` shows the trace.
 
     where     the file, record or argument
-    expected  what should stand there
-    found     what stands there
+    expected  what should be there
+    found     what is there
     remedy    what to do about it
     """
 

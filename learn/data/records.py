@@ -41,8 +41,10 @@ REPAIR = "python -m factory verify DIR --repair, then render again"
 
 @dataclass(frozen=True)
 class Sample:
-    """One record's tensors in the module's shapes and frames; depth (H, W), 0 in the background.
+    """The tensors of one picture, in the shapes and frames that this module states at its top.
 
+    record  the line of the data set that says what the picture shows
+    depth   (H, W), 0 in the background
     facets  numpy, camera frame; None where the geometry file holds none
     """
 
@@ -105,17 +107,20 @@ class Sample:
 
 
 class Records(torch.utils.data.Dataset):
-    """The folder of a data set as a sequence of samples.
+    """The pictures of a data set's folder, as a sequence of samples that torch can load.
 
-    Samples are in order of record id, so that an index means the same picture on every machine.
+    `records[0]` is a Sample: the tensors `image`, `n` (normals), `depth`, `segments`, `label` and
+    `light` of one picture, and its `record`, which says what the picture shows.
+    Samples are in the order of their record ids, so that an index means the same picture on every
+    machine.
+
+    folder  the folder, or the URL of one on an object store, whose files are copied when used
+    keep    a function of a record that says whether to use it; None: all are used
+    Raises  InputError if the folder holds no data set, or a record that does not match its id
     """
 
     def __init__(self, folder: str | Path, keep: Callable[[Record], bool] | None = None):
-        """Open a folder, or the URL of one on an object store, whose files are copied when used.
-
-        keep    which records to use; None: all
-        Raises  InputError if the folder holds no data set, or a record that does not match its id
-        """
+        """Open the folder, as the class says."""
         self.store = open_store(folder)
         self.folder = self.store.folder
         self.dataset = self.store.dataset()

@@ -39,13 +39,13 @@ def render(
     tolerance: float = 1e-2,
     elevation: float = float(ELEVATION),
 ) -> torch.Tensor:
-    """Outgoing radiance (B, H, W, 3) towards the viewer; zeros outside the mask.
+    """Return the radiance (B, H, W, 3) that reaches the viewer; zeros outside the mask.
 
     n, material, light, view, segments   as above; one dtype and device (half precisions are summed
     in float32)
     mask       (B, H, W) bool; None: where n is not 0. What lies outside is never read
-    method     a name of learn.methods.NAMES; "auto" takes the cheapest that keeps the tolerance
-    tolerance  relative error that "auto" may make; other methods set their own parameter by it
+    method     a name of learn.methods.NAMES; "auto" chooses the cheapest that keeps the tolerance
+    tolerance  relative error that "auto" may make; other methods derive their parameter from it
     elevation  radians from the light frame to the camera frame about x
                (shaders.frames.camera_from_light); 0 if the light map is in the camera's frame
     Raises     ValueError that names the argument, the rule and the value; NotImplementedError for
@@ -80,7 +80,20 @@ def render(
 
 
 class RenderLayer(torch.nn.Module):
-    """`render` as a module without parameters, for use inside a network."""
+    """The rendering layer, a torch module without parameters: it turns normals, a material and a
+    light into a picture, and passes gradients back to all three.
+
+    layer = RenderLayer()
+    picture = layer(n, material, light)   # (B, H, W, 3), linear radiance
+
+    n          (B, H, W, 3) unit normals, camera frame; 0 in the background
+    material   (B, 108) κ and γ, that is, the exp of a label; (B, S, 108) with `segments`
+    light      (B, rows, columns, 3) linear radiance, light frame, row 0 at the zenith
+    method     a name of learn.methods.NAMES; "auto" chooses the cheapest that keeps the tolerance
+    tolerance  relative error that "auto" may make
+    elevation  radians by which the camera looks down; 0 if the light is in the camera's frame
+    Raises     as `render` does, which has `view`, `segments` and `mask` as well
+    """
 
     def __init__(
         self, method: str = "auto", tolerance: float = 1e-2, elevation: float = float(ELEVATION)
@@ -99,7 +112,7 @@ class RenderLayer(torch.nn.Module):
         segments: torch.Tensor | None = None,
         mask: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """The picture (B, H, W, 3), as `render`."""
+        """Return the picture (B, H, W, 3); all arguments are those of `render`."""
         return render(
             n, material, light, view, segments, mask, self.method, self.tolerance, self.elevation
         )
