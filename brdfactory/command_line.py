@@ -9,6 +9,7 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 from manifests import cli
+from manifests.help_format import HelpFormatter
 
 DESCRIPTION = (
     "Changes the material of an object in a photograph, and makes the data sets and networks that"
@@ -103,10 +104,9 @@ def _register_completion(subparsers: argparse._SubParsersAction) -> None:
     added = subparsers.add_parser(
         "completion",
         help="print a script that completes commands and options in your shell",
-        description=(
-            "Prints a script by which a shell completes the commands and options of brdfactory."
-            ' Example for bash: eval "$(brdfactory completion bash)"'
-        ),
+        description="Prints a script by which a shell completes commands and their options.",
+        epilog='example:\n  eval "$(brdfactory completion bash)"',
+        formatter_class=HelpFormatter,
     )
     added.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
     added.set_defaults(run=_complete)
