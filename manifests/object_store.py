@@ -233,6 +233,8 @@ class ObjectFolder:
 def _said(error: Exception) -> str:
     """Return an error as a short line."""
     text = str(error).partition("Debug source:")[0]  # obstore's, of many lines
+    if METADATA in text:
+        return "no credentials in the environment, and none from the cloud's metadata service"
     words = " ".join(f"{type(error).__name__}: {text}".split())
     return words if len(words) <= 200 else f"{words[:200]}…"
 

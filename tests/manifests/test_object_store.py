@@ -150,6 +150,14 @@ def test_what_another_try_does_not_mend_is_said_at_once(remote, monkeypatch):
         remote.write("a.json", b"")
 
 
+def test_missing_credentials_are_said_in_plain_words(remote):
+    asked = f"Generic S3 error: PUT http://{object_store.METADATA}/latest/api/token in 12 ms: 403"
+    remote._files = Failing(remote._files, 1000, RuntimeError(asked))
+    with pytest.raises(Unreachable, match="found no credentials in the environment") as caught:
+        remote.write("a.json", b"")
+    assert "http" not in str(caught.value) and "docs/clusters.md" in str(caught.value)
+
+
 def test_the_patience_is_a_number(monkeypatch):
     monkeypatch.setenv(object_store.VARIABLE, "long")
     with pytest.raises(InputError, match="BRDFACTORY_STORE_PATIENCE: expected a number"):
