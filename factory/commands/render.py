@@ -35,9 +35,9 @@ EPILOG = """examples:
   without a job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
-Presets: agreement, demo-full, demo, finetune, geometry-20, geometry-general, geometry-meshes,
-  geometry, ladder-development, ladder-second-test, ladder-test, multi-material, pretrain,
-  smallest, test;
+Presets: agreement, demo-full, demo, finetune, geometry-20, geometry-chairs, geometry-general,
+  geometry-meshes, geometry, ladder-development, ladder-second-test, ladder-test, multi-material,
+  pretrain, smallest, test;
   `plan --presets` says what each is for.
 Run the same command again to continue: pictures that exist are not rendered twice.
 A second job into the same folder adds to the data set.

@@ -10,10 +10,12 @@ import pytest
 import torch
 
 from learn.baselines import priors
+from learn.commands.options import TABLE_WEIGHTS
 from learn.data import lights, settings, sources
 from learn.data.records import Records
 from learn.data.settings import Data
 from learn.experiments import refinement_initialisations
+from learn.networks import weights
 from learn.training import loop
 from manifests import JOBS, RUNS, reading
 from manifests import materials as catalogue
@@ -252,3 +254,14 @@ def test_a_run_of_all_materials_and_lights_cannot_hold_out_lights(tmp_path):
 def test_a_misspelt_preset_is_neither_file_nor_preset():
     with pytest.raises(InputError, match=r"run 'joint-compakt': .*did you mean joint-compact,"):
         settings.read_run("joint-compakt")
+
+
+def test_two_region_chairs_hold_out_the_lights_that_joint_compact_held_out():
+    """Otherwise evaluations would refuse what the preset makes of these weights."""
+    run = settings.read_run("two-region-chairs-compact")
+    assert run.data.regions == 2
+    metadata = weights.load_parts(TABLE_WEIGHTS)[1]
+    before = settings.decode_run(json.dumps(metadata["run"]).encode(), "joint-compact")
+    for name in ("validation_lights", "test_lights"):
+        held_out = {light.removeprefix("blender_") for light in getattr(before.data, name)}
+        assert set(getattr(run.data, name)) == held_out
