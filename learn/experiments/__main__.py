@@ -43,6 +43,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "refinement-methods": "refine glossy objects by the sum and by the integral",
         "clipped-highlights": "refine clipped pictures with and without one-sided highlights",
         "mitsuba-comparison": "compare refinement with descent through Mitsuba 3",
+        "compare-weights": "compare two weights on the same edits, from lines that were kept",
         "relighting": "relight pictures, and put materials on other objects, against the truth",
         "upsampling": "compare strategies that bring an edit to the photograph's size",
         "principled-fit": "measure how close labels come to materials given by a few numbers",

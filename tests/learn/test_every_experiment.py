@@ -206,6 +206,15 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(m["edit"][1] <= m["edit"][0] <= m["edit"][2] for m in r["sets"][3]["methods"])
         ),
     ),
+    "compare-weights": (
+        "--before {room}/before --after {room}/after",
+        lambda r: (
+            # edits that only one folder has are left out, and the others are paired by their ids
+            [(row["set"], row["count"]) for row in r["rows"]] == [("meshes, 8-bit, predicted", 2)]
+            and (r["rows"][0]["before"], r["rows"][0]["after"]) == (150, 75)
+            and r["rows"][0]["ratio"] == [0.5, 0.5, 0.5]
+        ),
+    ),
     "clipped-highlights": (
         "--data {room}/data --weights {room}/weights.safetensors --pictures 1 --outer-iterations 1",
         lambda r: [row["treatment"] for row in r["rows"]] == ["at its value", "one-sided"],
@@ -325,6 +334,17 @@ def room(tmp_path_factory):
         {"step": 1, "cpu_seconds": 3600.0, "validation": validation},
     ]
     (room / "trained" / "log.jsonl").write_text("".join(json.dumps(s) + "\n" for s in steps))
+    shared = {"group": "meshes", "rung": "8-bit", "light": "sky", "target": "dark", "refined": None}
+    for name, errors in (
+        ("before", {"a": 100, "b": 200, "c": 5}),
+        ("after", {"b": 100, "a": 50, "d": 7}),
+    ):
+        (room / name).mkdir()
+        rows = [
+            shared | {"id": key, "shape": f"ball:{key}", "predicted": {"edit_l2": error}}
+            for key, error in errors.items()
+        ]
+        (room / name / "lines.jsonl").write_text("".join(json.dumps(r) + "\n" for r in rows))
     write_dataset(room / "tiers", both, rng, SIZE, 1, 0.0, (0,), tiers=("direct", "full"))
     ladder_rungs.written(room / "ladder", SIZE)
     ladder_rungs.written(room / "glossy", SIZE, glossy(split="test"))
