@@ -485,8 +485,11 @@ REPORTS = {
     "normals-ablation-128": "normals-ablation",
     "normals-ablation-256": "normals-ablation",
     "relighting-general-compact": "relighting",
+    "ladder-two-encoders": "compare-weights",
+    "evaluation-regions-fine-tuned": "compare-weights",
 }
 NOT_PUBLISHED = {
+    "compare-weights",  # its reports are named by what they compare
     "calibrate-auto",  # its result is learn/methods/calibration.json
 }
 
