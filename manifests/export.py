@@ -20,17 +20,16 @@ from manifests.errors import InputError
 from manifests.files import replacing, transaction, write_bytes
 from manifests.inputs import require_file
 from manifests.line_files import encoded
+from manifests.placed_lines import PlacedLines
 from manifests.schema import Record
 from manifests.store import Store, geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 
 
-def chosen(store: Store, split: str | None = None) -> list[Record]:
+def chosen(store: Store, split: str | None = None) -> PlacedLines:
     """Return the records of a split (None: all), in the order of their ids."""
-    return sorted(
-        store.records(lambda record: split in (None, record.split)), key=lambda record: record.id
-    )
+    return PlacedLines(store, keep=lambda record: split in (None, record.split))
 
 
 def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:

@@ -216,7 +216,7 @@ class Store:
 
     def ids(self, kind: str = "records") -> set[str]:
         """Return the ids of all lines of a kind, without decoding the rest of a line."""
-        return {line.id for line in self._decoded(_Id, kind)}
+        return {line.id for *_, line in self._placed(_Id, kind)}
 
     def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
         """Return (ids, hashes): the ids of all lines of a kind, and the hashes of geometry files.
@@ -227,7 +227,7 @@ class Store:
         ids: set[str] = set()
         hashes: dict[str, str] = {}
         for each in LINES:
-            for line in self._decoded(_Known, each):
+            for *_, line in self._placed(_Known, each):
                 hashes.setdefault(line.geometry, line.geometry_hash)
                 if each == kind:
                     ids.add(line.id)
@@ -245,9 +245,20 @@ class Store:
                         "delete this file: it only says what went wrong",
                     )
 
+    def placed(self, kind: str = "records") -> Iterator[tuple[Path, int, bytes, Any]]:
+        """Yield (file, number of its byte with which the line begins, line, what it says) of lines.
+
+        Raises  InputError for a line that no writer leaves
+        """
+        return self._placed(LINES[kind], kind)
+
     def _decoded(self, type_, kind):
+        return (line for *_, line in self._placed(type_, kind))
+
+    def _placed(self, type_, kind):
         decoder = msgspec.json.Decoder(type_)
         for path in self.record_files(kind):
+            start = 0
             for number, line in lines_of(path):
                 if not line.endswith(b"\n"):
                     break  # unfinished: its shot counts as not made
@@ -259,7 +270,8 @@ class Store:
                         " jobs again"
                     )
                     record = _line(line, type_, f"{path}:{number}", remedy)
-                yield record
+                yield path, start, line, record
+                start += len(line)
 
     def write_json(self, name: str, value: Any, worker: str = "main") -> None:
         """Write a small JSON file through partial/."""

@@ -1,6 +1,7 @@
 """A data set in the formats that people train from: WebDataset, Parquet, Hugging Face, HDF5.
 
 samples      reads lines and files of a data set, checked against their hashes
+counts       how many lines there are of each kind, for the data card
 folders      the folder of an export: parts that are written whole, so that the same command
              continues; the data card is written last
 webdataset   tar files that the package `webdataset` decodes without code of ours

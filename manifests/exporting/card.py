@@ -1,13 +1,11 @@
 """The data card of an export: README.md, whose front matter Hugging Face's `datasets` reads."""
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 
 from manifests.exporting import card_errors
-from manifests.exporting.samples import Samples, licences, split_of_line
-from manifests.schema import Record
+from manifests.exporting.samples import Samples, licences
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 CONTENTS = {
@@ -65,7 +63,7 @@ def _front_matter(samples: Samples, form: str) -> Iterator[str]:
         yield "configs:"
         yield "- config_name: default"
         yield "  data_files:"
-        present = {split_of_line(line) for line in samples.lines}
+        present = samples.counts.splits
         for split in (name for name in ("train", "test", "mixed") if name in present):
             yield f"  - split: {split}"
             yield f"    path: data/{split}-*.parquet"
@@ -73,7 +71,7 @@ def _front_matter(samples: Samples, form: str) -> Iterator[str]:
 
 
 def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[str]:
-    dataset, lines = samples.dataset, samples.lines
+    dataset, counts = samples.dataset, samples.counts
     jobs = ", ".join(plain(order.job.name) for order in dataset.orders) or "not recorded"
     yield "# " + (
         "Pictures with normals, depth, segments and material labels"
@@ -91,22 +89,19 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     yield ""
     yield "| what | number |"
     yield "|---|---|"
-    yield f"| samples | {len(lines)} |"
-    splits = Counter(map(split_of_line, lines))
-    for split in sorted(splits):
-        yield f"| of the split {split} | {splits[split]} |"
-    yield f"| shapes | {len({line.shape for line in lines})} |"
-    records = [line for line in lines if isinstance(line, Record)]
+    yield f"| samples | {len(samples.lines)} |"
+    for split in sorted(counts.splits):
+        yield f"| of the split {split} | {counts.splits[split]} |"
+    yield f"| shapes | {len(counts.shapes)} |"
     if samples.pictures:
-        yield f"| materials | {len({name for line in records for name in line.materials})} |"
-        yield f"| lights | {len({line.light for line in records})} |"
-        tiers = Counter(line.tier for line in records)
-        for tier in sorted(tiers):
-            yield f"| of light transport {tier} | {tiers[tier]} |"
-    for size, number in sorted(Counter(line.camera.size for line in lines).items()):
+        yield f"| materials | {len(counts.materials)} |"
+        yield f"| lights | {len(counts.lights)} |"
+        for tier in sorted(counts.tiers):
+            yield f"| of light transport {tier} | {counts.tiers[tier]} |"
+    for size, number in sorted(counts.sizes.items()):
         yield f"| of {size[0]} × {size[1]} pixels | {number} |"
     yield ""
-    yield from card_errors.section(records)
+    yield from card_errors.section(counts.errors)
     yield "## Rendered by"
     yield ""
     programs = {"brdfactory": _version(), **dataset.versions}
@@ -121,12 +116,12 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     yield ""
     yield "| assets | licence | number |"
     yield "|---|---|---|"
-    for kind, counts in licences(dataset).items():
-        yield from _licence_rows(kind, counts.items())
+    for kind, numbers in licences(dataset).items():
+        yield from _licence_rows(kind, numbers.items())
     yield ""
     yield "## Known limits"
     yield ""
-    limits = [*LIMITS, *card_errors.limits(records)] if samples.pictures else LIMITS[1:2]
+    limits = [*LIMITS, *card_errors.limits(counts.errors)] if samples.pictures else LIMITS[1:2]
     yield from (f"- {limit}" for limit in limits)
 
 

@@ -1,10 +1,11 @@
 """What a data card says of the error of pictures whose job limits it, and of their bias."""
 
+from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from statistics import fmean
 
-from manifests.schema import Accuracy, Estimator, Record
+from manifests.schema import Estimator, Record
 
 # {estimator: (what it is, its bias)}; factory.render.estimators has a card for each
 ESTIMATORS: dict[Estimator, tuple[str, str]] = {
@@ -44,10 +45,35 @@ limit on the error and that on its bias."""
 SAMPLES = "the records give the samples of each pixel."
 
 
-def section(records: Sequence[Record]) -> Iterator[str]:
-    """Yield the lines on the errors of records that have a limit on them; none if none has."""
-    limited = _accuracies(records)
-    if not limited:
+class Errors:
+    """The estimated errors of the pictures of a data set, gathered one after the other.
+
+    pictures    number of all pictures
+    estimated   {limit on the error: estimated errors of the pictures that have it}
+    estimators  {estimator: number of pictures with a limit that it made}
+    """
+
+    def __init__(self) -> None:
+        self.pictures = 0
+        self.estimated: dict[float, array[float]] = {}
+        self.estimators: Counter[Estimator] = Counter()
+
+    def add(self, record: Record) -> None:
+        """Count a picture."""
+        self.pictures += 1
+        if (accuracy := record.accuracy) is not None:
+            self.estimated.setdefault(accuracy.requested, array("d")).append(accuracy.estimated)
+            self.estimators[accuracy.estimator] += 1
+
+    @property
+    def limited(self) -> int:
+        """Number of pictures with a limit on their error."""
+        return self.estimators.total()
+
+
+def section(errors: Errors) -> Iterator[str]:
+    """Yield the lines on the errors of pictures that have a limit on them; none if none has."""
+    if not errors.limited:
         return
     yield "## Error of the pictures"
     yield ""
@@ -55,44 +81,36 @@ def section(records: Sequence[Record]) -> Iterator[str]:
     yield ""
     yield "| limit on the error | pictures | estimated error: mean | largest | above the limit |"
     yield "|---|---|---|---|---|"
-    for limit in sorted({each.requested for each in limited}):
-        errors = [each.estimated for each in limited if each.requested == limit]
-        above = sum(error > limit for error in errors)
-        yield f"| {limit:g} | {len(errors)} | {fmean(errors):.3g} | {max(errors):.3g} | {above} |"
-    if len(limited) < len(records):
-        yield f"| none | {len(records) - len(limited)} | – | – | – |"
+    for limit, each in sorted(errors.estimated.items()):
+        above = sum(error > limit for error in each)
+        yield f"| {limit:g} | {len(each)} | {fmean(each):.3g} | {max(each):.3g} | {above} |"
+    if errors.limited < errors.pictures:
+        yield f"| none | {errors.pictures - errors.limited} | – | – | – |"
     yield ""
     yield "Each picture with a limit was made by the estimator that seemed to keep it cheapest:"
     yield ""
     yield "| estimator | pictures | what it is | bias |"
     yield "|---|---|---|---|"
-    counts = Counter(each.estimator for each in limited)
     for name, (what, bias) in ESTIMATORS.items():
-        if counts[name]:
-            yield f"| {name} | {counts[name]} | {what} | {bias} |"
+        if errors.estimators[name]:
+            yield f"| {name} | {errors.estimators[name]} | {what} | {bias} |"
     yield ""
-    if counts.total() > counts["path-tracing"]:
+    if errors.limited > errors.estimators["path-tracing"]:
         yield BIAS
         yield ""
 
 
-def limits(records: Sequence[Record]) -> Iterator[str]:
+def limits(errors: Errors) -> Iterator[str]:
     """Yield what the card's known limits say of noise and bias."""
-    limited = len(_accuracies(records))
-    if not limited:
+    if not errors.limited:
         yield f"Noise of path tracing is in the pictures: {SAMPLES}"
         return
     yield (
         "Pictures with a limit on their error have noise and, by some estimators, bias: see Error"
         " of the pictures."
     )
-    if left := len(records) - limited:
+    if left := errors.pictures - errors.limited:
         yield (
             f"Noise of path tracing is in the {left} pictures without a limit on their error:"
             f" {SAMPLES}"
         )
-
-
-def _accuracies(records: Iterable[Record]) -> list[Accuracy]:
-    """Return the accuracies of the records that have one."""
-    return [record.accuracy for record in records if record.accuracy is not None]

@@ -14,7 +14,7 @@ from manifests import lock
 from manifests.errors import InputError
 from manifests.exporting import Format
 from manifests.exporting.card import data_card
-from manifests.exporting.samples import Sample, Samples, split_of_line
+from manifests.exporting.samples import Sample, Samples
 from manifests.files import pin_settings, replacing, write_bytes, write_text
 from manifests.inputs import require_file
 from manifests.schema import Record, View
@@ -113,7 +113,7 @@ def parts(samples: Samples, form: Format, each: int) -> Iterator[Part]:
             yield Part(f"{number // each:06d}/{number}.hdf5", [line])
     elif form == "huggingface":
         for split in ("train", "test", "mixed"):
-            chosen = [line for line in lines if split_of_line(line) == split]
+            chosen = samples.of_split(split)
             count = -(-len(chosen) // each)
             for number in range(count):
                 name = f"data/{split}-{number:05d}-of-{count:05d}.parquet"

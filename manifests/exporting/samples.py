@@ -5,16 +5,17 @@ Ids are hashes, so samples in the order of their ids are shuffled, and in the sa
 
 import hashlib
 import io
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from manifests.errors import InputError
+from manifests.exporting.counts import Counts, split_of_line
 from manifests.line_files import encoded
 from manifests.materials import load_catalogue
 from manifests.picture_files import Geometry, read_geometry, read_picture
+from manifests.placed_lines import PlacedLines
 from manifests.schema import Dataset, Record, View
 from manifests.store import Store, inside
 from shaders import tone
@@ -67,6 +68,8 @@ class Samples:
 
     Records are exported where there are any, otherwise the views of a data set without pictures.
 
+    lines     PlacedLines: each is read when it is asked for
+    counts    what the data card says of them
     left_out  number of views that are not exported because there are records
 
     Raises  InputError if the data set or the split is empty
@@ -74,16 +77,17 @@ class Samples:
 
     def __init__(self, store: Store, split: str | None = None):
         self.store, self.dataset = store, store.dataset()
-        lines: Sequence[Record | View] = list(store.records(_chooser(split)))
-        if not lines and not store.record_files():
-            lines = list(store.views(_chooser(split)))
-        if not lines:
+        self.counts = Counts()
+        keep = _chooser(split)
+        self.lines = PlacedLines(store, "records", keep, self.counts.add)
+        if not self.lines and not store.record_files():
+            self.lines = PlacedLines(store, "views", keep, self.counts.add)
+        if not self.lines:
             raise InputError(
                 store.folder, "records to export", "none", "render some, or choose another --split"
             )
-        self.lines = sorted(lines, key=lambda line: line.id)
         self.pictures = isinstance(self.lines[0], Record)
-        views = store.views(_chooser(split)) if self.pictures else ()
+        views = store.views(keep) if self.pictures else ()
         self.left_out = sum(1 for _ in views)
         self._labels = (
             {
@@ -100,6 +104,11 @@ class Samples:
         for line in self.lines:
             result.update(encoded(line))
         return result.hexdigest()
+
+    def of_split(self, split: str) -> PlacedLines:
+        """Return the lines of a split: train, test or mixed."""
+        there = (split_of_line(line) == split for line in self.lines)
+        return self.lines.select(np.fromiter(there, bool, len(self.lines)))
 
     def read(self, line: Record | View) -> Sample:
         """Return a line's Sample. Raises InputError for files that are missing or altered."""
@@ -122,11 +131,6 @@ class Samples:
         display = np.rint(tone.display(radiance, exposure)).astype(np.uint8)
         labels = np.stack([self._labels[name] for name in line.materials])
         return Sample(line, radiance, display, exposure, geometry, labels)
-
-
-def split_of_line(line: Record | View) -> str:
-    """Return train, test or mixed; of a view, the side of its shape."""
-    return line.split if isinstance(line, Record) else line.side
 
 
 def _chooser(split: str | None) -> Any:
