@@ -22,7 +22,7 @@ from manifests.cached_store import CachedStore, open_store
 from manifests.object_store import ObjectFolder, Unreachable
 from manifests.store import Store
 from manifests.verification import faults_of
-from tests.support import store_servers
+from tests.support import s3_server, store_servers
 from tests.support.network_faults import KINDS, Proxy
 from tests.support.tetrahedron import ROOT
 
@@ -211,12 +211,30 @@ def test_a_place_that_is_missing_is_said_at_once(server, monkeypatch):
             ObjectFolder(url).names("records")
 
 
+def make_key(path):
+    """Write a new private key of SSH over another one, which no server knows."""
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    key = Ed25519PrivateKey.generate().private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.OpenSSH,
+        serialization.NoEncryption(),
+    )
+    path.write_bytes(key)
+
+
+# fake-gcs-server lets everybody in
+@pytest.mark.parametrize("running", ["s3", "sftp", "az"], indirect=True)
 def test_credentials_that_are_refused_are_said_at_once(server, monkeypatch, tmp_path):
     monkeypatch.setattr(object_store.time, "sleep", lambda _: pytest.fail("it waits"))
     if server.protocol == "sftp":
         keys = tmp_path / "home" / ".ssh"
         shutil.copytree(server.folder / "home" / ".ssh", keys)
         monkeypatch.setenv("HOME", str(tmp_path / "home"))
+        make_key(keys / "id_ed25519")
+        with pytest.raises(Unreachable, match=r"the server accepts no key of ~/\.ssh"):
+            ObjectFolder(server.url("x")).names("records")
         (keys / "id_ed25519").unlink()
         with pytest.raises(Unreachable, match=r"there is no key in ~/\.ssh or in the agent"):
             ObjectFolder(server.url("x")).names("records")
@@ -227,7 +245,18 @@ def test_credentials_that_are_refused_are_said_at_once(server, monkeypatch, tmp_
         monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "bm9uZQ==")
         with pytest.raises(Unreachable, match="check the credentials"):
             ObjectFolder(server.url("x")).names("records")
-    else:  # their servers let everybody in, but not without TLS
-        monkeypatch.delenv(f"{object_store.BY_OBSTORE[server.protocol]}_ALLOW_HTTP")
-        with pytest.raises(Unreachable, match=r"a server with TLS.*export (AWS|GOOGLE)_ALLOW_HTTP"):
-            ObjectFolder(server.url("x")).names("records")
+    elif server.protocol == "s3":
+        with s3_server.known_users_alone(server.proxy.port):
+            with pytest.raises(Unreachable, match="check the credentials"):
+                ObjectFolder(server.url("x")).names("records")
+            with pytest.raises(Unreachable, match="check the credentials"):
+                ObjectFolder(server.url("x")).write("records/x", b"x")
+        assert ObjectFolder(server.url("x")).names("records") == {}
+
+
+@pytest.mark.parametrize("running", ["s3", "gs"], indirect=True)
+def test_a_server_without_tls_is_refused_at_once(server, monkeypatch):
+    monkeypatch.setattr(object_store.time, "sleep", lambda _: pytest.fail("it waits"))
+    monkeypatch.delenv(f"{object_store.BY_OBSTORE[server.protocol]}_ALLOW_HTTP")
+    with pytest.raises(Unreachable, match=r"a server with TLS.*export (AWS|GOOGLE)_ALLOW_HTTP"):
+        ObjectFolder(server.url("x")).names("records")

@@ -57,3 +57,20 @@ def variables(port):
         "AWS_SECRET_ACCESS_KEY": "any",
         "AWS_REGION": "us-east-1",
     }
+
+
+@contextmanager
+def known_users_alone(port):
+    """Meanwhile the server checks credentials; it knows nobody, and so refuses all of them."""
+    address = f"http://127.0.0.1:{port}/moto-api/reset-auth"
+
+    def reset(actions):  # how many actions the server lets through before it checks
+        kind = {"Content-Type": "text/plain"}  # of a form the server would take the body away
+        ask = urllib.request.Request(address, actions.encode(), kind, method="POST")
+        urllib.request.urlopen(ask, timeout=10).close()
+
+    reset("0")
+    try:
+        yield
+    finally:
+        reset("inf")
