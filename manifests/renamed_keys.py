@@ -20,12 +20,17 @@ CURRENT_NAMES = {
     "passes": "outer_iterations",
     "reach": "trust_region",
     "together": "joint_iterations",
+    "half_weight_colour": "unexplained_share_at_half_weight",
 }
 
 # {a key: {a later one beside it: the value that it had before it could be set}}
 LATER_KEYS: dict[str, dict[str, Any]] = {
     # of refinement
-    "trust_region": {"b_colour": 0.0, "half_weight_colour": None, "method": "auto"},
+    "trust_region": {
+        "b_colour": 0.0,
+        "unexplained_share_at_half_weight": None,
+        "method": "auto",
+    },
     # of the losses and the data of runs
     "layer_light": {"layer_method": "auto"},
     "sharing": {"layer_method": "auto"},

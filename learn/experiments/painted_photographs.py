@@ -41,7 +41,7 @@ def settings_of(method: str) -> RefinementSettings | None:
     """Return how one of METHODS refines."""
     from learn.refinement import PHOTOGRAPHS
 
-    light_held = replace(PHOTOGRAPHS, half_weight_colour=None)
+    light_held = replace(PHOTOGRAPHS, unexplained_share_at_half_weight=None)
     before = replace(light_held, b_colour=0.0)
     return {BEFORE: before, LIGHT_HELD: light_held, IN_USE: PHOTOGRAPHS}.get(method)
 

@@ -96,8 +96,8 @@ def explained(
     another colour is taken for a print.
 
     image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
-    half      share of a pixel that neither explains at which its weight is a half, as
-              `half_weight_colour`
+    half      share of a pixel that neither explains at which its weight is a half: the setting
+              `unexplained_share_at_half_weight`
     clipped   (P,) shares that are clipped, whose colour is not known: they weigh 1
     """
     clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
@@ -149,11 +149,14 @@ class Energy:
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
         )
         self.weights = None
-        if settings.half_weight_colour is not None:
+        if settings.unexplained_share_at_half_weight is not None:
             regions = self.segments.flatten()[self.inside].clamp(max=self.regions)
             clipped = None if self.clipped is None else self.clipped[self.inside].amax(-1)
             weights = explained(
-                image[self.inside] * exposure, regions, settings.half_weight_colour, clipped
+                image[self.inside] * exposure,
+                regions,
+                settings.unexplained_share_at_half_weight,
+                clipped,
             )
             # what is mirrored has the colours of what is around
             narrow = [narrow_share(array(label)) for label in start.label[0].detach()]

@@ -37,8 +37,8 @@ class RefinementSettings:
 
     a, b, c     weights of normals, light and material; Eq. 6 has no c
     b_colour    weight of changes of the light's colour, beside that of all its changes
-    half_weight_colour  share of a pixel that is neither its region's colour nor white, at which its
-                misfit counts half; None: all pixels count alike
+    unexplained_share_at_half_weight  a pixel's misfit counts half where this share of the pixel is
+                neither its region's colour nor white; None: all pixels count alike
     order       of the properties in a round; a property that is not named stays where it starts
     degree      of the spherical harmonics by which the light's logarithm is changed
     trust_region  the most that a normal may move in one outer iteration, along either axis of the
@@ -52,7 +52,7 @@ class RefinementSettings:
     a: float = 0.05
     b: float = 0.02
     b_colour: float = 0.0
-    half_weight_colour: float | None = None
+    unexplained_share_at_half_weight: float | None = None
     c: float = 0.05
     order: tuple[str, ...] = PROPERTIES
     degree: int = 8
@@ -77,6 +77,6 @@ PAPER = RefinementSettings(a=1.0, b=10.0, c=0.0, outer_iterations=1)
 # prints: unless the light is held to its colours it takes them on, and prints become relief
 # (docs/results/painted-photographs)
 PHOTOGRAPHS = replace(
-    RefinementSettings(), b_colour=0.2, half_weight_colour=0.1, outer_iterations=1
+    RefinementSettings(), b_colour=0.2, unexplained_share_at_half_weight=0.1, outer_iterations=1
 )
 NAMED = {"default": RefinementSettings(), "paper": PAPER}

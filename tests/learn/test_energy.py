@@ -156,7 +156,7 @@ def test_a_print_counts_less_in_the_misfit_the_more_matte_the_material_is(
     monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
 
     def misfit(half):
-        settings = replace(RefinementSettings(), half_weight_colour=half)
+        settings = replace(RefinementSettings(), unexplained_share_at_half_weight=half)
         energy = Energy(replace(batch, image=image), start, settings)
         terms = energy.terms(start, energy.inside)
         some = energy.terms(start, energy.inside[8 * 4 :])  # the yellow row and two others
@@ -271,9 +271,9 @@ def test_defaults_are_those_that_the_documentation_tells(root):
         NAMED["paper"],
     )
     assert f"a = {s.a:g}, b = {s.b:g}, c = {s.c:g} and the passes were chosen" in report
-    photographs = f"`b_colour` = {PHOTOGRAPHS.b_colour:g} and `half_weight_colour` ="
-    assert f"{photographs} {PHOTOGRAPHS.half_weight_colour:g}" in report
-    assert (s.b_colour, s.half_weight_colour) == (0, None)
+    photographs = f"`b_colour` = {PHOTOGRAPHS.b_colour:g} and `unexplained_share_at_half_weight` ="
+    assert f"{photographs} {PHOTOGRAPHS.unexplained_share_at_half_weight:g}" in report
+    assert (s.b_colour, s.unexplained_share_at_half_weight) == (0, None)
     assert f"The paper's a = {paper.a:g}, b = {paper.b:g} hold the light still" in report
     assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
     assert f"spherical harmonics up to degree {s.degree}," in report

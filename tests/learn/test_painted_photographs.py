@@ -131,6 +131,6 @@ def test_a_photograph_that_one_method_cannot_edit_is_left_out_for_all():
 def test_methods_differ_in_refinement_as_their_names_say():
     of = {method: painted_photographs.settings_of(method) for method in METHODS}
     assert of[PREDICTED] is None
-    assert (of[BEFORE].b_colour, of[BEFORE].half_weight_colour) == (0, None)
-    assert of[painted_photographs.LIGHT_HELD].half_weight_colour is None
+    assert (of[BEFORE].b_colour, of[BEFORE].unexplained_share_at_half_weight) == (0, None)
+    assert of[painted_photographs.LIGHT_HELD].unexplained_share_at_half_weight is None
     assert of[painted_photographs.LIGHT_HELD].b_colour == of[IN_USE].b_colour > 0

@@ -100,12 +100,16 @@ def test_a_settings_file_by_earlier_names_holds_the_settings_of_today(tmp_path):
             if new in part:
                 part[name] = part.pop(new)
     assert old["refine"].pop("b_colour") == 0  # which could not be set then, as the next one
-    assert old["refine"].pop("half_weight_colour") is None
+    assert old["refine"].pop("unexplained_share_at_half_weight") is None
     assert old["refine"].pop("method") == "auto"
     assert old != today and with_current_names(old) == today
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(old))
     files.pin_settings(path, today)  # the same settings
+    name = "unexplained_share_at_half_weight"
+    later = json.loads(json.dumps(today))
+    later["refine"]["half_weight_colour"] = later["refine"].pop(name)
+    assert with_current_names(later) == today
     with pytest.raises(InputError, match="other refine"):
         files.pin_settings(path, today | {"refine": today["refine"] | {"outer_iterations": 1}})
     with pytest.raises(InputError, match="other refine"):
