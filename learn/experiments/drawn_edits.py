@@ -12,7 +12,7 @@ from learn.experiments import runner
 if TYPE_CHECKING:
     from learn.data.records import Records
     from learn.evaluation.ladder_design import Scene
-    from learn.experiments.relighting import Key
+    from learn.experiments.ladder_scenes import Key
     from learn.refinement import RefinementSettings
     from manifests.schema import Record
 
@@ -28,7 +28,7 @@ FIGURES = {
 class DrawnEdits(NamedTuple):
     """The edits that an experiment measures.
 
-    pictures  as of `relighting.pictures_of`
+    pictures  as of `ladder_scenes.pictures_of`
     seen      sentences about what the weights saw of the scenes in training
     """
 
@@ -56,14 +56,14 @@ def opened(
 
     from learn.data.records import Records
     from learn.evaluation import ladder, overlap
-    from learn.experiments import relighting
+    from learn.experiments import ladder_scenes
     from manifests import files
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)
-    pictures = relighting.pictures_of(records)
-    scenes = relighting.edits_of(
+    pictures = ladder_scenes.pictures_of(records)
+    scenes = ladder_scenes.edits_of(
         pictures,
         arguments.scenes,
         arguments.seed,

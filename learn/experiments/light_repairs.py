@@ -234,7 +234,7 @@ def light_figures(light: torch.Tensor, true: torch.Tensor) -> dict[str, torch.Te
     """
     import torch
 
-    from learn.training.losses import solid_angles
+    from learn.layer.light_maps import solid_angles
 
     squared = (torch.log1p(light) - torch.log1p(true)) ** 2
     outermost, within = ring(light, 0), ring(light, 4)

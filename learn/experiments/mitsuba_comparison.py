@@ -93,7 +93,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
     from learn.evaluation.methods import network
-    from learn.experiments import relighting
+    from learn.experiments import ladder_scenes
     from learn.networks import weights as checkpoint
     from manifests import files
     from manifests.store import file_hash
@@ -103,8 +103,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     net, metadata = checkpoint.load_parts(weights)
     records = Records(arguments.data)
     rung = RUNGS[0]
-    pictures = {rung.name: relighting.pictures_of(records)[rung.name]}
-    scenes = relighting.edits_of(pictures, arguments.scenes, arguments.seed)
+    pictures = {rung.name: ladder_scenes.pictures_of(records)[rung.name]}
+    scenes = ladder_scenes.edits_of(pictures, arguments.scenes, arguments.seed)
     seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
     about = {
         "data": file_hash(arguments.data / "materials.json"),

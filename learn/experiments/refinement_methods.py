@@ -71,9 +71,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from dataclasses import asdict
 
     from learn.evaluation import ladder
-    from learn.experiments import drawn_edits, relighting
+    from learn.experiments import drawn_edits, ladder_scenes
 
-    settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in relighting.RUNGS}
+    settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in ladder_scenes.RUNGS}
     most = {"scenes": max(arguments.scenes, arguments.true_light, arguments.pictures)}
     edits = drawn_edits.opened(
         argparse.Namespace(**vars(arguments) | most), sources=glossy, settings=settings

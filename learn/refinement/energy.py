@@ -33,10 +33,10 @@ import torch.nn.functional as F
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.layer.albedo import narrow_share
+from learn.layer.light_maps import reduced, solid_angles
 from learn.layer.predictions import Policy, radiance
 from learn.networks.coding import compressed
 from learn.refinement.settings import RefinementSettings
-from learn.training.losses import reduced, solid_angles
 from shaders import tone
 
 FAINT = 0.05  # of a light's mean: ratios of what is darker count little

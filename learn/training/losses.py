@@ -24,22 +24,19 @@ highlight was, while a loss that asked for no more than "at least white" there w
 pixels from above.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
 from learn.data.settings import Losses
-from learn.layer import predictions
+from learn.layer.light_maps import reduced, solid_angles
 from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compressed
 from learn.networks.features import Features, difference
 from learn.networks.prediction import Prediction, required
-from manifests.training_runs import LayerMethod
-from shaders import envmap
+from learn.training.rerendering import at_pixels, object_mask, picked, sampled, whole
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
 RENDERED_LIGHT = (32, 64)
@@ -167,15 +164,15 @@ def layer_terms(
                 truth = (
                     whole(batch.n, its, true_light, batch, method=losses.layer_method)
                     if rendered is None
-                    else rendered * _inside(batch)
+                    else rendered * object_mask(batch)
                 )
             seen = whole(n, mine, light, batch, losses.gradient_bound, losses.layer_method)
             mine_c, its_c = compressed(seen), compressed(truth)
             if of_pixels:
-                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * _inside(batch).sum())
+                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * object_mask(batch).sum())
             if of_features:
                 result[f"{name}_features"] = compared_by(
-                    features, mine_c, its_c, _inside(batch) > 0
+                    features, mine_c, its_c, object_mask(batch) > 0
                 )
         elif of_pixels:
             where, count = sampled(batch, losses.pixels, rng)
@@ -250,139 +247,3 @@ def boxed(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list
         )
         results.append(picture[:, top : top + h, left : left + w])
     return results
-
-
-def _inside(batch: ExampleBatch) -> torch.Tensor:
-    """Return (B, 1, H, W) float, 1 where the truth and the network's mask show the object."""
-    return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
-
-
-def whole(
-    n: torch.Tensor,
-    label: torch.Tensor,
-    light: torch.Tensor,
-    batch: ExampleBatch,
-    gradient_bound: float = 0.0,
-    method: LayerMethod = "auto",
-) -> torch.Tensor:
-    """Return radiance (B, 3, H, W) at all pixels of the mask, 0 outside.
-
-    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w)
-    gradient_bound  as of `bounded`, for all pixels together
-    method          as losses.layer_method: "auto" is FRAME_LOSS, "quadrature" INTEGRAL_LOSS
-    """
-    inside = _inside(batch) > 0
-    normals = (
-        torch.where(inside, n, n.new_tensor([0.0, 0.0, 1.0])[:, None, None])
-        .movedim(1, -1)
-        .contiguous()
-    )
-    if normals.requires_grad:
-        normals.register_hook(bounded(gradient_bound / inside.sum().clamp(min=1)))
-    picture = predictions.radiance(
-        normals,
-        label,
-        light,
-        batch.segments.clamp(min=1),
-        inside[:, 0],
-        batch.elevation,
-        predictions.FRAME_LOSS if method == "auto" else predictions.INTEGRAL_LOSS,
-    )
-    return picture.movedim(-1, 1)
-
-
-def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[torch.Tensor, int]:
-    """Return flat indices (B, P) of different pixels of each object, and their number.
-
-    They lie at equal distances in the order of rows, after a random first one, so that each pixel
-    is equally likely. An index is −1 where an object has fewer pixels.
-    """
-    inside = ((batch.segments > 0) & (batch.mask[:, 0] > 0)).flatten(1)
-    count = inside.sum(1, keepdim=True)
-    part = torch.arange(min(pixels, inside.shape[1]), device=inside.device)
-    first = torch.rand(len(inside), 1, generator=rng, dtype=torch.float64).to(inside.device)
-    place = ((part + first) * (count / len(part)).clamp(min=1)).long()
-    seen = part < count
-    index = torch.searchsorted(inside.cumsum(1), place.clamp(max=inside.shape[1] - 1) + 1)
-    return index.masked_fill(~seen, -1), int(seen.sum())
-
-
-def at_pixels(
-    n: torch.Tensor,
-    segments: torch.Tensor,
-    label: torch.Tensor,
-    light: torch.Tensor,
-    where: torch.Tensor,
-    elevation: float,
-    gradient_bound: float = 0.0,
-    method: LayerMethod = "auto",
-) -> torch.Tensor:
-    """Return radiance (B, P, 3) at flat indices `where` (B, P), 0 where they are −1.
-
-    n (B, 3, H, W), segments (B, H, W), label (B, S, 108), light (B, 3, h, w)
-    gradient_bound  as of `bounded`, for all pixels together
-    method          as losses.layer_method: "auto" is PIXEL_LOSS, "quadrature" INTEGRAL_LOSS
-    """
-    region = segments.flatten(1).gather(1, where.clamp(min=0))
-    mask = where >= 0
-    normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
-    if normals.requires_grad:
-        normals.register_hook(bounded(gradient_bound / mask.sum().clamp(min=1)))
-    picture = predictions.radiance(
-        normals[:, None],
-        label,
-        light,
-        region.clamp(min=1)[:, None],
-        mask[:, None],
-        elevation,
-        predictions.PIXEL_LOSS if method == "auto" else predictions.INTEGRAL_LOSS,
-    )
-    return picture[:, 0]
-
-
-def picked(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
-    """Return (B, P, 3) of values (B, 3, H, W) at flat indices (B, P); undefined at −1."""
-    return values.flatten(2).gather(2, where.clamp(min=0)[:, None].expand(-1, 3, -1)).movedim(1, -1)
-
-
-def bounded(gradient_bound: float | torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return a hook that shortens each pixel's gradient to at most `gradient_bound`.
-
-    A glossy material's picture changes abruptly once a normal is off by more than a lobe's width,
-    and its gradient is then of no use: without a bound it drives normals away from the truth (18.0°
-    → 21.6° in a first trial on 64² pictures).
-    """
-
-    def hook(gradient: torch.Tensor) -> torch.Tensor:
-        length = gradient.norm(dim=-1, keepdim=True)
-        return gradient * (gradient_bound / length.clamp(min=1e-30)).clamp(max=1)
-
-    return hook
-
-
-def reduced(light: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
-    """Return maps (B, 3, Hl, Wl) averaged over solid angle to `size` (h, w), energy preserved."""
-    H, W = light.shape[-2:]
-    if tuple(size) == (H, W):
-        return light
-    rows = torch.as_tensor(row_means(H, size[0]), dtype=light.dtype).to(light.device)
-    columns = light.reshape(*light.shape[:-1], size[1], W // size[1]).mean(-1)
-    return torch.einsum("rh,bchw->bcrw", rows, columns)
-
-
-def row_means(before: int, after: int) -> np.ndarray:
-    """Return weights (after, before) that average rows of a map by solid angle."""
-    weight = np.asarray(envmap.row_solid_angles(before, 1)).reshape(after, -1)
-    out = np.zeros((after, before))
-    for r, w in enumerate(weight):
-        out[r, r * len(w) : (r + 1) * len(w)] = w / w.sum()
-    return out
-
-
-def solid_angles(light: torch.Tensor) -> torch.Tensor:
-    """Return each texel's share of the sphere, (Hl, Wl), which sum to 1."""
-    H, W = light.shape[-2:]
-    share = torch.as_tensor(
-        np.asarray(envmap.row_solid_angles(H, W)).reshape(-1), dtype=light.dtype
-    ).to(light.device) / (4 * math.pi)
-    return share[:, None].expand(H, W)

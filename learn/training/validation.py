@@ -8,9 +8,9 @@ image_l2, target_l2   the paper's display L2 over the mask, of I' against I and 
                       where the batch has one, else what the layer makes of the true parts
 control_l2            of O' from predicted normals under a constant light
 albedo                root mean square over channels of the log albedo's difference
-                      (learn.training.losses.log_albedo). With several regions albedo_1, albedo_2 …,
-                      over pictures that show them; constant_albedo: of the mean log albedo of a
-                      split's materials
+                      (learn.metrics.radiometry.log_albedo). With several regions
+                      albedo_1, albedo_2 …, over pictures that show them; constant_albedo: of the
+                      mean log albedo of a split's materials
 """
 
 import math

@@ -19,7 +19,7 @@ from learn.layer import render
 from learn.networks.prediction import Prediction
 from learn.refinement import PHOTOGRAPHS, RefinementSettings, refine
 from learn.refinement.energy import Energy, State
-from learn.training import losses
+from learn.training import losses, rerendering
 from manifests.errors import InputError
 from manifests.schema import Camera
 from manifests.training_runs import LAYER_METHODS
@@ -98,10 +98,10 @@ def pictures_of(batch, truth, method):
     where = inside.nonzero()[None, :, 1]
     parts = [x.clone().requires_grad_() for x in (batch.n, truth.label, truth.light)]
     n, label, light = parts
-    sampled = losses.at_pixels(
+    sampled = rerendering.at_pixels(
         n, batch.segments, label, light, where, ELEVATION, 1e9, method=method
     )[0]
-    whole = losses.whole(n, label, light, batch, 1e9, method)[0].flatten(1)[:, where[0]].T
+    whole = rerendering.whole(n, label, light, batch, 1e9, method)[0].flatten(1)[:, where[0]].T
     gradients = torch.autograd.grad(sampled.mean() + whole.mean(), parts)
     return sampled.detach(), whole.detach(), gradients
 

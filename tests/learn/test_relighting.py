@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from learn.data.records import Records
-from learn.experiments import relighting
+from learn.experiments import ladder_scenes, relighting
 from learn.networks.prediction import Prediction
 from manifests.errors import InputError
 from tests.support import ladder_rungs
@@ -24,13 +24,13 @@ def records(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pictures(records):
-    return relighting.pictures_of(records)
+    return ladder_scenes.pictures_of(records)
 
 
 def keys(lights=TURNS):
     """Keys of three shapes in two materials under several lights."""
     return sorted(
-        relighting.Key(shape, 3, ("sky", turn), material)
+        ladder_scenes.Key(shape, 3, ("sky", turn), material)
         for shape in ("car:1", "car:2", "dish:0")
         for turn in lights
         for material in ("bright", "dark")
@@ -38,9 +38,9 @@ def keys(lights=TURNS):
 
 
 def test_both_rungs_have_every_shape_light_and_material(pictures):
-    assert tuple(pictures) == relighting.RUNGS
+    assert tuple(pictures) == ladder_scenes.RUNGS
     assert set(pictures["direct"]) == set(pictures["8-bit"]) and len(pictures["direct"]) == 12
-    for rung, pixel in zip(relighting.RUNGS, ("centre", "square"), strict=True):
+    for rung, pixel in zip(ladder_scenes.RUNGS, ("centre", "square"), strict=True):
         assert {record.camera.pixel for record in pictures[rung].values()} == {pixel}
 
 
@@ -67,10 +67,10 @@ def test_too_few_lights_and_other_data_sets_are_refused(tmp_path):
     with pytest.raises(InputError, match="transfer: two shapes, each in two materials under three"):
         relighting.cases_of(keys(TURNS[:2]), 1, 0, "data")
     with pytest.raises(InputError, match="pictures of the rungs direct and 8-bit"):
-        relighting.pictures_of(SimpleNamespace(records=[], folder=tmp_path))
+        ladder_scenes.pictures_of(SimpleNamespace(records=[], folder=tmp_path))
 
 
-@pytest.mark.parametrize("rung", relighting.RUNGS)
+@pytest.mark.parametrize("rung", ladder_scenes.RUNGS)
 def test_true_parts_give_the_truth_of_both_tasks(records, pictures, rung):
     """A network that knows the truth of its picture: each part must come from the right one."""
 
@@ -90,19 +90,19 @@ def test_true_parts_give_the_truth_of_both_tasks(records, pictures, rung):
 
 
 def test_edits_are_of_one_view_and_light_and_shapes_take_turns(pictures):
-    edits = relighting.edits_of(pictures, 99, 0)
+    edits = ladder_scenes.edits_of(pictures, 99, 0)
     assert len(edits) == 6 and len({edit.shape for edit in edits[:2]}) == 2
     for edit in edits:
-        for rung in relighting.RUNGS:
+        for rung in ladder_scenes.RUNGS:
             source, truth = edit.source[rung], edit.truth[rung]
             assert source.materials != truth.materials
             same = ("shape", "viewpoint", "light", "rotation_texels", "tier")
             assert all(getattr(source, key) == getattr(truth, key) for key in same)
-    few = relighting.edits_of(pictures, 3, 0)
+    few = ladder_scenes.edits_of(pictures, 3, 0)
     assert [edit.id for edit in few] == [edit.id for edit in edits[:3]]
-    only = relighting.edits_of({"8-bit": pictures["8-bit"]}, 99, 0)
+    only = ladder_scenes.edits_of({"8-bit": pictures["8-bit"]}, 99, 0)
     assert len({edit.id for edit in only}) == 6 and not {e.id for e in only} & {e.id for e in edits}
-    given = relighting.edits_of(pictures, 99, 0, ["dark"])
+    given = ladder_scenes.edits_of(pictures, 99, 0, ["dark"])
     assert len(given) == 6
     assert {each.source["direct"].materials for each in given} == {("dark",)}
     assert {each.truth["direct"].materials for each in given} == {("bright",)}
@@ -110,7 +110,7 @@ def test_edits_are_of_one_view_and_light_and_shapes_take_turns(pictures):
     drawn = {edit.id for edit in edits if edit.source["direct"].materials == ("dark",)}
     assert drawn and drawn <= {each.id for each in given}
     with pytest.raises(InputError, match="one of them one of brass"):
-        relighting.edits_of(pictures, 99, 0, ["brass"])
+        ladder_scenes.edits_of(pictures, 99, 0, ["brass"])
     one = {rung: {key: of[key] for key in sorted(of)[:1]} for rung, of in pictures.items()}
     with pytest.raises(InputError, match="pictures of a view in two materials on the rungs direct"):
-        relighting.edits_of(one, 1, 0)
+        ladder_scenes.edits_of(one, 1, 0)

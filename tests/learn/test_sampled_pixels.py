@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from learn.training.losses import sampled
+from learn.training.rerendering import sampled
 
 PIXELS = 16
 

@@ -19,13 +19,14 @@ from learn.data.geometry import Geometry
 from learn.data.light_copies import KnownLights
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
+from learn.layer import light_maps
 from learn.metrics import radiometry
 from learn.networks import weights as checkpoint
 from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, CompactWrapped, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
-from learn.training import loop, losses, validation
+from learn.training import loop, losses, rerendering, validation
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
@@ -286,16 +287,17 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
 
 def test_a_light_reduced_keeps_its_energy(rng):
     L = torch.from_numpy(rng.random((1, 3, 64, 128)))
-    small = losses.reduced(L, (8, 16))
+    small = light_maps.reduced(L, (8, 16))
     torch.testing.assert_close(
-        (small * losses.solid_angles(small)).sum((2, 3)), (L * losses.solid_angles(L)).sum((2, 3))
+        (small * light_maps.solid_angles(small)).sum((2, 3)),
+        (L * light_maps.solid_angles(L)).sum((2, 3)),
     )
 
 
 def test_no_pixel_pulls_harder_than_its_bound():
     x = torch.ones(2, 5, 3, requires_grad=True)
     y = x * 1.0
-    y.register_hook(losses.bounded(torch.tensor(1e-3)))
+    y.register_hook(rerendering.bounded(torch.tensor(1e-3)))
     (y**2).sum().backward()
     assert x.grad.norm(dim=-1).max().item() == pytest.approx(1e-3, rel=1e-5)
 
