@@ -6,6 +6,7 @@ whenever it is asked for, and compared with what it was.
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, overload
 
@@ -93,27 +94,18 @@ class PlacedLines(Sequence[Record | View]):
         texts: list[bytes] = [b""] * len(places)
         order = np.lexsort((places["start"], places["file"])).tolist()
         rows = places.tolist()
-        file, current = None, -1
-        try:
-            for k in order:
-                number, start, length, check = rows[k]
-                if number != current:
-                    if file is not None:
-                        file.close()
-                    file = open(  # noqa: SIM115 (closed below)
-                        require_file(self._paths[number], "a file of lines", REPAIR), "rb"
-                    )
-                    current = number
-                file.seek(start)
-                texts[k] = file.read(length)
-                if zlib.crc32(texts[k]) != check:
-                    raise InputError(
-                        self._paths[number],
-                        "the lines that it had a moment ago",
-                        "others",
-                        "run this command again once nothing else changes the data set",
-                    )
-        finally:
-            if file is not None:
-                file.close()
+        for number, of_file in groupby(order, key=lambda k: rows[k][0]):
+            path = self._paths[number]
+            with open(require_file(path, "a file of lines", REPAIR), "rb") as file:
+                for k in of_file:
+                    _, start, length, check = rows[k]
+                    file.seek(start)
+                    texts[k] = file.read(length)
+                    if zlib.crc32(texts[k]) != check:
+                        raise InputError(
+                            path,
+                            "the lines that it had a moment ago",
+                            "others",
+                            "run this command again once nothing else changes the data set",
+                        )
         yield from map(self._decoder.decode, texts)
