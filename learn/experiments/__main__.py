@@ -28,6 +28,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "step-profile": "time the parts of a training step, and relighting",
         "layer-ablation": "train with and without the layer for the same time (Section 4.3)",
         "objective-ablation": "train with and without rendered pictures, for the same steps",
+        "glossy-weights": "compare weights on Cycles' pictures of glossy objects",
         "light-repairs": "train with and without two repairs of predicted lights",
         "normals-ablation": "train normals with further losses and shapes for the same time",
         "training-runs": "chart what training runs reached against the time that they took",

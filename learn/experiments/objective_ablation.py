@@ -16,6 +16,8 @@ measured on shapes, materials and lights that they never saw, with everything pr
                                  left out where these features are not installed
     losses by the integral       I' and O', and what they are compared with, by quadrature
     all by the integral          the same, and the relit pictures too
+    all terms as long            as the first, for the processor time that the steps of `all by the
+                                 integral` took, and so with more steps; after it in --variants
 
 From given weights, the learning rate is a third of the run's. The same command continues; variants
 that are there are kept. Batches are kept in the folder while the command runs, and then removed.
@@ -38,11 +40,13 @@ if TYPE_CHECKING:
     from learn.data.settings import Run
 
 REFERENCE, FEATURES, AS_GIVEN = "all terms", "features", "as given"
+ALL_BY_INTEGRAL = "all by the integral"
 NO_IMAGE, NO_TARGET = {"image": 0.0, "image_features": 0.0}, {"target": 0.0, "target_features": 0.0}
 BY_INTEGRAL = {"layer_method": "quadrature"}
 FROM_NOTHING, FROM_WEIGHTS = "nothing", "weights"
 FINE_TUNING = 1 / 3  # of the run's learning rate: weights that are given have moved far already
 WARM_UP = 1 / 10  # of all steps, at most
+MOST_STEPS = 50  # times --steps, which a variant that its processor time ends does not get to
 GLOSSY = (
     " Training and test draw from materials with narrow lobes alone, and the test's pictures are"
     " rendered by the integral (`quadrature`)."
@@ -65,12 +69,14 @@ class Variant:
     reflectance_map  whether heads see the features of the reflectance map
     further_seed     added to the seed of the network and of sampled pixels, not of the batches
     pictures         the layer's method for relit pictures
+    as_long_as       the variant whose processor time ends it in place of the number of steps
     """
 
     losses: Mapping[str, float | str] = field(default_factory=dict)
     reflectance_map: bool = True
     further_seed: int = 0
     pictures: LayerMethod = "auto"
+    as_long_as: str | None = None
 
 
 VARIANTS = {
@@ -82,7 +88,8 @@ VARIANTS = {
     "all terms again": Variant(further_seed=1000),
     FEATURES: Variant(NO_IMAGE | NO_TARGET | {"image_features": 1.0, "target_features": 1.0}),
     "losses by the integral": Variant(BY_INTEGRAL),
-    "all by the integral": Variant(BY_INTEGRAL, pictures="quadrature"),
+    ALL_BY_INTEGRAL: Variant(BY_INTEGRAL, pictures="quadrature"),
+    "all terms as long": Variant(as_long_as=ALL_BY_INTEGRAL),
 }
 
 
@@ -145,6 +152,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store import file_hash
 
     names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
+    _require_order(names)
     run = read_run(arguments.run_name)
     objective_training.require_all_terms(run, arguments.run_name)
     left_out = _left_out(names, arguments.features)
@@ -192,7 +200,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     # a variant from both before the next one: what is done when time is up can be compared
     todo = [(name, start) for name in names for start in arguments.initialisations]
     for name, start in tqdm(todo, "variants", unit="run"):
-        of_variant = settings(name, start, run, arguments)
+        first = VARIANTS[name].as_long_as
+        seconds = None if first is None else results[start][first][0]["seconds"]
+        of_variant = settings(name, start, run, arguments, seconds)
         folder = arguments.out / "runs" / f"{name.replace(' ', '-')}-from-{start}"
         results[start][name] = [
             variants.trained(
@@ -229,6 +239,17 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return summary(results, about) | {"left_out": left_out, "seen": seen}
 
 
+def _require_order(names: list[str]) -> None:
+    """Raise InputError for a variant that takes another's time and comes before it."""
+    from manifests.errors import InputError
+
+    for i, name in enumerate(names):
+        first = VARIANTS[name].as_long_as
+        if first is not None and first not in names[:i]:
+            rule = f'"{first}" before "{name}", which is trained for the same time'
+            raise InputError("--variants", rule, ", ".join(names), f'put "{first}" before it')
+
+
 def _left_out(names: list[str], path: str | None) -> dict[str, str]:
     """Return {variant: why it cannot be trained here}. Raises InputError for features as given."""
     from learn.networks import features
@@ -253,8 +274,18 @@ def _with_pictures(run: Run, method: LayerMethod) -> Run:
     return msgspec.structs.replace(run, data=data)
 
 
-def settings(name: str, start: str, run: Run, arguments: argparse.Namespace) -> Run:
-    """Return the run of one variant that begins from `start`, FROM_NOTHING or FROM_WEIGHTS."""
+def settings(
+    name: str,
+    start: str,
+    run: Run,
+    arguments: argparse.Namespace,
+    seconds: float | None = None,
+) -> Run:
+    """Return the run of one variant that begins from `start`, FROM_NOTHING or FROM_WEIGHTS.
+
+    seconds  of the processor after which the run ends, with its learning rate at 0, in place of
+             its number of steps
+    """
     import msgspec
 
     own, given, steps = VARIANTS[name], start == FROM_WEIGHTS, arguments.steps
@@ -263,10 +294,10 @@ def settings(name: str, start: str, run: Run, arguments: argparse.Namespace) -> 
         losses = msgspec.structs.replace(losses, features=arguments.features, features_sha256="")
     schedule = msgspec.structs.replace(
         run.schedule,
-        steps=steps,
+        steps=steps if seconds is None else MOST_STEPS * steps,
         learning_rate=run.schedule.learning_rate * (FINE_TUNING if given else 1),
         warm_up=min(run.schedule.warm_up, int(steps * WARM_UP)),
-        seconds=None,
+        seconds=seconds,
     )
     return msgspec.structs.replace(
         _with_pictures(run, own.pictures),

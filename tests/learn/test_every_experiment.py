@@ -196,6 +196,21 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and {row["source"] for row in r["rows"]} == {"glossy"}
         ),
     ),
+    "glossy-weights": (
+        "--data {room}/glossy --weights a={room}/weights.safetensors"
+        " --weights b={room}/weights.safetensors --scenes 1",
+        lambda r: (
+            [(row["rung"], row["weights"]) for row in r["rows"]]
+            == [(rung, name) for rung in ("direct", "8-bit") for name in "ab"]
+            and {row["source"] for row in r["rows"]} == {"glossy"}
+            # the same weights twice differ in nothing
+            and all(
+                {**a, "weights": ""} == {**b, "weights": ""}
+                for a, b in zip(r["rows"][::2], r["rows"][1::2], strict=True)
+            )
+            and all(row["edit_l2_aligned"] <= row["edit_l2"] for row in r["rows"])
+        ),
+    ),
     "edit-methods": (
         "--evaluation {root}/evaluation-kept-jobs/report.json"
         " --mitsuba {root}/mitsuba-comparison/report.json"

@@ -153,6 +153,42 @@ def test_variants_by_the_integral_change_the_layers_method_alone():
         assert msgspec.structs.replace(run, losses=losses, data=data, name=first.name) == first
 
 
+def test_a_variant_of_another_ones_time_ends_by_it_with_more_steps(data_splits, kept, tmp_path):
+    run = objective_ablation.settings("all terms as long", FROM_NOTHING, RUN, options(), 0.5)
+    assert run.schedule.seconds == 0.5 and run.schedule.steps > 20 * 2
+    like = objective_ablation.settings("all terms", FROM_NOTHING, RUN, options())
+    schedule = msgspec.structs.replace(run.schedule, seconds=None, steps=2)
+    assert msgspec.structs.replace(run, schedule=schedule, name=like.name) == like
+    make = objective_training.maker(kept, True)
+    tested = objective_training.tests(data_splits, RUN, SIZE, 1)
+    folder = tmp_path / "run"
+    result = variants.trained(run, data_splits, tested, folder, 0, make, objective_training.rows)
+    assert result["steps"] < run.schedule.steps
+    last = logged(folder)[-2:]
+    assert (
+        result["seconds"]
+        >= 0.5
+        > result["seconds"]
+        - 10
+        * sum(
+            each[f"{part}_ms"] / 1e3 for each in last for part in ("network", "losses", "backward")
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["all terms", "all terms as long"],
+        ["all terms", "all terms as long", "all by the integral"],
+    ],
+)
+def test_a_variant_of_another_ones_time_comes_after_it(names):
+    with pytest.raises(InputError, match='"all by the integral" before "all terms as long"'):
+        objective_ablation._require_order(names)
+    objective_ablation._require_order(list(VARIANTS))
+
+
 def test_glossy_splits_keep_materials_with_narrow_lobes_alone(data_splits):
     narrow = np.array(glossy().label, np.float32)
     mixed = {
