@@ -47,8 +47,12 @@ def own_command() -> str:
 
 
 def shortened(argument: str) -> str:
-    """Return an argument as it is published: only the last part of a path on this machine."""
-    return f"…/{Path(argument).name}" if os.path.isabs(argument) else argument
+    """Return an argument as it is published: only the last part of a path on this machine.
+
+    That is done for NAME=PATH too.
+    """
+    name, equals, path = ("", "", argument) if os.path.isabs(argument) else argument.partition("=")
+    return f"{name}{equals}…/{Path(path).name}" if os.path.isabs(path) else argument
 
 
 def commit() -> str:

@@ -3,11 +3,11 @@
 Each picture shows an object in a material with lobes that are visible and narrower than a texel. It
 is decomposed by each of the weights, rendered again, and edited into another material, of which
 there is a picture by Cycles too. All renderings are by the integral. Nothing is refined, so that
-the figures are those of the networks alone. Pictures in direct light are shown to weights that were
-trained on smaller ones at that size, of every k-th pixel. The data set is one of the ladder's jobs
-(`python -m learn evaluate-ladder --jobs DIR` names them), or of pictures in direct light such as
-docs/jobs/evaluation. rows.jsonl keeps a line per picture and weights: the same command continues,
-and a larger --scenes adds to it.
+the figures are those of the networks alone. Each of the weights sees pictures of the size that it
+was trained with, or all see those of --size; in direct light smaller ones have every k-th pixel.
+The data set is one of the ladder's jobs (`python -m learn evaluate-ladder --jobs DIR` names them),
+or of pictures in direct light such as docs/jobs/evaluation. rows.jsonl keeps a line per picture and
+weights: the same command continues, and a larger --scenes adds to it.
 """
 
 from __future__ import annotations
@@ -56,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of pictures on each rung, shapes in turn (default 48)",
     )
+    parser.add_argument(
+        "--size",
+        type=positive,
+        metavar="N",
+        help="size of pictures for all weights (default: that of each training)",
+    )
     options.add_seed(parser, "seed by which edits are drawn")
 
 
@@ -86,8 +92,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         argparse.Namespace(**vars(arguments) | {"weights": list(named.values())}),
         sources=glossy,
         names=list(named),
+        size=arguments.size,
     )
     benches = {name: ladder.Bench(edits.records, path) for name, path in named.items()}
+    for bench in benches.values():
+        bench.size = arguments.size or bench.size
     todo = [
         ({"scene": scene.id, "rung": rung, "weights": name}, (scene, rung, name))
         for scene in edits.scenes
@@ -104,7 +113,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "rows": rows,
         "weights": list(named),
         "sizes": {name: bench.size for name, bench in benches.items()},
-        "seen": edits.seen,
+        "seen": list(dict.fromkeys(edits.seen)),
     }
 
 

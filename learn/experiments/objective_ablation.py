@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from learn.data.settings import Run
 
 REFERENCE, FEATURES, AS_GIVEN = "all terms", "features", "as given"
-ALL_BY_INTEGRAL = "all by the integral"
+AGAIN, ALL_BY_INTEGRAL = "all terms again", "all by the integral"
 NO_IMAGE, NO_TARGET = {"image": 0.0, "image_features": 0.0}, {"target": 0.0, "target_features": 0.0}
 BY_INTEGRAL = {"layer_method": "quadrature"}
 FROM_NOTHING, FROM_WEIGHTS = "nothing", "weights"
@@ -85,7 +85,7 @@ VARIANTS = {
     "without the reflectance map": Variant(reflectance_map=False),
     "without image": Variant(NO_IMAGE),
     "without target": Variant(NO_TARGET),
-    "all terms again": Variant(further_seed=1000),
+    AGAIN: Variant(further_seed=1000),
     FEATURES: Variant(NO_IMAGE | NO_TARGET | {"image_features": 1.0, "target_features": 1.0}),
     "losses by the integral": Variant(BY_INTEGRAL),
     ALL_BY_INTEGRAL: Variant(BY_INTEGRAL, pictures="quadrature"),
@@ -341,6 +341,7 @@ def tables(report: runner.Report) -> str:
     """Return each variant's figures and its ratios to all terms, from nothing and from weights."""
     about = report["about"]
     train, test = about["train"], about["test"]
+    is_again = any(AGAIN in of_start for of_start in report["initialisations"].values())
     parts = [
         "# What the rendered pictures and the reflectance map bring to training (Section 4.3)",
         *report["seen"],
@@ -349,8 +350,9 @@ def tables(report: runner.Report) -> str:
         f" shapes and {train['lights']} light maps. Measured on {about['pictures']} pictures of"
         f" {test['shapes']} shapes, {test['materials']} materials and {test['lights']} light maps"
         " that are never seen, with everything predicted. Means with 95 % intervals over shapes"
-        " and materials, which do not cover another training of the same variant: `all terms"
-        " again` shows what other random numbers do." + GLOSSY * about.get("glossy", False),
+        " and materials, which do not cover another training of the same variant"
+        + (f": `{AGAIN}` shows what other random numbers do." if is_again else ".")
+        + GLOSSY * about.get("glossy", False),
     ]
     for start, of_start in report["initialisations"].items():
         begins = f"the weights {about['start']}" if start == FROM_WEIGHTS else "nothing"

@@ -198,11 +198,12 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
     ),
     "glossy-weights": (
         "--data {room}/glossy --weights a={room}/weights.safetensors"
-        " --weights b={room}/weights.safetensors --scenes 1",
+        " --weights b={room}/weights.safetensors --scenes 1 --size 16",
         lambda r: (
             [(row["rung"], row["weights"]) for row in r["rows"]]
             == [(rung, name) for rung in ("direct", "8-bit") for name in "ab"]
             and {row["source"] for row in r["rows"]} == {"glossy"}
+            and r["sizes"] == {"a": 16, "b": 16}
             # the same weights twice differ in nothing
             and all(
                 {**a, "weights": ""} == {**b, "weights": ""}
@@ -494,6 +495,7 @@ def test_a_folder_that_is_a_file_is_refused_before_anything_is_measured(tmp_path
 REPORTS = {
     "edit-brightness-other-metals": "edit-brightness",
     "objective-ablation-features": "objective-ablation",
+    "objective-ablation-glossy": "objective-ablation",
     "step-profile-integral": "step-profile",
     "step-profile-sum": "step-profile",
     "objective-ablation-long": "objective-ablation",
