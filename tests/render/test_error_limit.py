@@ -3,6 +3,8 @@ error that they have beside a reference.
 """
 
 import functools
+import gc
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -218,6 +220,25 @@ def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypa
     assert (chair.direct_light(64).radiance == other).all()
     assert (chair.direct_light(64).radiance == other).all()
     assert len(seen) == 8 and not chair._grids
+
+
+def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
+    def kept():
+        return [weakref.ref(grid.depth) for grid in chair._grids.values()]
+
+    def alive(references):
+        gc.collect()
+        return sum(each() is not None for each in references)
+
+    chair.direct_light(64)
+    first = kept()
+    assert alive(first) == len(first) > 0
+    chair.set_view(1.5)
+    chair.direct_light(64)
+    second = kept()
+    assert (alive(first), alive(second)) == (0, len(first))
+    chair.set_shape(assets()[0])
+    assert alive(second) == 0 and not chair._grids
 
 
 def test_the_share_of_leaning_points_is_known_before_direct_light_is_computed(chair):
