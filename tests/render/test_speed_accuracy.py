@@ -355,6 +355,13 @@ def test_the_closed_form_is_a_setting_of_direct_light_alone_and_the_ratio_of_the
     assert "closed form" in families["direct"] and "ratio" not in families["direct"]
 
 
+def test_adaptive_samples_are_settings_with_and_without_the_denoiser():
+    every, fewer = (set(settings.methods(None, adaptively=each)) for each in (True, False))
+    thresholds = [f"threshold {each:g}" for each in settings.THRESHOLDS]
+    families = ("adaptive sampling", "adaptive sampling, denoised")
+    assert every - fewer == {(family, each) for family in families for each in thresholds}
+
+
 def test_settings_of_most_samples_can_be_left_out():
     every = settings.methods(None, adaptively=False)
     assert ("path tracing", "1024 samples") in settings.methods(None, False, most=1024)

@@ -22,7 +22,7 @@ BARE_LOOP = "bare loop in Blender"
 UNLIKE = "no denoiser"  # of a setting that differs in more than samples from its family
 PEER_DEFAULTS = "defaults"  # of its settings
 OURS = ("path tracing", "denoised", "ratio", CLOSED, LIMIT)
-BIASED = ("denoised", "ratio", CLOSED)
+BIASED = ("denoised", "adaptive sampling, denoised", "ratio", CLOSED)
 
 
 def at_error(rows: list[dict[str, Any]], error: float, family: str = LIMIT) -> float:

@@ -95,6 +95,14 @@ def methods(
 
         return render
 
+    def adaptive_smooth(threshold: float) -> Method:
+        def render(at: Shown) -> np.ndarray:
+            with stopping_at(studio._scene, threshold):
+                portion = studio.portion(0, MOST_ADAPTIVE, at.seed, at.tier)
+            return studio.denoised(portion, effort(MOST_ADAPTIVE))
+
+        return render
+
     def smooth(samples: int) -> Method:
         return lambda at: studio.denoised(
             studio.portion(0, samples, at.seed, at.tier), effort(samples)
@@ -123,7 +131,11 @@ def methods(
     return (
         {("path tracing", f"{n} samples"): fixed(n) for n in counts}
         | {
-            ("adaptive sampling", f"threshold {t:g}"): adaptive(t)
+            (family, f"threshold {t:g}"): make(t)
+            for family, make in (
+                ("adaptive sampling", adaptive),
+                ("adaptive sampling, denoised", adaptive_smooth),
+            )
             for t in (THRESHOLDS if adaptively else ())
         }
         | {("denoised", f"{n} samples"): smooth(n) for n in counts}

@@ -1,0 +1,182 @@
+"""Whether Cycles' adaptive sampling saves time before the denoiser, in two halves as a limit's.
+
+python -m factory.render.validation.adaptive_denoiser --numbers 2 5 --out DIR
+python -m factory.render.validation.adaptive_denoiser --scenes 8 --meshes FOLDER --out DIR
+
+scenes   those of factory.render.validation.speed_accuracy, at full transport
+equal    EQUAL samples for every pixel of each half
+adaptive samples of each half until Cycles sees less noise in a pixel than one of THRESHOLDS, at
+         most MOST. Where a threshold took longer than LONGEST, the smaller ones are left out
+error    of the picture that a limit has, the mean of both denoised halves, and its squared bias,
+         against a reference in two halves; ± is what the reference's noise gives
+estimate of that error and bias by the two halves alone, as a limit on the error makes it
+seconds  of the processor, for both halves and the denoiser
+gain     the seconds that equal samples take for the adaptive picture's error, divided by its own;
+         between the settings, and beyond them at the rate of the nearest two
+pilot    mean(σ²) / mean(σ)² over squares of pixels, by the variance σ² of the display values of the
+         first PILOT samples of each half: what a division of samples over squares could save
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from factory.render.estimators.adaptive_sampling import stopping_at
+from factory.render.estimators.halves import Halves, half_seed
+from factory.render.estimators.renderer import Shown, effort
+from factory.render.validation import command_line
+from factory.render.validation.adaptive_sampling import best_gain, display_variance, over_tiles
+from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
+from factory.render.validation.speed_accuracy import doubt
+from manifests.option_types import whole
+from manifests.provenance import provenance
+
+EQUAL = (16, 64, 192)  # samples of each half, of which the first are those of the one before
+THRESHOLDS = (0.1, 0.03, 0.01)
+MOST = 1024  # samples of a pixel of each half, as many as BlenderProc has by default
+LONGEST = 30.0  # seconds of both halves
+PILOT, PARTS = 16, 4  # samples of each half, and the pictures that they are divided into
+
+
+def measured_scene(stage: Stage, shown: Shown, reference: Halves) -> dict[str, Any]:
+    """Return the pilot's figure and a row for each setting, of the scene that the stage shows."""
+    halves, seconds, equal = Halves(shown), 0.0, []
+    shown.renderer.denoised(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
+    for samples in EQUAL:
+        start = time.process_time()
+        halves.grow(samples - halves.samples)
+        seconds += time.process_time() - start
+        equal.append({"setting": f"{samples} samples", **_judged(halves, seconds, reference)})
+    adaptive = []
+    for threshold in THRESHOLDS:
+        halves, start = Halves(shown), time.process_time()
+        with stopping_at(stage.studio._scene, threshold):
+            halves.grow(MOST)
+        seconds = time.process_time() - start
+        row = {"setting": f"threshold {threshold:g}", **_judged(halves, seconds, reference)}
+        row["gain"] = seconds_at(equal, row["error"]) / row["seconds"]
+        adaptive.append(row)
+        if seconds > LONGEST:
+            break
+    return {"pilot": _piloted(shown), "equal": equal, "adaptive": adaptive}
+
+
+def _judged(halves: Halves, seconds: float, reference: Halves) -> dict[str, float]:
+    """Return what denoised halves are worth, and what they cost with their samples' seconds."""
+    start = time.process_time()
+    pair = halves.denoised()
+    seconds += time.process_time() - start
+    picture = (pair[0] + pair[1]) / 2
+    estimate, bias = halves.error_and_bias(pair, halves.pictures, halves.slope(pair))
+    noisy = halves.picture
+    return {
+        "seconds": seconds,
+        "error": compared(picture, picture, reference).error,
+        "standard_error": doubt(picture[None], reference),
+        "squared_bias": compared(pair[0], pair[1], reference).error,
+        "estimated": estimate.error,
+        "estimated_standard_error": estimate.standard_error,
+        "estimated_squared_bias": bias,
+        "error_without_denoiser": compared(noisy, noisy, reference).error,
+        "estimated_without_denoiser": halves.estimate().error,
+    }
+
+
+def _piloted(shown: Shown) -> float:
+    """Return what a division of samples over squares could save, by the pilot's noise."""
+    each = PILOT // PARTS
+    parts = [
+        shown.renderer.portion(k * each, each, half_seed(shown.seed, half), shown.tier).noisy
+        for half in (0, 1)
+        for k in range(PARTS)
+    ]
+    variance = display_variance(np.array([part[shown.mask] for part in parts]), shown.mask)
+    return best_gain(over_tiles(variance, shown.mask))
+
+
+def seconds_at(rows: Sequence[dict[str, Any]], error: float) -> float:
+    """Return the seconds that settings take for an error, by the logarithms of both.
+
+    rows  of settings with `error` above 0 and `seconds`, in the order of their seconds. Beyond them
+          the rate of the nearest two continues
+    """
+    x, y = (np.log([row[key] for row in rows]) for key in ("error", "seconds"))
+    target = np.log(max(error, 1e-3))
+    k = int(np.clip((x > target).sum() - 1, 0, len(x) - 2))
+    return float(np.exp(y[k] + (target - x[k]) * (y[k + 1] - y[k]) / (x[k + 1] - x[k])))
+
+
+def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return the figures of each scene."""
+    stage, result = Stage(options.size, 1), []
+    meshes = meshes_of(options.meshes)
+    for number in options.numbers or range(options.scenes):
+        scene = replace(drawn(number, options.seed, stage.materials, meshes), tier="full")
+        shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
+        reference = stage.reference(scene, shown.mask, options.reference)
+        figures = measured_scene(stage, shown, reference)
+        result.append({"scene": number, **asdict(named(scene)), **figures})
+        print(f"{named(scene)}: {figures}", flush=True)
+        # after every scene, so that a run that is stopped has those that it has measured
+        words = {key: getattr(options, key) for key in ("size", "reference", "seed")}
+        report = {**provenance(), **words, "scenes": result}
+        command_line.write_report(options.out, report, page(report))
+    return result
+
+
+def page(result: dict[str, Any]) -> str:
+    """Return the page of a measurement."""
+    scenes = result["scenes"]
+    lines = [
+        "# Adaptive sampling before the denoiser",
+        "",
+        f"    {result['command']}",
+        "",
+        f"Commit {result['commit']}, {result['date']}, {result['machine']}; {len(scenes)} scenes of"
+        f" {result['size']}×{result['size']} at full transport; references of"
+        f" {2 * result['reference']} samples.",
+        "",
+        "The picture is the mean of two denoised halves. The gain is how many times as long equal"
+        " samples take for the same error, by the measured settings above it, or by the rate of"
+        " the nearest two beyond them.",
+    ]
+    for scene in scenes:
+        lines += [
+            "",
+            f"**{scene['shape']}, {scene['material']}, {scene['light']}.** By the first {PILOT}"
+            f" samples of each half a division over squares could save {scene['pilot']:.2f} times.",
+            "",
+            "| samples of each half | seconds | error | estimated | squared bias | estimated"
+            " | error without denoiser | estimated | gain |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        for row in (*scene["equal"], *scene["adaptive"]):
+            gain = f"{row['gain']:.2f}" if "gain" in row else "–"
+            lines.append(
+                f"| {row['setting']} | {row['seconds']:.2f}"
+                f" | {row['error']:.2f} ± {row['standard_error']:.2f}"
+                f" | {row['estimated']:.2f} ± {row['estimated_standard_error']:.2f}"
+                f" | {row['squared_bias']:.2f} | {row['estimated_squared_bias']:.2f}"
+                f" | {row['error_without_denoiser']:.2f}"
+                f" | {row['estimated_without_denoiser']:.2f} | {gain} |".replace("-", "−")
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, and write report.json and report.md."""
+    parser = command_line.parser(__doc__, "scenes", 8, seed=7, size=128, reference=256, meshes=True)
+    parser.add_argument(
+        "--numbers", type=whole, nargs="+", metavar="N", help="of the scenes (default: the first)"
+    )
+    measure(command_line.parse(parser))
+
+
+if __name__ == "__main__":
+    main()

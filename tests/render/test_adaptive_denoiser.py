@@ -1,0 +1,97 @@
+"""The figures of adaptive sampling before the denoiser, on pictures of known truth and noise."""
+
+import contextlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
+from factory.render.estimators.halves import Halves
+from factory.render.validation import adaptive_denoiser as measured
+from tests.support.known_pictures import Known, error, shown
+
+EQUAL = [{"error": 16.0, "seconds": 1.0}, {"error": 4.0, "seconds": 4.0}]
+EQUAL += [{"error": 2.0, "seconds": 16.0}]
+
+
+@pytest.mark.parametrize(
+    ("error_", "seconds"), [(16.0, 1.0), (8.0, 2.0), (2.0, 16.0), (1.0, 64.0), (32.0, 0.5)]
+)
+def test_the_time_for_an_error_is_interpolated_and_continued_at_the_nearest_rate(error_, seconds):
+    assert measured.seconds_at(EQUAL, error_) == pytest.approx(seconds)
+
+
+class Stopping(Known):
+    """A renderer whose adaptive samples have a noise of their own."""
+
+    stops_at = None
+
+    def portion(self, first, count, seed, tier):
+        some = super().portion(first, count, seed, tier)
+        if self.stops_at is None:
+            return some
+        noise = (some.noisy - self.truth) * np.sqrt(count / 64) * self.stops_at
+        return some._replace(noisy=np.float32(self.truth + noise))
+
+
+@pytest.fixture
+def scene(monkeypatch):
+    """Return a stage, what it shows and a reference of nearly no noise, without Blender."""
+    known = Stopping(bias=0.02)
+
+    @contextlib.contextmanager
+    def stopping_at(scene, threshold):
+        known.stops_at = threshold * 30
+        yield
+        known.stops_at = None
+
+    monkeypatch.setattr(measured, "stopping_at", stopping_at)
+    reference = Halves(shown(Known(noise=1e-4), 77))
+    reference.grow(16)
+    return SimpleNamespace(studio=SimpleNamespace(_scene=None)), shown(known, 5), reference
+
+
+def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
+    figures = measured.measured_scene(*scene)
+    assert [row["setting"] for row in figures["equal"]] == [
+        f"{each} samples" for each in measured.EQUAL
+    ]
+    assert [row["setting"] for row in figures["adaptive"]] == [
+        f"threshold {each:g}" for each in measured.THRESHOLDS
+    ]
+    errors = [row["error"] for row in figures["equal"]]
+    assert errors[0] > errors[1] > errors[2]
+    halves = Halves(scene[1])
+    halves.grow(16)
+    pair = halves.denoised()
+    truth = error((pair[0] + pair[1]) / 2, scene[1].renderer)
+    assert errors[0] == pytest.approx(truth, rel=0.02)
+    for row in (*figures["equal"], *figures["adaptive"]):
+        off = 3 * row["estimated_standard_error"]
+        assert row["estimated"] == pytest.approx(row["error"], rel=0.15, abs=off)
+        # the denoiser's bias is that of all settings; what is left of the noise is none
+        assert row["squared_bias"] == pytest.approx(figures["equal"][2]["squared_bias"], rel=0.25)
+    # noise of 0.9 times that of 64 samples
+    assert figures["adaptive"][1]["error_without_denoiser"] == pytest.approx(
+        0.81 * figures["equal"][1]["error_without_denoiser"], rel=0.1
+    )
+    # the noise is nearly the same everywhere, so that a division of samples saves nothing
+    assert 1 <= figures["pilot"] < 1.5
+
+
+def test_smaller_thresholds_are_left_out_where_one_took_too_long(scene, monkeypatch):
+    monkeypatch.setattr(measured, "LONGEST", -1.0)
+    figures = measured.measured_scene(*scene)
+    assert [row["setting"] for row in figures["adaptive"]] == ["threshold 0.1"]
+
+
+def test_the_page_has_a_row_for_each_setting(scene):
+    figures = measured.measured_scene(*scene)
+    words = {"shape": "cube", "material": "steel", "light": "city"}
+    result = {"size": 48, "reference": 16, "scenes": [{**words, **figures}]}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    page = measured.page(result)
+    assert "**cube, steel, city.**" in page
+    assert page.count("| threshold ") == 3 and page.count(" samples | ") == 3
+    assert f"| {figures['adaptive'][0]['gain']:.2f} |" in page
