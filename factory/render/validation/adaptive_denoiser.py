@@ -2,6 +2,7 @@
 
 python -m factory.render.validation.adaptive_denoiser --numbers 2 5 --out DIR
 python -m factory.render.validation.adaptive_denoiser --scenes 8 --meshes FOLDER --out DIR
+python -m factory.render.validation.adaptive_denoiser --charts REPORT.json --out DIR
 
 scenes   those of factory.render.validation.speed_accuracy, at full transport
 equal    EQUAL samples for every pixel of each half
@@ -15,14 +16,20 @@ gain     the seconds that equal samples take for the adaptive picture's error, d
          between the settings, and beyond them at the rate of the nearest two
 pilot    mean(σ²) / mean(σ)² over squares of pixels, by the variance σ² of the display values of the
          first PILOT samples of each half: what a division of samples over squares could save
+
+The third form renders nothing. Of reports of factory.render.validation.speed_accuracy it says how
+long equal samples and the denoiser take for the error of BlenderProc's defaults, which are Cycles'
+adaptive sampling and the same denoiser: one picture each, whose error need not be known.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,6 +41,7 @@ from factory.render.validation import command_line
 from factory.render.validation.adaptive_sampling import best_gain, display_variance, over_tiles
 from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
 from factory.render.validation.speed_accuracy import doubt
+from factory.render.validation.speed_accuracy_report import PEER_DEFAULTS, PEER_NAME
 from manifests.option_types import whole
 from manifests.provenance import provenance
 
@@ -169,13 +177,78 @@ def page(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def beside_defaults(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return for each scene of a chart what BlenderProc's defaults and equal samples take.
+
+    rows  of the report of factory.render.validation.speed_accuracy
+    """
+    result = []
+    for number in dict.fromkeys(row["scene"] for row in rows):
+        here = [row for row in rows if row["scene"] == number]
+        peer = next(
+            row for row in here if (row["family"], row["setting"]) == (PEER_NAME, PEER_DEFAULTS)
+        )
+        equal = sorted(
+            (row for row in here if row["family"] == "denoised"), key=lambda row: row["seconds"]
+        )
+        seconds = seconds_at(equal, peer["error"])
+        result.append(
+            {
+                "shape": peer["shape"],
+                "material": peer["material"],
+                "error": peer["error"],
+                "seconds": peer["seconds"],
+                "equal_seconds": seconds,
+                "speed": peer["seconds"] / seconds,
+                "is_continued": peer["error"] < equal[-1]["error"],
+            }
+        )
+    return result
+
+
+def page_of_charts(result: dict[str, Any]) -> str:
+    """Return the page of what charts say."""
+    lines = [
+        "# Adaptive sampling and denoiser beside equal samples and denoiser",
+        "",
+        f"    {result['command']}",
+        "",
+        f"Commit {result['commit']}, {result['date']}. One picture each, at the error of"
+        " BlenderProc's defaults; * is continued at the rate of the last two settings.",
+        "",
+        "| scene | error | BlenderProc's defaults: seconds | equal samples, denoised: seconds"
+        " | times as fast |",
+        "|---|---|---|---|---|",
+    ]
+    for row in result["scenes"]:
+        mark = " *" if row["is_continued"] else ""
+        lines.append(
+            f"| {row['shape']}, {row['material']} | {row['error']:.2f} | {row['seconds']:.1f}"
+            f" | {row['equal_seconds']:.1f}{mark} | {row['speed']:.2f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def main() -> None:
-    """Measure, and write report.json and report.md."""
+    """Measure, or read charts, and write report.json and report.md."""
     parser = command_line.parser(__doc__, "scenes", 8, seed=7, size=128, reference=256, meshes=True)
     parser.add_argument(
         "--numbers", type=whole, nargs="+", metavar="N", help="of the scenes (default: the first)"
     )
-    measure(command_line.parse(parser))
+    parser.add_argument(
+        "--charts", type=Path, nargs="+", metavar="REPORT", help="render nothing, and read these"
+    )
+    options = command_line.parse(parser)
+    if options.charts is None:
+        measure(options)
+        return
+    scenes = [
+        row
+        for path in options.charts
+        for row in beside_defaults(json.loads(path.read_text())["rows"])
+    ]
+    result = {**provenance(), "scenes": scenes}
+    command_line.write_report(options.out, result, page_of_charts(result))
 
 
 if __name__ == "__main__":
