@@ -102,12 +102,14 @@ def test_charts_say_what_equal_samples_take_for_the_error_of_the_other_programs_
     rows = [{**words, "scene": 0, "family": "denoised", "setting": "", **row} for row in EQUAL]
     peer = {**words, "family": "BlenderProc", "setting": "defaults", "seconds": 8.0}
     rows += [{**peer, "scene": 0, "error": 8.0}, {**peer, "scene": 0, "setting": "16 samples"}]
-    rows += [{**row, "scene": 1} for row in rows[:3]] + [{**peer, "scene": 1, "error": 1.0}]
+    rows += [{**row, "scene": 1} for row in rows[:3]] + [
+        {**peer, "scene": 1, "error": 1.0, "seconds": 16.0}
+    ]
     first, second = measured.beside_defaults(rows)
     assert (first["equal_seconds"], first["speed"]) == pytest.approx((2.0, 4.0))
-    assert (second["equal_seconds"], second["speed"]) == pytest.approx((64.0, 1 / 8))
+    assert (second["equal_seconds"], second["speed"]) == pytest.approx((64.0, 0.25))
     assert second["is_continued"] and not first["is_continued"]
     result = {"scenes": [first, second], "command": "c", "commit": "d", "date": "e"}
     page = measured.page_of_charts(result)
     assert "| cube, steel | 8.00 | 8.0 | 2.0 | 4.00 |" in page
-    assert "| cube, steel | 1.00 | 8.0 | 64.0 * | 0.12 |" in page
+    assert "| cube, steel | 1.00 | 16.0 | 64.0 * | 0.25 |" in page
