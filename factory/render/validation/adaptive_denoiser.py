@@ -5,8 +5,8 @@ python -m factory.render.validation.adaptive_denoiser --scenes 8 --meshes FOLDER
 python -m factory.render.validation.adaptive_denoiser --charts REPORT.json --out DIR
 
 scenes   those of factory.render.validation.speed_accuracy, at full transport
-equal    EQUAL samples for every pixel of each half
-adaptive samples of each half until Cycles sees less noise in a pixel than one of THRESHOLDS, at
+equal    the numbers of --equal, samples for every pixel of each half
+adaptive samples of each half until Cycles sees less noise in a pixel than one of --thresholds, at
          most MOST. Where a threshold took longer than LONGEST, the smaller ones are left out
 error    of the picture that a limit has, the mean of both denoised halves, and its squared bias,
          against a reference in two halves; ± is what the reference's noise gives
@@ -42,7 +42,7 @@ from factory.render.validation.adaptive_sampling import best_gain, display_varia
 from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
 from factory.render.validation.speed_accuracy import doubt
 from factory.render.validation.speed_accuracy_report import PEER_DEFAULTS, PEER_NAME
-from manifests.option_types import whole
+from manifests.option_types import positive, whole
 from manifests.provenance import provenance
 
 EQUAL = (16, 64, 192)  # samples of each half, of which the first are those of the one before
@@ -52,17 +52,27 @@ LONGEST = 30.0  # seconds of both halves
 PILOT, PARTS = 16, 4  # samples of each half, and the pictures that they are divided into
 
 
-def measured_scene(stage: Stage, shown: Shown, reference: Halves) -> dict[str, Any]:
-    """Return the pilot's figure and a row for each setting, of the scene that the stage shows."""
+def measured_scene(
+    stage: Stage,
+    shown: Shown,
+    reference: Halves,
+    counts: Sequence[int] = EQUAL,
+    thresholds: Sequence[float] = THRESHOLDS,
+) -> dict[str, Any]:
+    """Return the pilot's figure and a row for each setting, of the scene that the stage shows.
+
+    counts      samples of every pixel of each half, rising; at least two
+    thresholds  of adaptive sampling, falling
+    """
     halves, seconds, equal = Halves(shown), 0.0, []
     shown.renderer.denoised(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
-    for samples in EQUAL:
+    for samples in counts:
         start = time.process_time()
         halves.grow(samples - halves.samples)
         seconds += time.process_time() - start
         equal.append({"setting": f"{samples} samples", **_judged(halves, seconds, reference)})
     adaptive = []
-    for threshold in THRESHOLDS:
+    for threshold in thresholds:
         halves, start = Halves(shown), time.process_time()
         with stopping_at(stage.studio._scene, threshold):
             halves.grow(MOST)
@@ -128,7 +138,9 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         scene = replace(drawn(number, options.seed, stage.materials, meshes), tier="full")
         shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
         reference = stage.reference(scene, shown.mask, options.reference)
-        figures = measured_scene(stage, shown, reference)
+        figures = measured_scene(
+            stage, shown, reference, sorted(options.equal), sorted(options.thresholds)[::-1]
+        )
         result.append({"scene": number, **asdict(named(scene)), **figures})
         print(f"{named(scene)}: {figures}", flush=True)
         # after every scene, so that a run that is stopped has those that it has measured
@@ -234,6 +246,22 @@ def main() -> None:
     parser = command_line.parser(__doc__, "scenes", 8, seed=7, size=128, reference=256, meshes=True)
     parser.add_argument(
         "--numbers", type=whole, nargs="+", metavar="N", help="of the scenes (default: the first)"
+    )
+    parser.add_argument(
+        "--equal",
+        type=positive,
+        nargs="+",
+        default=EQUAL,
+        metavar="N",
+        help="samples of each half, at least two numbers (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--thresholds",
+        type=float,
+        nargs="+",
+        default=THRESHOLDS,
+        metavar="T",
+        help="of adaptive sampling (default: %(default)s)",
     )
     parser.add_argument(
         "--charts", type=Path, nargs="+", metavar="REPORT", help="render nothing, and read these"
