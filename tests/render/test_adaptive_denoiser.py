@@ -80,6 +80,12 @@ def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
     assert 1 <= figures["pilot"] < 1.5
 
 
+def test_other_samples_and_thresholds_can_be_requested(scene):
+    figures = measured.measured_scene(*scene, counts=(8, 32), thresholds=(0.05,))
+    assert [row["setting"] for row in figures["equal"]] == ["8 samples", "32 samples"]
+    assert [row["setting"] for row in figures["adaptive"]] == ["threshold 0.05"]
+
+
 def test_smaller_thresholds_are_left_out_where_one_took_too_long(scene, monkeypatch):
     monkeypatch.setattr(measured, "LONGEST", -1.0)
     figures = measured.measured_scene(*scene)

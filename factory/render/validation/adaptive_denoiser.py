@@ -42,7 +42,7 @@ from factory.render.validation.adaptive_sampling import best_gain, display_varia
 from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
 from factory.render.validation.speed_accuracy import doubt
 from factory.render.validation.speed_accuracy_report import PEER_DEFAULTS, PEER_NAME
-from manifests.option_types import positive, whole
+from manifests.option_types import above_zero, positive, whole
 from manifests.provenance import provenance
 
 EQUAL = (16, 64, 192)  # samples of each half, of which the first are those of the one before
@@ -257,7 +257,7 @@ def main() -> None:
     )
     parser.add_argument(
         "--thresholds",
-        type=float,
+        type=above_zero,
         nargs="+",
         default=THRESHOLDS,
         metavar="T",
