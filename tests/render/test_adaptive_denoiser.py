@@ -101,6 +101,8 @@ def test_the_page_has_a_row_for_each_setting(scene):
     assert "**cube, steel, city.**" in page
     assert page.count("| threshold ") == 3 and page.count(" samples | ") == 3
     assert f"| {figures['adaptive'][0]['gain']:.2f} |" in page
+    # only the last threshold's picture is better than that of the most equal samples
+    assert page.count("* |") == 1 and f"| {figures['adaptive'][2]['gain']:.2f} * |" in page
 
 
 def test_charts_say_what_equal_samples_take_for_the_error_of_the_other_programs_defaults():

@@ -13,7 +13,8 @@ error    of the picture that a limit has, the mean of both denoised halves, and 
 estimate of that error and bias by the two halves alone, as a limit on the error makes it
 seconds  of the processor, for both halves and the denoiser
 gain     the seconds that equal samples take for the adaptive picture's error, divided by its own;
-         between the settings, and beyond them at the rate of the nearest two
+         between the settings, and beyond them at the rate of the nearest two, which flatters where
+         noise is most of the error
 pilot    mean(σ²) / mean(σ)² over squares of pixels, by the variance σ² of the display values of the
          first PILOT samples of each half: what a division of samples over squares could save
 
@@ -163,8 +164,8 @@ def page(result: dict[str, Any]) -> str:
         f" {2 * result['reference']} samples.",
         "",
         "The picture is the mean of two denoised halves. The gain is how many times as long equal"
-        " samples take for the same error, by the measured settings above it, or by the rate of"
-        " the nearest two beyond them.",
+        " samples take for the same error; * is continued beyond them at the rate of the last two"
+        " numbers, which flatters where noise is most of the error.",
     ]
     for scene in scenes:
         lines += [
@@ -178,6 +179,7 @@ def page(result: dict[str, Any]) -> str:
         ]
         for row in (*scene["equal"], *scene["adaptive"]):
             gain = f"{row['gain']:.2f}" if "gain" in row else "–"
+            gain += " *" if row["error"] < scene["equal"][-1]["error"] else ""
             lines.append(
                 f"| {row['setting']} | {row['seconds']:.2f}"
                 f" | {row['error']:.2f} ± {row['standard_error']:.2f}"
