@@ -78,7 +78,8 @@ def measured_scene(
         with stopping_at(stage.studio._scene, threshold):
             halves.grow(MOST)
         seconds = time.process_time() - start
-        row = {"setting": f"threshold {threshold:g}", **_judged(halves, seconds, reference)}
+        row: dict[str, Any] = {"setting": f"threshold {threshold:g}"}
+        row |= _judged(halves, seconds, reference)
         row["gain"] = seconds_at(equal, row["error"]) / row["seconds"]
         adaptive.append(row)
         if seconds > LONGEST:
