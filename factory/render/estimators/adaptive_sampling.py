@@ -12,9 +12,10 @@ fails     on most materials, by the error that jobs limit. Cycles gives each pix
 pays      where few pixels have nearly all noise: in the same time it has a quarter to a half of
           path tracing's error on 2 of 24 shots, cubes of mirror-like metal, and on none of the
           others less than 0.6 of it (factory.render.validation.adaptive_sampling)
-denoised  in two halves, before the denoiser: 1.8 times as fast as equal samples on a loudspeaker in a
-          flake paint, and 0.5 to 0.9 times as fast on three other scenes, a vessel in the same paint
-          among them (factory.render.validation.adaptive_denoiser). A pilot's noise does not tell
+denoised  in two halves, before the denoiser: 1.8 times as fast as equal samples on a loudspeaker
+          in a flake paint, and 0.5 to 0.9 times as fast on three other scenes, a vessel in the
+          same paint among them (factory.render.validation.adaptive_denoiser). A pilot's noise does
+          not tell which
 
 It is no estimator that a job may name: it would be chosen for one shot in twelve, its samples could
 not be continued where they do not suffice, and the difference of two halves does not show its bias.
