@@ -47,7 +47,7 @@ SHIFTS = {
 CELLS, SIMILAR = 2, 8
 FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
 MIRROR_LIKE = 0.03  # α below which a lobe is
-MOST_DIRECT = 64  # maps of direct light in memory
+MOST_DIRECT = 32  # maps of direct light in memory, of 1 to 2 MB each
 
 
 class DirectLights:
