@@ -1,7 +1,8 @@
 """The lines of a data set in the order of their ids, without holding them: where each one lies.
 
-A line takes 24 bytes of memory here, and 1.7 KB as an object. It is read from its file again
-whenever it is asked for, and compared with what it was.
+A line takes 20 bytes of memory here, and two to three times that while the lines are sorted. As an
+object it takes 1.7 KB. It is read from its file again whenever it is asked for, and its checksum
+must be what it was.
 """
 
 import zlib
