@@ -105,6 +105,23 @@ def test_the_page_has_a_row_for_each_setting(scene):
     assert page.count("* |") == 1 and f"| {figures['adaptive'][2]['gain']:.2f} * |" in page
 
 
+def test_settings_of_equal_samples_have_no_mark(scene):
+    figures = measured.measured_scene(*scene, counts=(8, 32), thresholds=(0.05,))
+    figures["equal"][0]["error"] = figures["equal"][1]["error"] / 2  # by noise, for example
+    words = {"shape": "cube", "material": "steel", "light": "city"}
+    result = {"size": 48, "reference": 16, "scenes": [{**words, **figures}]}
+    result |= {key: "x" for key in ("command", "commit", "date", "machine")}
+    assert "– *" not in measured.page(result)
+
+
+def test_one_number_of_equal_samples_is_refused(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("sys.argv", ["x", "--equal", "16", "16", "--out", str(tmp_path)])
+    monkeypatch.setattr(measured, "measure", lambda options: pytest.fail("it begins"))
+    with pytest.raises(SystemExit):
+        measured.main()
+    assert "--equal: a gain is read between two numbers" in capsys.readouterr().err
+
+
 def test_charts_say_what_equal_samples_take_for_the_error_of_the_other_programs_defaults():
     words = {"shape": "cube", "material": "steel"}
     rows = [{**words, "scene": 0, "family": "denoised", "setting": "", **row} for row in EQUAL]

@@ -141,7 +141,11 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
         reference = stage.reference(scene, shown.mask, options.reference)
         figures = measured_scene(
-            stage, shown, reference, sorted(options.equal), sorted(options.thresholds)[::-1]
+            stage,
+            shown,
+            reference,
+            sorted(set(options.equal)),
+            sorted(set(options.thresholds), reverse=True),
         )
         result.append({"scene": number, **asdict(named(scene)), **figures})
         print(f"{named(scene)}: {figures}", flush=True)
@@ -179,8 +183,10 @@ def page(result: dict[str, Any]) -> str:
             "|---|---|---|---|---|---|---|---|---|",
         ]
         for row in (*scene["equal"], *scene["adaptive"]):
-            gain = f"{row['gain']:.2f}" if "gain" in row else "–"
-            gain += " *" if row["error"] < scene["equal"][-1]["error"] else ""
+            gain = "–"
+            if "gain" in row:
+                is_continued = row["error"] < scene["equal"][-1]["error"]
+                gain = f"{row['gain']:.2f}" + " *" * is_continued
             lines.append(
                 f"| {row['setting']} | {row['seconds']:.2f}"
                 f" | {row['error']:.2f} ± {row['standard_error']:.2f}"
@@ -270,6 +276,8 @@ def main() -> None:
         "--charts", type=Path, nargs="+", metavar="REPORT", help="render nothing, and read these"
     )
     options = command_line.parse(parser)
+    if len(set(options.equal)) < 2:
+        parser.error("--equal: a gain is read between two numbers of samples, so give two or more")
     if options.charts is None:
         measure(options)
         return
