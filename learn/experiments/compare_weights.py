@@ -76,11 +76,20 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
                 "ratio": bootstrap.relative(a, b, bootstrap.draws(groups)),
             }
         )
-    return {"before": arguments.before.name, "after": arguments.after.name, "rows": rows}
+    names = _names(arguments.before, arguments.after)
+    return dict(zip(("before", "after"), names, strict=True)) | {"rows": rows}
 
 
 Key = tuple[str, str, str]  # set, figure, id of the edit or the picture
 Value = tuple[float, tuple[str, str, str]]  # the figure; its shape, material and light
+
+
+def _names(*folders: Path) -> list[str]:
+    """Return what a report calls folders: their names, and their parents' where these are equal."""
+    paths = [folder.resolve() for folder in folders]
+    if len({path.name for path in paths}) == len(paths):
+        return [path.name for path in paths]
+    return [f"{path.parent.name}/{path.name}" for path in paths]
 
 
 def _figures(folder: Path) -> Iterator[tuple[Key, Value]]:
