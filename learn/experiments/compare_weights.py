@@ -76,8 +76,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
                 "ratio": bootstrap.relative(a, b, bootstrap.draws(groups)),
             }
         )
-    names = _names(arguments.before, arguments.after)
-    return dict(zip(("before", "after"), names, strict=True)) | {"rows": rows}
+    first, second = _names(arguments.before, arguments.after)
+    return {"before": first, "after": second, "rows": rows}
 
 
 Key = tuple[str, str, str]  # set, figure, id of the edit or the picture
