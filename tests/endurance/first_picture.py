@@ -6,7 +6,8 @@ writes OBJ files of 30,000 triangles, each another torus, into DIR/meshes unless
 renders three pictures of 32 × 32 of a job of all of them into a new folder, in a process of its
 own; seconds are from the start of that process to the first picture. With --resumed all files are
 read first, as earlier runs would have done (half a second each), three pictures are made, and then
-a run is timed that makes three more. DIR/report.json, or DIR/resumed.json, has the result.
+a run is timed that makes three more. With --resumed --kept the folder of an earlier --resumed is
+resumed once more, without reading. DIR/report.json, or DIR/resumed.json, has the result.
 """
 
 import argparse
@@ -84,6 +85,7 @@ def main():
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--resumed", action="store_true")
+    parser.add_argument("--kept", action="store_true", help="resume what --resumed has made")
     options = parser.parse_args()
     write_meshes(options.out / "meshes", options.meshes)
     path = options.out / "job.json"
@@ -92,11 +94,12 @@ def main():
     words |= {"lights": ["city"], "views": [0], "tiers": ["direct"], "samples": 1}
     path.write_text(json.dumps(words | {"camera": {"size": [32, 32]}}))
     folder = options.out / "data"
-    shutil.rmtree(folder, ignore_errors=True)
+    if not (options.resumed and options.kept):
+        shutil.rmtree(folder, ignore_errors=True)
     given = " ".join(map(shortened, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/first_picture.py {given}")
     report |= {"meshes": options.meshes, "workers": options.workers}
-    if options.resumed:
+    if options.resumed and not options.kept:
         begun = time.monotonic()
         job, assets = jobs.load(path)
         unread = opened(job, assets).unread
