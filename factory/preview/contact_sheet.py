@@ -27,6 +27,7 @@ COLUMNS = ("image", "normals", "mask", "light", "label", "difference x 4")
 GAIN = 4.0
 SHADED = 56  # pixels per side at which the label is shaded
 MARGIN, TEXT = 4, 26
+FONT = 12  # pixels; at the usual size of 10, some spaces and colons disappear
 STYLE = (
     "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 4px}code{color:#9c9}"
 )
@@ -164,10 +165,12 @@ def caption(record: Record) -> str:
         where += f" ({posed})"
     kept = ""
     if (accuracy := record.accuracy) is not None:
-        kept = f" {accuracy.estimator}, error {accuracy.estimated:.3g} of {accuracy.requested:g}"
+        kept = f" ({accuracy.estimator}, error {accuracy.estimated:.3g} of {accuracy.requested:g})"
+    samples = "1 sample" if record.samples == 1 else f"{record.samples} samples"
     return (
-        f"{record.shape}  {materials}  {where}  {record.tier} {record.light_resolution} "
-        f" {record.samples} spp{kept}  {record.split}"
+        f"{record.shape}, {materials}; light {where}; "
+        f"{record.tier}, map {record.light_resolution}, {samples}{kept}; "
+        f"{record.split}"
     )
 
 
@@ -190,12 +193,12 @@ def draw(rows: Sequence[Sequence[np.ndarray]], captions: Sequence[str], size: in
     image = Image.new("RGB", (width, height), (24, 24, 24))
     draw = ImageDraw.Draw(image)
     for k, name in enumerate(COLUMNS):
-        draw.text((MARGIN + k * (size + MARGIN), 7), name, fill=(255, 220, 120))
+        draw.text((MARGIN + k * (size + MARGIN), 7), name, fill=(255, 220, 120), font_size=FONT)
     for r, (tiles, text) in enumerate(zip(rows, captions, strict=True)):
         top = TEXT + r * (size + MARGIN + TEXT)
         for k, each in enumerate(tiles):
             image.paste(Image.fromarray(each), (MARGIN + k * (size + MARGIN), top))
-        draw.text((MARGIN, top + size + 6), text, fill=(210, 210, 210))
+        draw.text((MARGIN, top + size + 6), text, fill=(210, 210, 210), font_size=FONT)
     return image
 
 
