@@ -145,7 +145,7 @@ def test_the_reference_has_every_command_and_every_name(site):
 
 def test_every_example_of_the_generated_pages_can_be_given(module, capsys):
     pages = module("site_commands")
-    text = pages.command_page() + pages.experiments_page()
+    text = re.sub(r"\\\n *", "", pages.command_page() + pages.experiments_page())
     program = r"(?:python -m )?(brdfactory|factory|learn|learn\.experiments)"
     lines = re.findall(rf"^ *{program} (.*)$", text, re.M)
     assert len(lines) > 60
