@@ -133,6 +133,9 @@ def _of_ladder(folder: Path) -> Iterator[tuple[Key, Value]]:
     from manifests import files
 
     for row in files.read_lines(folder / "lines.jsonl"):
+        if "rung" not in row:
+            remedy = "name what --out of evaluate-ladder named"
+            raise InputError(folder / "lines.jsonl", "lines of evaluate-ladder", "others", remedy)
         for method in METHODS.values():
             for figure, key in OF_RUNGS.items():
                 value = (row[method] or {}).get(key)

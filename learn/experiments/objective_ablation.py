@@ -28,37 +28,32 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from learn.commands import options
 from learn.experiments import ablation_options, runner
+from learn.experiments.objective_report import (
+    AGAIN,
+    FROM_WEIGHTS,
+    REFERENCE,
+    figure,
+    summary,
+    tables,
+)
 from manifests.training_runs import LayerMethod
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from learn.data.settings import Run
 
-REFERENCE, FEATURES, AS_GIVEN = "all terms", "features", "as given"
-AGAIN, ALL_BY_INTEGRAL = "all terms again", "all by the integral"
+__all__ = ["add_arguments", "figure", "measure", "tables"]  # an experiment's (runner)
+
+FEATURES, AS_GIVEN, ALL_BY_INTEGRAL = "features", "as given", "all by the integral"
 NO_IMAGE, NO_TARGET = {"image": 0.0, "image_features": 0.0}, {"target": 0.0, "target_features": 0.0}
 BY_INTEGRAL = {"layer_method": "quadrature"}
-FROM_NOTHING, FROM_WEIGHTS = "nothing", "weights"
+FROM_NOTHING = "nothing"
 FINE_TUNING = 1 / 3  # of the run's learning rate: weights that are given have moved far already
 WARM_UP = 1 / 10  # of all steps, at most
 MOST_STEPS = 50  # times --steps, which a variant that its processor time ends does not get to
-GLOSSY = (
-    " Training and test draw from materials with narrow lobes alone, and the test's pictures are"
-    " rendered by the integral (`quadrature`)."
-)
-FIGURES = {
-    "angle_deg": "normals, mean angle (°)",
-    "albedo": "material, log albedo error",
-    "irradiance": "light, relative irradiance error",
-    "image_l2": "I′, display L2",
-    "target_l2": "edit O′, display L2",
-}
-DIGITS = {"angle_deg": 2, "albedo": 3, "irradiance": 3, "image_l2": 0, "target_l2": 0}
 
 
 @dataclass(frozen=True)
@@ -312,99 +307,3 @@ def settings(
         stages=(),
         seed=arguments.seed + own.further_seed,
     )
-
-
-def summary(results: Mapping[str, Mapping[str, list]], about: Mapping[str, Any]) -> runner.Report:
-    """Return each variant's figures, and their ratios to all terms, with 95 % intervals.
-
-    results  {start: {variant: [result of variants.trained]}}
-    """
-    from learn.experiments import variants
-
-    initialisations: dict[str, Any] = {}
-    for start, of_start in results.items():
-        reference = of_start[REFERENCE]
-        initialisations[start] = {
-            name: {
-                "figures": variants.figures(result),
-                "ratios": {key: variants.ratio(reference, result, key) for key in FIGURES},
-                "steps": result[0]["steps"],
-                "milliseconds": 1e3 * result[0]["seconds"] / max(result[0]["steps"], 1),
-            }
-            for name, result in of_start.items()
-        }
-    pictures = len(next(iter(results.values()))[REFERENCE][0]["rows"])
-    return {"initialisations": initialisations, "about": {**about, "pictures": pictures}}
-
-
-def tables(report: runner.Report) -> str:
-    """Return each variant's figures and its ratios to all terms, from nothing and from weights."""
-    about = report["about"]
-    train, test = about["train"], about["test"]
-    is_again = any(AGAIN in of_start for of_start in report["initialisations"].values())
-    parts = [
-        "# What the rendered pictures and the reflectance map bring to training (Section 4.3)",
-        *report["seen"],
-        f"{about['steps']} steps of {about['batch']} pictures of {about['size']}² pixels of the run"
-        f" `{about['run']}`, one training of each variant. Training drew from {train['shapes']:,}"
-        f" shapes and {train['lights']} light maps. Measured on {about['pictures']} pictures of"
-        f" {test['shapes']} shapes, {test['materials']} materials and {test['lights']} light maps"
-        " that are never seen, with everything predicted. Means with 95 % intervals over shapes"
-        " and materials, which do not cover another training of the same variant"
-        + (f": `{AGAIN}` shows what other random numbers do." if is_again else ".")
-        + GLOSSY * about.get("glossy", False),
-    ]
-    for start, of_start in report["initialisations"].items():
-        begins = f"the weights {about['start']}" if start == FROM_WEIGHTS else "nothing"
-        learning_rate = about["learning_rates"][start]
-        head = ["variant", *FIGURES.values(), "steps", "processor time of a step"]
-        rows = [
-            [
-                name,
-                *(runner.interval(row["figures"][key], DIGITS[key]) for key in FIGURES),
-                row["steps"],
-                f"{row['milliseconds']:.0f} ms" if row["steps"] else "–",
-            ]
-            for name, row in of_start.items()
-        ]
-        ratios = [
-            [name, *(runner.interval(row["ratios"][key]) for key in FIGURES)]
-            for name, row in of_start.items()
-            if name != REFERENCE
-        ]
-        parts += [
-            f"## From {begins}, learning rate {learning_rate:g}",
-            runner.table(head, rows),
-            f"Ratios to `{REFERENCE}` on the same pictures; below 1 is better:",
-            runner.table(["variant", *FIGURES.values()], ratios),
-        ]
-    parts += [f"Left out: {name}. {reason}" for name, reason in report["left_out"].items()]
-    return "\n\n".join(part.rstrip() for part in parts) + "\n"
-
-
-def figure(report: runner.Report) -> Figure:
-    """Return a chart of each variant's ratios to all terms, with their intervals."""
-    from matplotlib.figure import Figure
-
-    of_starts = report["initialisations"]
-    longest = max(len(of_start) for of_start in of_starts.values())
-    drawn = Figure(
-        figsize=(2.4 * len(FIGURES) + 2, len(of_starts) * (0.3 * longest + 0.8)),
-        layout="constrained",
-    )
-    axes = drawn.subplots(len(of_starts), len(FIGURES), squeeze=False, sharey="row")
-    for line, (start, of_start) in zip(axes, of_starts.items(), strict=True):
-        names = [name for name in of_start if name != REFERENCE]
-        for axis, (key, label) in zip(line, FIGURES.items(), strict=True):
-            for i, name in enumerate(names):
-                mean, low, high = of_start[name]["ratios"][key]
-                axis.plot([low, high], [i, i], color="#345", lw=2)
-                axis.plot(mean, i, "o", color="#345")
-            axis.axvline(1, color="#999", lw=1)
-            axis.set_title(label, fontsize=8)
-            axis.set_yticks(range(len(names)), names, fontsize=8)
-            axis.tick_params(axis="x", labelsize=8)
-        line[0].set_ylabel(f"from {start}", fontsize=9)
-        line[0].invert_yaxis()
-    drawn.suptitle(f"ratio to {REFERENCE}, with 95 % intervals", fontsize=10)
-    return drawn

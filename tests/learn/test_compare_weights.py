@@ -51,7 +51,7 @@ def test_edits_and_pictures_of_both_evaluations_are_paired_by_their_ids(tmp_path
     assert "| general | special | ratio |" in compare_weights.tables(report)
 
 
-def test_folders_of_one_name_are_told_from_each_other(tmp_path):
+def test_folders_of_one_name_are_named_with_their_parents(tmp_path):
     folders = [written(tmp_path / name / "evaluation", 1.0) for name in ("old", "new")]
     report = compare_weights.measure(argparse.Namespace(before=folders[0], after=folders[1]))
     assert (report["before"], report["after"]) == ("old/evaluation", "new/evaluation")
@@ -63,3 +63,9 @@ def test_evaluations_of_other_pictures_and_other_folders_are_refused(tmp_path):
         compare_weights.measure(argparse.Namespace(before=before, after=after))
     with pytest.raises(InputError, match=r"edits\.jsonl or lines\.jsonl"):
         compare_weights.measure(argparse.Namespace(before=before, after=tmp_path))
+
+
+def test_lines_of_another_command_are_refused(tmp_path):
+    (tmp_path / "lines.jsonl").write_text('{"id": "a", "other": 1}\n')
+    with pytest.raises(InputError, match="expected lines of evaluate-ladder"):
+        compare_weights.measure(argparse.Namespace(before=tmp_path, after=tmp_path))

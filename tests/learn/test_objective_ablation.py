@@ -12,9 +12,10 @@ import torch
 from learn.data import lights
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.experiments import objective_ablation, objective_training, variants
+from learn.experiments import objective_ablation, objective_report, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches
-from learn.experiments.objective_ablation import FROM_NOTHING, FROM_WEIGHTS, VARIANTS
+from learn.experiments.objective_ablation import FROM_NOTHING, VARIANTS
+from learn.experiments.objective_report import FROM_WEIGHTS
 from learn.layer import predictions
 from learn.networks import features, weights
 from learn.networks.coding import Ranges
@@ -308,7 +309,7 @@ def test_a_report_compares_with_all_terms_and_shows_every_row():
     rng = np.random.default_rng(0)
     rows = [
         {"shape": f"s{i}", "material": f"m{j}"}
-        | {key: float(rng.uniform(1, 2)) for key in objective_ablation.FIGURES}
+        | {key: float(rng.uniform(1, 2)) for key in objective_report.FIGURES}
         for i in range(4)
         for j in range(3)
     ]
@@ -330,16 +331,16 @@ def test_a_report_compares_with_all_terms_and_shows_every_row():
         "train": sizes,
         "test": sizes,
     }
-    report = objective_ablation.summary(results, about)
+    report = objective_report.summary(results, about)
     report |= {"left_out": {"features": "not installed"}, "seen": ["Overlap: none."]}
     row = report["initialisations"][FROM_NOTHING]["without both"]
     assert row["ratios"]["target_l2"] == pytest.approx([0.5] * 3)
     assert row["ratios"]["angle_deg"] == pytest.approx([1] * 3)
     assert row["milliseconds"] == pytest.approx(50)
-    page = objective_ablation.tables(report)
+    page = objective_report.tables(report)
     assert "0.500 [0.500, 0.500] |" in page and "| 10 | 50 ms |" in page
     assert "Left out: features. not installed" in page and "Overlap: none." in page
-    assert len(objective_ablation.figure(report).axes) == len(objective_ablation.FIGURES)
+    assert len(objective_report.figure(report).axes) == len(objective_report.FIGURES)
 
 
 def test_unknown_variants_and_none_to_compare_with_are_refused():

@@ -61,7 +61,7 @@ def variables(port):
 
 @contextmanager
 def known_users_alone(port):
-    """Meanwhile the server checks credentials; it knows nobody, and so refuses all of them."""
+    """Meanwhile the server checks credentials; it has no accounts, and so refuses all of them."""
     address = f"http://127.0.0.1:{port}/moto-api/reset-auth"
 
     def reset(actions):  # how many actions the server lets through before it checks

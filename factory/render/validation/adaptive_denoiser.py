@@ -42,7 +42,12 @@ from factory.render.validation import command_line
 from factory.render.validation.adaptive_sampling import best_gain, display_variance, over_tiles
 from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
 from factory.render.validation.speed_accuracy import doubt
-from factory.render.validation.speed_accuracy_report import PEER_DEFAULTS, PEER_NAME
+from factory.render.validation.speed_accuracy_report import (
+    LEAST_OF_LOGARITHMS,
+    PEER_DEFAULTS,
+    PEER_NAME,
+    by_error,
+)
 from manifests.option_types import above_zero, positive, whole
 from manifests.provenance import provenance
 
@@ -123,13 +128,17 @@ def _piloted(shown: Shown) -> float:
 def seconds_at(rows: Sequence[dict[str, Any]], error: float) -> float:
     """Return the seconds that settings take for an error, by the logarithms of both.
 
-    rows  of settings with `error` above 0 and `seconds`, in the order of their seconds. Beyond them
-          the rate of the nearest two continues
+    rows  of two settings or more, with `error` and `seconds`. Beyond them the rate of the nearest
+          two continues, and none where their errors are equal
     """
-    x, y = (np.log([row[key] for row in rows]) for key in ("error", "seconds"))
-    target = np.log(max(error, 1e-3))
-    k = int(np.clip((x > target).sum() - 1, 0, len(x) - 2))
-    return float(np.exp(y[k] + (target - x[k]) * (y[k + 1] - y[k]) / (x[k + 1] - x[k])))
+    x, y = by_error(rows)
+    target = np.log(max(error, LEAST_OF_LOGARITHMS))
+    if x[0] <= target <= x[-1]:
+        return float(np.exp(np.interp(target, x, y)))
+    end, other = (0, 1) if target < x[0] else (-1, -2)
+    span = x[other] - x[end]
+    slope = (y[other] - y[end]) / span if span else 0.0
+    return float(np.exp(y[end] + slope * (target - x[end])))
 
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -281,11 +290,12 @@ def main() -> None:
     if options.charts is None:
         measure(options)
         return
-    scenes = [
-        row
-        for path in options.charts
-        for row in beside_defaults(json.loads(path.read_text())["rows"])
-    ]
+    scenes = []
+    for path in options.charts:
+        rows = json.loads(path.read_text())["rows"]
+        if not any((row["family"], row["setting"]) == (PEER_NAME, PEER_DEFAULTS) for row in rows):
+            parser.error(f"{path} has no rows of BlenderProc: make the chart with --blenderproc")
+        scenes += beside_defaults(rows)
     result = {**provenance(), "scenes": scenes}
     command_line.write_report(options.out, result, page_of_charts(result))
 

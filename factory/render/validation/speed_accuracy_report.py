@@ -15,6 +15,7 @@ import numpy as np
 from manifests.files import write_figure
 
 LEAST_ERROR = 0.05  # that references of some hundred samples can tell from none
+LEAST_OF_LOGARITHMS = 1e-3  # errors, which the noise of references can make negative
 LIMIT = "limit on the error"
 CLOSED = "closed form"
 PEER_NAME = "BlenderProc"
@@ -25,20 +26,24 @@ OURS = ("path tracing", "denoised", "ratio", CLOSED, LIMIT)
 BIASED = ("denoised", "adaptive sampling, denoised", "ratio", CLOSED)
 
 
+def by_error(rows: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the logarithms of settings' errors, rising, and of their seconds, which never rise."""
+    pairs = sorted((max(row["error"], LEAST_OF_LOGARITHMS), row["seconds"]) for row in rows)
+    x, y = (np.log([pair[k] for pair in pairs]) for k in (0, 1))
+    return x, np.minimum.accumulate(y)  # a larger error never needs more time
+
+
 def at_error(rows: list[dict[str, Any]], error: float, family: str = LIMIT) -> float:
     """Return the seconds that a family of settings takes for a scene at an error.
 
     Interpolated between the settings' achieved errors and times. Beyond them noise in proportion to
     1/samples is assumed, which holds for unbiased families only: infinity for the others.
     """
-    pairs = sorted(
-        (max(row["error"], 1e-3), row["seconds"]) for row in rows if row["family"] == family
-    )
-    if not pairs:
+    of = [row for row in rows if row["family"] == family]
+    if not of:
         return float("inf")
-    x, y = (np.log([pair[k] for pair in pairs]) for k in (0, 1))
-    y = np.minimum.accumulate(y)  # a larger error never needs more time
-    target = np.log(max(error, 1e-3))
+    x, y = by_error(of)
+    target = np.log(max(error, LEAST_OF_LOGARITHMS))
     if target < x[0]:
         return float(np.exp(y[0] + x[0] - target)) if family not in BIASED else float("inf")
     return float(np.exp(np.interp(target, x, y)))
