@@ -102,9 +102,9 @@ def weights_page(folder: Path) -> str:
     page = [
         "# How the weights were made",
         "This page is read from the weights themselves."
-        " [Training](../learning.md#the-committed-weights) has the stages, their data and what each"
-        " gained; [evaluation](../evaluation.md#data-that-the-weights-saw) says how data that"
-        " weights saw are kept out of tests. `make weights` trains new ones.",
+        " [The committed weights](../committed-weights.md) has the stages, their data and what"
+        " each gained; [how edits are measured](../evaluation-methods.md#data-that-the-weights-saw)"
+        " says how data that weights saw are kept out of tests. `make weights` trains new ones.",
     ]
     for path in sorted(folder.glob("*.safetensors")):
         with safe_open(path, "np") as opened:

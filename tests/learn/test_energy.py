@@ -1,5 +1,5 @@
 """Refinement's energy term by term, by hand; its coordinates' bounds; and that the defaults are
-those that docs/editing.md tells.
+those that docs/refinement.md tells.
 """
 
 import math
@@ -132,7 +132,7 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
     lamplight, daylight = torch.tensor([0.5, 0.42, 0.33]), torch.tensor([0.3, 0.36, 0.45])
     image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
     weights = explained(image, torch.ones(100), 0.1)
-    report = (root / "docs" / "editing.md").read_text(encoding="utf-8")
+    report = (root / "docs" / "refinement.md").read_text(encoding="utf-8")
     assert f"a grey one in lamplight and daylight {float(weights[-1]):.2f}." in report
     assert float(weights[0]) == pytest.approx(1)
 
@@ -266,7 +266,7 @@ def test_directions_of_the_materials_know_the_training_ones_alone(monkeypatch, r
 
 def test_defaults_are_those_that_the_documentation_tells(root):
     report, s, paper = (
-        " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split()),
+        " ".join((root / "docs" / "refinement.md").read_text(encoding="utf-8").split()),
         RefinementSettings(),
         NAMED["paper"],
     )
@@ -284,7 +284,7 @@ def test_defaults_are_those_that_the_documentation_tells(root):
 
 
 def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
-    report = " ".join((root / "docs" / "editing.md").read_text(encoding="utf-8").split())
+    report = " ".join((root / "docs" / "refinement.md").read_text(encoding="utf-8").split())
     first, last = RefinementSettings().levels
     assert (first.pixels, last.pixels) == (
         0,
