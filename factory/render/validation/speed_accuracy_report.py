@@ -295,7 +295,7 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
             _draw(axes, figures, key, colours)
             axes.set_title(f"{tier}: {title}" if len(tiers) > 1 else title)
         line[0].set_ylabel("display L2 over the object")
-        line[0].legend(fontsize=7)
+        line[0].legend(fontsize=7, title="numbers: samples per pixel", title_fontsize=7)
     write_figure(path, drawing, dpi=110)
 
 
@@ -313,15 +313,19 @@ def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str,
         others = [each for each in of if each not in alike]
         colour, width = colours[family], 2.5 if family == LIMIT else 1.2
         axes.plot(*_places(alike, key), "o-", label=family, color=colour, lw=width, ms=5)
-        axes.plot(*_places(others, key), "o", color=colour, ms=5)
+        if others:
+            filled = {"mfc": "white", "mec": colour}
+            label = f"{family}, {UNLIKE}"
+            axes.plot(*_places(others, key), "o", label=label, ms=5, ls="none", **filled)
         if family in (PEER_NAME, BARE_LOOP):
-            for each, x, y in zip(of, *_places(of, key), strict=True):
+            for each, x, y in zip(alike, *_places(alike, key), strict=True):
                 axes.annotate(
-                    each["setting"],
+                    each["setting"].removesuffix(" samples"),
                     (x, y),
-                    xytext=(5, 4) if family == PEER_NAME else (5, -9),
+                    xytext=(5, 4) if family == PEER_NAME else (-5, -11),
+                    ha="left" if family == PEER_NAME else "right",
                     textcoords="offset points",
-                    fontsize=6,
+                    fontsize=7,
                     color=colour,
                 )
     axes.set(xscale="log", yscale="log", xlabel="pictures per second and core")
