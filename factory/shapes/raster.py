@@ -7,6 +7,7 @@ unit sphere fills the frame; camera frame: x right, y up, z towards the viewer (
 import numpy as np
 
 from factory.shapes.mesh import Mesh
+from factory.shapes.ragged import ranges
 from shaders.frames import ELEVATION, camera_from_world
 
 CHUNK = 4_000_000  # candidate pixels tested at a time: about 250 MB at most
@@ -102,7 +103,7 @@ def _candidates(chosen, x, y, box):
     """
     left, right, top, bottom = box[chosen].T
     high = bottom - top + 1
-    row = np.arange(high.sum()) - np.repeat(np.cumsum(high) - high - top, high)
+    row = ranges(top, high)
     first, last = np.repeat(left, high).astype(float), np.repeat(right, high).astype(float)
     x, y = x[chosen], y[chosen]
     area = _area(x, y)
@@ -123,7 +124,7 @@ def _candidates(chosen, x, y, box):
         np.maximum(first, np.ceil(at), out=first, where=ahead > 0)
         np.minimum(last, np.floor(at), out=last, where=ahead < 0)
     wide = np.maximum(last - first + 1, 0).astype(int)
-    column = np.arange(wide.sum()) - np.repeat(np.cumsum(wide) - wide - first.astype(int), wide)
+    column = ranges(first.astype(int), wide)
     return np.repeat(np.repeat(chosen, high), wide), column, np.repeat(row, wide)
 
 

@@ -14,7 +14,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.shapes.polygons import TooLarge, fans, triangulate
+from factory.shapes.ears import TooLarge
+from factory.shapes.fans import fans
+from factory.shapes.polygons import triangulate
 from manifests.errors import InputError
 
 MAXIMUM_TRIANGLES = 2_000_000

@@ -7,9 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from factory.shapes import polygons
+from factory.shapes import ears, polygons
+from factory.shapes.ears import TooLarge
+from factory.shapes.fans import fans
 from factory.shapes.mesh_import import open_mesh
-from factory.shapes.polygons import TooLarge, fans, triangulate
+from factory.shapes.polygons import triangulate
 from tests.support.polygon_outlines import comb, obj_of, spiral, star
 
 L_SHAPE = np.array([(0, 0), (4, 0), (4, 4), (2, 4), (2, 2), (0, 2)], float)
@@ -250,7 +252,7 @@ def test_random_points_are_cut_and_counted_as_crossing(rng):
 @pytest.mark.parametrize("shape", ["star", "comb", "spiral", "random"])
 def test_four_thousand_corners_take_few_comparisons(shape, rng, monkeypatch):
     # 0.3 to 2.8 million pairs are compared; all pairs of corners and edges are 16 million
-    monkeypatch.setattr(polygons, "MOST_TESTS", 5_000_000)
+    monkeypatch.setattr(ears, "MOST_TESTS", 5_000_000)
     make = {
         "star": lambda: star(4000, 0.3, rng),
         "comb": lambda: comb(1000),
@@ -279,7 +281,7 @@ def test_polygons_beyond_the_bounds_are_refused_before_time_is_spent(monkeypatch
     with pytest.raises(TooLarge, match="one of 102 corners"):
         cut(np.c_[comb(25), np.zeros(102)])
     monkeypatch.setattr(polygons, "MOST_CORNERS", 1000)
-    monkeypatch.setattr(polygons, "MOST_TESTS", 10)
+    monkeypatch.setattr(ears, "MOST_TESTS", 10)
     with pytest.raises(TooLarge):
         cut(np.c_[comb(25), np.zeros(102)])
     path = tmp_path / "comb.obj"
@@ -304,7 +306,7 @@ def test_a_mesh_file_with_a_polygon_of_four_thousand_corners_is_read_without_muc
     tmp_path, kind, rng, monkeypatch
 ):
     """Its slivers filled the frame with boxes thousands of times when back faces were counted."""
-    monkeypatch.setattr(polygons, "MOST_TESTS", 5_000_000)
+    monkeypatch.setattr(ears, "MOST_TESTS", 5_000_000)
     xy = star(4000, 1.0 if kind == "convex" else 0.5, rng)
     path = tmp_path / "ngon.obj"
     path.write_text(obj_of(xy))
