@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from factory.shapes.closed_surface import Surface
 from factory.shapes.mesh import Mesh, finish
-from factory.shapes.surfaces import Surface
 
 
 class Assembly:

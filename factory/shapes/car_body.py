@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from factory.shapes.surfaces import Surface, closed, grid_faces, loft
+from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.lofts import loft
 
 PAINT, DARK = 1, 2  # segments: the body; wheels, glass, lights and trim
 

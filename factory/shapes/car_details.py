@@ -7,17 +7,10 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import DARK, PAINT, Form
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    Surface,
-    closed,
-    ellipsoid,
-    grid_faces,
-    rod,
-    rounded_box,
-    rounded_path,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface, closed, grid_faces
+from factory.shapes.curves import rounded_path
+from factory.shapes.lofts import ellipsoid, rod, tube
+from factory.shapes.rounded_boxes import rounded_box
 
 
 def patch(

@@ -4,15 +4,9 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import DARK, PAINT, Form
-from factory.shapes.surfaces import (
-    Surface,
-    closed,
-    grid_faces,
-    revolve,
-    rod,
-    rounded_box,
-    tube,
-)
+from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.lofts import revolve, rod, tube
+from factory.shapes.rounded_boxes import rounded_box
 
 
 def wheel(kind: str, spokes: int, radius: float, width: float) -> list[tuple[str, Surface]]:

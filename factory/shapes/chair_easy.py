@@ -4,7 +4,10 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.chair_parts import FRAME, SOFT
-from factory.shapes.surfaces import LEFT_RIGHT, cushion, rod, rounded_box, smooth_path, tube
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import smooth_path
+from factory.shapes.lofts import rod, tube
+from factory.shapes.rounded_boxes import cushion, rounded_box
 
 
 def armchair(a: Assembly, rng: np.random.Generator) -> None:

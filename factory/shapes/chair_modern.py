@@ -12,16 +12,11 @@ from factory.shapes.chair_parts import (
     star_base,
     trumpet_base,
 )
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    cushion,
-    rod,
-    rounded_box,
-    rounded_path,
-    shell,
-    smooth_path,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import rounded_path, smooth_path
+from factory.shapes.lofts import rod, tube
+from factory.shapes.rounded_boxes import cushion, rounded_box
+from factory.shapes.shells import shell
 
 
 def shell_chair(a: Assembly, rng: np.random.Generator) -> None:

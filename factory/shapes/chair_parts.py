@@ -16,17 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    Surface,
-    revolve,
-    rod,
-    rounded_path,
-    slab,
-    smooth_path,
-    superellipse,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface
+from factory.shapes.curves import rounded_path, smooth_path, superellipse
+from factory.shapes.lofts import revolve, rod, slab, tube
 
 SOFT, FRAME = 1, 2
 BackPoint: TypeAlias = Callable[[float, float], np.ndarray]

@@ -17,12 +17,9 @@ from factory.shapes.chair_parts import (
     stretchers,
     upright_bars,
 )
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    slab,
-    smooth_path,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import smooth_path
+from factory.shapes.lofts import slab, tube
 
 
 def dining(a: Assembly, rng: np.random.Generator) -> None:

@@ -9,20 +9,13 @@ from functools import partial
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface
+from factory.shapes.curves import rounded_path, smooth_path, superellipse
+from factory.shapes.lofts import rod, slab, tube
 from factory.shapes.mesh import Mesh
 from factory.shapes.monitor_parts import CASE, add_panel, bend, draw_panel, panel, stand
 from factory.shapes.monitor_tubes import tube_monitor, tube_television
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    Surface,
-    rod,
-    rounded_box,
-    rounded_path,
-    slab,
-    smooth_path,
-    superellipse,
-    tube,
-)
+from factory.shapes.rounded_boxes import rounded_box
 
 FAMILY_KEY = 4
 ASPECTS = (4 / 3, 5 / 4, 16 / 10, 16 / 9, 16 / 9, 21 / 9, 32 / 9)

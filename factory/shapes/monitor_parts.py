@@ -9,18 +9,10 @@ from typing import TypeAlias
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    Surface,
-    loft,
-    rod,
-    rounded_box,
-    rounded_path,
-    slab,
-    smooth_path,
-    superellipse,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface
+from factory.shapes.curves import rounded_path, smooth_path, superellipse
+from factory.shapes.lofts import loft, rod, slab, tube
+from factory.shapes.rounded_boxes import rounded_box
 
 SCREEN, CASE = 1, 2
 Piece: TypeAlias = tuple[Surface, int]

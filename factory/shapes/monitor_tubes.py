@@ -3,17 +3,11 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface, closed
+from factory.shapes.curves import superellipse
+from factory.shapes.lofts import loft, revolve, rod
 from factory.shapes.monitor_parts import CASE, add_panel, panel
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    Surface,
-    closed,
-    loft,
-    revolve,
-    rod,
-    rounded_box,
-    superellipse,
-)
+from factory.shapes.rounded_boxes import rounded_box
 
 
 def tube_body(wide: float, high: float, depth: float, rear: float, sink: float) -> Surface:

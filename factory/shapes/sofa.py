@@ -9,7 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import rounded_path, smooth_path
+from factory.shapes.lofts import ellipsoid, rod, tube
 from factory.shapes.mesh import Mesh
+from factory.shapes.rounded_boxes import rounded_box
 from factory.shapes.sofa_parts import (
     FRAME,
     SOFT,
@@ -22,15 +26,6 @@ from factory.shapes.sofa_parts import (
     feet,
     seat_cushions,
     throw_pillows,
-)
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    ellipsoid,
-    rod,
-    rounded_box,
-    rounded_path,
-    smooth_path,
-    tube,
 )
 
 FAMILY_KEY = 3

@@ -5,17 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    closed,
-    cushion,
-    ellipsoid,
-    rod,
-    rounded_box,
-    rounded_path,
-    smooth_path,
-    tube,
-)
+from factory.shapes.closed_surface import LEFT_RIGHT, closed
+from factory.shapes.curves import rounded_path, smooth_path
+from factory.shapes.lofts import ellipsoid, rod, tube
+from factory.shapes.rounded_boxes import cushion, rounded_box
 
 SOFT, FRAME = 1, 2  # segments
 

@@ -12,8 +12,9 @@ import pytest
 import trimesh
 
 from factory.shapes.files import from_bytes
+from factory.shapes.lofts import ellipsoid
 from factory.shapes.mesh_import import open_mesh
-from factory.shapes.surfaces import ellipsoid, rounded_box
+from factory.shapes.rounded_boxes import rounded_box
 from manifests.errors import InputError
 from tests.support.mesh_files import Glb, glb, obj_text, off_text, ply, stl_text
 

@@ -7,10 +7,12 @@ import pytest
 import trimesh
 
 from factory.shapes.catalogue import load
+from factory.shapes.closed_surface import Surface, signed_volume
 from factory.shapes.libraries import category_of, find
 from factory.shapes.library import add
+from factory.shapes.lofts import ellipsoid
 from factory.shapes.mesh_import import open_mesh
-from factory.shapes.surfaces import Surface, ellipsoid, rounded_box, signed_volume
+from factory.shapes.rounded_boxes import rounded_box
 from manifests.errors import InputError
 
 SWEET_HOME = Path("/usr/share/sweethome3d/furniture")

@@ -9,7 +9,7 @@ from factory.shapes.enclosing import smallest_sphere
 from factory.shapes.mesh import finish, geometry_hash
 from factory.shapes.primitives import icosphere
 from factory.shapes.raster import look
-from factory.shapes.surfaces import rounded_box
+from factory.shapes.rounded_boxes import rounded_box
 from manifests.errors import InputError
 from shaders.frames import camera_from_world
 

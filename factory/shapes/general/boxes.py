@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import Surface
 from factory.shapes.general.draws import Generator, log_uniform, rotation
-from factory.shapes.surfaces import Surface, loft, rod
+from factory.shapes.lofts import loft, rod
 
 RINGS = 13  # of a prism along its axis, so that every shape has 2,000 triangles
 PER_SIDE = 14  # points along each side of a prism's outline

@@ -5,10 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator
 from factory.shapes.general.isosurface import Field, surface_of
-from factory.shapes.surfaces import ellipsoid, loft, rod, smooth_path, tube
+from factory.shapes.lofts import ellipsoid, loft, rod, tube
 
 MATERIAL, TRIM = 1, 2
 # half-widths of a foot from heel to toe, as shares of its width, at these places along it

@@ -3,18 +3,12 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import Surface
+from factory.shapes.curves import smooth_path
 from factory.shapes.general.draws import Generator
 from factory.shapes.general.vessels import turned_ring
-from factory.shapes.surfaces import (
-    Surface,
-    ellipsoid,
-    loft,
-    revolve,
-    shell,
-    slab,
-    smooth_path,
-    tube,
-)
+from factory.shapes.lofts import ellipsoid, loft, revolve, slab, tube
+from factory.shapes.shells import shell
 
 LIVING, POT = 1, 2
 

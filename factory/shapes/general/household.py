@@ -3,20 +3,13 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import smooth_path, superellipse
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, log_uniform, profile, round_outline
 from factory.shapes.general.isosurface import surface_of
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    ellipsoid,
-    revolve,
-    rod,
-    rounded_box,
-    slab,
-    smooth_path,
-    superellipse,
-    tube,
-)
+from factory.shapes.lofts import ellipsoid, revolve, rod, slab, tube
+from factory.shapes.rounded_boxes import rounded_box
 
 
 def lamp(a: Assembly, rng: Generator) -> None:

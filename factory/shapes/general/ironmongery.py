@@ -3,10 +3,11 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import closed, grid_faces
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator
 from factory.shapes.general.isosurface import Field, surface_of
-from factory.shapes.surfaces import closed, grid_faces, loft, tube
+from factory.shapes.lofts import loft, tube
 
 METAL, SECOND = 1, 2
 CELLS = 128  # along a key: its teeth and its grooves are thin

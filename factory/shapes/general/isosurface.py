@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from factory.shapes.closed_surface import Surface, signed_volume
 from factory.shapes.mesh import face_components
-from factory.shapes.surfaces import Surface, signed_volume
 
 Field = Callable[[np.ndarray], np.ndarray]
 

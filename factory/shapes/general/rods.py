@@ -3,17 +3,11 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import LEFT_RIGHT
+from factory.shapes.curves import smooth_path, superellipse
 from factory.shapes.general.draws import Generator
-from factory.shapes.surfaces import (
-    LEFT_RIGHT,
-    ellipsoid,
-    rod,
-    rounded_box,
-    slab,
-    smooth_path,
-    superellipse,
-    tube,
-)
+from factory.shapes.lofts import ellipsoid, rod, slab, tube
+from factory.shapes.rounded_boxes import rounded_box
 
 FRAME, SECOND = 1, 2
 

@@ -3,10 +3,12 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import closed, grid_faces
+from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, rotation, waves
 from factory.shapes.general.isosurface import surface_of
-from factory.shapes.surfaces import closed, grid_faces, smooth_path, tube
+from factory.shapes.lofts import tube
 
 
 def cushion(a: Assembly, rng: Generator) -> None:

@@ -3,10 +3,11 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, log_uniform, log_uniforms, rotation, waves
 from factory.shapes.general.isosurface import Field, surface_of
-from factory.shapes.surfaces import smooth_path, tube
+from factory.shapes.lofts import tube
 
 
 def compound(a: Assembly, rng: Generator) -> None:

@@ -3,17 +3,12 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
+from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, about_z, log_uniform, profile
 from factory.shapes.general.isosurface import Field, surface_of
-from factory.shapes.surfaces import (
-    Surface,
-    closed,
-    ellipsoid,
-    grid_faces,
-    revolve,
-    smooth_path,
-)
+from factory.shapes.lofts import ellipsoid, revolve
 
 BODY, TRIM = 1, 2
 FINE_CELLS, CUP_CELLS = 104, 72  # along a vessel: its wall is about four cells thick
