@@ -50,8 +50,9 @@ CONE_KAPPA = 14
 CONE_ROWS = 17
 CONE_STRIDE = LANES * CONE_ROWS
 
-# Scratch of culled.select for sixteen blocks: of each lobe the bound, then the weight and later the
-# cut. When the cuts are known, the first lobe's bound gives way to the least cosine with the axis.
+# Scratch of culled_lists.select for sixteen blocks: of each lobe the bound, then the weight and
+# later the cut. When the cuts are known, the first lobe's bound gives way to the least cosine with
+# the axis.
 SELECT_BOUND, SELECT_REACH, SELECT_WEIGHT = 0, 0, 3
 SELECT_ROWS = 6
 SELECT_STRIDE = LANES * SELECT_ROWS
@@ -60,7 +61,7 @@ SELECT_STRIDE = LANES * SELECT_ROWS
 CUTS = 4
 CUT_REACH = 3
 
-# The same for a view per pixel (learn.engines.culled_views): of each lobe also the least γ and the
+# The same for a view per pixel (learn.engines.viewed_lists): of each lobe also the least γ and the
 # largest κ log2 e, then the place of θ_d in the table of these, and the half angle of the cone
 # about a pixel's h. An entry's cuts hold the axis of the cone about w besides.
 SELECT_GAMMA, SELECT_KAPPA, SELECT_THETA = 6, 9, 12

@@ -14,9 +14,8 @@ scratch   per call of forward: (7, 16) floats
     n·h = cos θ
 
 c and its logarithm belong to the sample, not to the pixel: they have full precision, however sharp
-the lobe. A sample's footprint is the square of its solid angle dω = 4 (v·h) dω_h, at most a texel
-wide each way: L_k is the mean over it, so that the sum does not jump where a sample crosses a
-texel's border, and few samples resolve the border's place (learn.methods.half_vectors.footprint).
+the lobe. L_k is the mean over the sample's footprint (learn.engines.footprints), whose solid angle
+is dω = 4 (v·h) dω_h.
 
 The backward pass holds w_i and dω_i, as learn.methods.half_vectors says, and computes the rest
 again:
@@ -31,17 +30,23 @@ from numba import types
 from learn.engines.compilation import inlined
 from learn.engines.distant import LN2, add_to, clear, write_sums
 from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.footprints import (
+    TINY,
+    add_radiance,
+    footprint,
+    gather,
+    in_one_texel,
+    scatter,
+    store_footprint,
+    texel_of,
+)
 from learn.engines.general import LEAST_SQUARE, lobe_backward, square
 from learn.engines.layout import (
     CHANNEL_VALUES,
-    FOOTPRINT_BELOW,
     FOOTPRINT_BY_M,
     FOOTPRINT_BY_N,
     FOOTPRINT_BY_V,
-    FOOTPRINT_COLUMN,
     FOOTPRINT_LIGHT,
-    FOOTPRINT_RIGHT,
-    FOOTPRINT_ROW,
     KAPPA_VALUES,
     LANES,
     LOBE_VALUES,
@@ -68,16 +73,13 @@ from learn.engines.vector import (
     lane_sum,
     load,
     maximum,
-    minimum,
     select,
     splat,
     sqrt,
     store,
 )
 
-TINY = 1e-30  # added to a square so that an angle is defined at the poles
-PI = 3.141592653589793
-ROUND = 12582912.0  # 1.5 · 2^23: x + ROUND − ROUND is the nearest whole number
+Triple = tuple[float, float, float]
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 BACKWARD = types.void(*[types.int64] * 8, *[FLOAT_POINTER] * 14)
@@ -87,16 +89,6 @@ BACKWARD = types.void(*[types.int64] * 8, *[FLOAT_POINTER] * 14)
 def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
-
-
-@inlined
-def polar_angles(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
-    """θ from +y in [0, π] and φ from +x through +z in [0, 2π] of sixteen directions."""
-    theta = angle(fma(x, x, z * z) + TINY, y * y)
-    theta = select(y < 0.0, PI - theta, theta)
-    phi = angle(z * z, x * x + TINY)
-    phi = select(x < 0.0, PI - phi, phi)
-    return theta, select(z < 0.0, 2.0 * PI - phi, phi)
 
 
 @inlined
@@ -114,31 +106,22 @@ def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) ->
 
 
 @inlined
-def border(x: Lanes, width: Lanes) -> tuple[Lanes, Lanes]:
-    """The nearest border k between texels, and the part of [x − width/2, x + width/2] beyond it.
-
-    Texel k begins at x = k.
-    """
-    k = (x + ROUND) - ROUND
-    return k, minimum(maximum((x - k) / minimum(width, 1.0) + 0.5, 0.0), 1.0)
+def tangents(nx: float, ny: float, nz: float) -> tuple[Triple, Triple]:
+    """Two axes across n that turn smoothly with it (Duff et al. 2017)."""
+    sign = -1.0 if nz < 0.0 else 1.0
+    a = -1.0 / (sign + nz)
+    u = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
+    return u, (nx * ny * a, sign + ny * ny * a, -ny)
 
 
 @inlined
-def alone(border: Lanes, beyond: Lanes) -> bool:
-    """Whether the footprints of all lanes lie in one row (or column) of texels."""
-    place = border + beyond  # whole where no footprint is divided
-    return lane_max(place) + lane_max(0.0 - place) == 0.0 and not anywhere(
-        beyond * (1.0 - beyond) > 0.0
+def mirrored(h: Vector, cos_d: Lanes, v: Triple) -> Vector:
+    """w = 2 (v·h) h − v."""
+    return (
+        fma(2.0 * cos_d, h[0], -v[0]),
+        fma(2.0 * cos_d, h[1], -v[1]),
+        fma(2.0 * cos_d, h[2], -v[2]),
     )
-
-
-@inlined
-def corner(row: float, column: float, height: int, width: int) -> int:
-    """Number of the texel at a row and column; rows end at the poles, columns wrap around."""
-    i, j = int(row), int(column)
-    i = 0 if i < 0 else height - 1 if i >= height else i
-    j = j + width if j < 0 else j - width if j >= width else j
-    return i * width + j
 
 
 def forward(
@@ -162,53 +145,29 @@ def forward(
     for p in range(first * SAMPLE_TILE, min(last * SAMPLE_TILE, pixels)):
         nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
         vx, vy, vz = v[3 * p], v[3 * p + 1], v[3 * p + 2]
-        # axes across n that turn smoothly with it (Duff et al. 2017)
-        sign = -1.0 if nz < 0.0 else 1.0
-        a = -1.0 / (sign + nz)
-        ux, uy, uz = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
-        tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
+        (ux, uy, uz), (tx, ty, tz) = tangents(nx, ny, nz)
         i0, i1, i2 = 0.0, 0.0, 0.0
         for block in range(blocks):
             o = SAMPLE_STRIDE * block
             q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
-            c, log_c = (
-                load(around, o + LANES * SAMPLE_Z),
-                load(around, o + LANES * SAMPLE_LOG_COSINE),
-            )
+            c = load(around, o + LANES * SAMPLE_Z)
+            log_c = load(around, o + LANES * SAMPLE_LOG_COSINE)
             solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
             hx = fma(q, ux, fma(r, tx, c * nx))
             hy = fma(q, uy, fma(r, ty, c * ny))
             hz = fma(q, uz, fma(r, tz, c * nz))
             cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
-            wx, wy, wz = (
-                fma(2.0 * cos_d, hx, -vx),
-                fma(2.0 * cos_d, hy, -vy),
-                fma(2.0 * cos_d, hz, -vz),
-            )
+            wx, wy, wz = mirrored((hx, hy, hz), cos_d, (vx, vy, vz))
             n_w = fma(wx, nx, fma(wy, ny, wz * nz))
             weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * solid_angle * 4.0
             if not anywhere(weight > 0.0):
                 continue
             f0, f1, f2 = reflectance(m, least, log_c, cos_d)
-            store(scratch, 0, f0 * weight)
-            store(scratch, LANES, f1 * weight)
-            store(scratch, 2 * LANES, f2 * weight)
-            w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
-            theta, phi = polar_angles(
-                fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
-                w_up,
-                fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
+            at = footprint(
+                (wx, wy, wz), 4.0 * maximum(cos_d, 0.0) * solid_angle, rotation, height, width
             )
-            side = sqrt(4.0 * maximum(cos_d, 0.0) * solid_angle)
-            row, by_row = border(theta * (height / PI), side * (height / PI))
-            sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
-            column, by_column = border(
-                phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine
-            )
-            if alone(row, by_row) and alone(column, by_column):
-                texel = 3 * corner(
-                    lane_max(row + by_row) - 1.0, lane_max(column + by_column) - 1.0, height, width
-                )
+            if in_one_texel(at):
+                texel = 3 * texel_of(at, height, width)
                 i0 += lane_sum(f0 * weight) * light[texel]
                 i1 += lane_sum(f1 * weight) * light[texel + 1]
                 i2 += lane_sum(f2 * weight) * light[texel + 2]
@@ -216,80 +175,9 @@ def forward(
             store(scratch, 0, f0 * weight)
             store(scratch, LANES, f1 * weight)
             store(scratch, 2 * LANES, f2 * weight)
-            store(scratch, LANES * FOOTPRINT_ROW, row)
-            store(scratch, LANES * FOOTPRINT_COLUMN, column)
-            store(scratch, LANES * FOOTPRINT_BELOW, by_row)
-            store(scratch, LANES * FOOTPRINT_RIGHT, by_column)
-            for lane in range(LANES):
-                k = scratch[LANES * FOOTPRINT_ROW + lane]
-                t = scratch[LANES * FOOTPRINT_COLUMN + lane]
-                under = scratch[LANES * FOOTPRINT_BELOW + lane]
-                q = scratch[LANES * FOOTPRINT_RIGHT + lane]
-                for below in range(2):
-                    share = under if below else 1.0 - under
-                    if share > 0.0:
-                        left = 3 * corner(k + below - 1.0, t - 1.0, height, width)
-                        right = 3 * corner(k + below - 1.0, t, height, width)
-                        one, other = share * (1.0 - q), share * q
-                        i0 += scratch[lane] * (one * light[left] + other * light[right])
-                        i1 += scratch[LANES + lane] * (
-                            one * light[left + 1] + other * light[right + 1]
-                        )
-                        i2 += scratch[2 * LANES + lane] * (
-                            one * light[left + 2] + other * light[right + 2]
-                        )
+            store_footprint(scratch, 0, at)
+            i0, i1, i2 = add_radiance(scratch, light, height, width, i0, i1, i2)
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2
-
-
-@inlined
-def gather(scratch: np.ndarray, o: int, light: np.ndarray, height: int, width: int) -> None:
-    """Write the mean light of each lane's footprint; scratch[o] begins the rows of a chunk."""
-    for lane in range(LANES):
-        i = o + lane
-        row, column = scratch[i + LANES * FOOTPRINT_ROW], scratch[i + LANES * FOOTPRINT_COLUMN]
-        under = scratch[i + LANES * FOOTPRINT_BELOW]
-        beside = scratch[i + LANES * FOOTPRINT_RIGHT]
-        l0, l1, l2 = 0.0, 0.0, 0.0
-        for below in range(2):
-            share = under if below else 1.0 - under
-            if share > 0.0:
-                left = 3 * corner(row + below - 1.0, column - 1.0, height, width)
-                right = 3 * corner(row + below - 1.0, column, height, width)
-                one, other = share * (1.0 - beside), share * beside
-                l0 += one * light[left] + other * light[right]
-                l1 += one * light[left + 1] + other * light[right + 1]
-                l2 += one * light[left + 2] + other * light[right + 2]
-        scratch[i + LANES * FOOTPRINT_LIGHT] = l0
-        scratch[i + LANES * (FOOTPRINT_LIGHT + 1)] = l1
-        scratch[i + LANES * (FOOTPRINT_LIGHT + 2)] = l2
-
-
-@inlined
-def scatter(
-    scratch: np.ndarray, o: int, sums: np.ndarray, to: int, height: int, width: int
-) -> None:
-    """Add each lane's derivatives by its light (first three rows) to the texels of its footprint.
-
-    sums[to] begins the map.
-    """
-    for lane in range(LANES):
-        i = o + lane
-        d0, d1, d2 = scratch[i], scratch[i + LANES], scratch[i + 2 * LANES]
-        row, column = scratch[i + LANES * FOOTPRINT_ROW], scratch[i + LANES * FOOTPRINT_COLUMN]
-        under = scratch[i + LANES * FOOTPRINT_BELOW]
-        beside = scratch[i + LANES * FOOTPRINT_RIGHT]
-        for below in range(2):
-            share = under if below else 1.0 - under
-            if share > 0.0:
-                left = to + 3 * corner(row + below - 1.0, column - 1.0, height, width)
-                right = to + 3 * corner(row + below - 1.0, column, height, width)
-                one, other = share * (1.0 - beside), share * beside
-                sums[left] += one * d0
-                sums[left + 1] += one * d1
-                sums[left + 2] += one * d2
-                sums[right] += other * d0
-                sums[right + 1] += other * d1
-                sums[right + 2] += other * d2
 
 
 def backward(
@@ -338,10 +226,7 @@ def backward(
             for p in range(3 * SAMPLE_TILE * tile, 3 * min(SAMPLE_TILE * (tile + 1), pixels), 3):
                 nx, ny, nz = n[p], n[p + 1], n[p + 2]
                 vx, vy, vz = v[p], v[p + 1], v[p + 2]
-                sign = -1.0 if nz < 0.0 else 1.0
-                a = -1.0 / (sign + nz)
-                ux, uy, uz = 1.0 + sign * nx * nx * a, sign * nx * ny * a, -sign * nx
-                tx, ty, tz = nx * ny * a, sign + ny * ny * a, -ny
+                (ux, uy, uz), (tx, ty, tz) = tangents(nx, ny, nz)
                 clear(scratch, n_sums, 6)
                 for block in range(blocks):
                     o = SAMPLE_STRIDE * block
@@ -356,47 +241,20 @@ def backward(
                     x, y, z = fma(q, ux, r * tx), fma(q, uy, r * ty), fma(q, uz, r * tz)
                     hx, hy, hz = fma(c, nx, x), fma(c, ny, y), fma(c, nz, z)
                     cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
-                    wx, wy, wz = (
-                        fma(2.0 * cos_d, hx, -vx),
-                        fma(2.0 * cos_d, hy, -vy),
-                        fma(2.0 * cos_d, hz, -vz),
-                    )
+                    wx, wy, wz = mirrored((hx, hy, hz), cos_d, (vx, vy, vz))
                     n_w = fma(wx, nx, fma(wy, ny, wz * nz))
                     spread = maximum(cos_d, 0.0) * solid_angle * 4.0
                     mu = maximum(n_w, 0.0) * spread
                     if not anywhere(mu > 0.0):
                         continue
-                    w_up = fma(wx, rotation[1], fma(wy, rotation[4], wz * rotation[7]))
-                    theta, phi = polar_angles(
-                        fma(wx, rotation[0], fma(wy, rotation[3], wz * rotation[6])),
-                        w_up,
-                        fma(wx, rotation[2], fma(wy, rotation[5], wz * rotation[8])),
-                    )
-                    side = sqrt(spread)
-                    row, by_row = border(theta * (height / PI), side * (height / PI))
-                    sine = sqrt(maximum(1.0 - w_up * w_up, TINY))
-                    column, by_column = border(
-                        phi * (width / (2.0 * PI)), side * (width / (2.0 * PI)) / sine
-                    )
-                    store(scratch, work + LANES * FOOTPRINT_ROW, row)
-                    store(scratch, work + LANES * FOOTPRINT_COLUMN, column)
-                    store(scratch, work + LANES * FOOTPRINT_BELOW, by_row)
-                    store(scratch, work + LANES * FOOTPRINT_RIGHT, by_column)
-                    one_texel = alone(row, by_row) and alone(column, by_column)
-                    texel = 0
+                    at = footprint((wx, wy, wz), spread, rotation, height, width)
+                    store_footprint(scratch, work, at)
+                    one_texel, texel = in_one_texel(at), 0
                     if one_texel:
-                        texel = 3 * corner(
-                            lane_max(row + by_row) - 1.0,
-                            lane_max(column + by_column) - 1.0,
-                            height,
-                            width,
-                        )
+                        texel = 3 * texel_of(at, height, width)
                         for k in range(3):
-                            store(
-                                scratch,
-                                work + LANES * (FOOTPRINT_LIGHT + k),
-                                splat(light[texel + k]),
-                            )
+                            row = work + LANES * (FOOTPRINT_LIGHT + k)
+                            store(scratch, row, splat(light[texel + k]))
                     else:
                         gather(scratch, work, light, height, width)
                     t_square = square(wx - vx, wy - vy, wz - vz)
@@ -410,18 +268,11 @@ def backward(
                         f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
                         for s in range(3):
                             if nearest * least[s] > NEGLIGIBLE:
+                                values = LOBE_VALUES * s + CHANNEL_VALUES * k
                                 lobe_f, lobe_c, lobe_x = lobe_backward(
-                                    m,
-                                    steps,
-                                    LOBE_VALUES * s + CHANNEL_VALUES * k,
-                                    log_c,
-                                    b,
-                                    tent,
-                                    weight,
-                                    scratch,
-                                    by_m,
+                                    m, steps, values, log_c, b, tent, weight, scratch, by_m,
                                     with_view,
-                                )
+                                )  # fmt: skip
                                 f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
                         store(scratch, work + LANES * k, f * mu * g[p + k])
                         by_w = fma(f * spread, seen, by_w)
@@ -430,9 +281,8 @@ def backward(
                     if with_light:
                         if one_texel:
                             for k in range(3):
-                                light_sums[texels + texel + k] += lane_sum(
-                                    load(scratch, work + LANES * k)
-                                )
+                                value = load(scratch, work + LANES * k)
+                                light_sums[texels + texel + k] += lane_sum(value)
                         else:
                             scatter(scratch, work, light_sums, texels, height, width)
                     by_w = select(n_w > 0.0, by_w, 0.0)
@@ -445,28 +295,15 @@ def backward(
                         inverse = 1.0 / sqrt(s_square)
                         by_c = by_c * inverse
                         across, along = by_c * fma(q, q, r * r), by_c * c
-                        by_theta = (
-                            by_x
-                            * (0.25 * ANGLE_TO_X)
-                            * inverse
-                            / sqrt(maximum(t_square, LEAST_SQUARE))
-                        )
+                        t_length = sqrt(maximum(t_square, LEAST_SQUARE))
+                        by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / t_length
                         by_t, by_s = by_theta * s_square, by_theta * t_square
-                        add_to(
-                            scratch,
-                            v_sums,
-                            across * nx - along * x - by_t * (wx - vx) - by_s * (wx + vx),
-                        )
-                        add_to(
-                            scratch,
-                            v_sums + LANES,
-                            across * ny - along * y - by_t * (wy - vy) - by_s * (wy + vy),
-                        )
-                        add_to(
-                            scratch,
-                            v_sums + 2 * LANES,
-                            across * nz - along * z - by_t * (wz - vz) - by_s * (wz + vz),
-                        )
+                        bx = across * nx - along * x - by_t * (wx - vx) - by_s * (wx + vx)
+                        by = across * ny - along * y - by_t * (wy - vy) - by_s * (wy + vy)
+                        bz = across * nz - along * z - by_t * (wz - vz) - by_s * (wz + vz)
+                        add_to(scratch, v_sums, bx)
+                        add_to(scratch, v_sums + LANES, by)
+                        add_to(scratch, v_sums + 2 * LANES, bz)
                 write_sums(scratch, n_sums, 3, by_n, p)
                 if with_view:
                     write_sums(scratch, v_sums, 3, by_v, p)

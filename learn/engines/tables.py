@@ -1,6 +1,6 @@
 """Kernels for a material at each light of a map, and for derivatives by its control values.
 
-Arrays and letters as in learn.engines.culled, whose tables these are. Besides
+Arrays and letters as in learn.engines.culled_lists, whose tables these are. Besides
 m        (many, 3 channels, 2, 6): γ and κ control values of the lobes that are summed
 basis    (blocks, 6, 16): the spline's basis at each light's θ_d; it is ≥ 0, so that nothing cancels
 chunks   of pixels, whose sums are added in their order
@@ -9,7 +9,7 @@ chunks   of pixels, whose sums are added in their order
 import numpy as np
 from numba import types
 
-from learn.engines.culled import LARGEST
+from learn.engines.block_cuts import LARGEST
 from learn.engines.distant import LN2
 from learn.engines.layout import (
     BASIS_STRIDE,
@@ -97,7 +97,7 @@ def gradient(
     lobe_sums: np.ndarray,
     by_m: np.ndarray,
 ) -> None:
-    """Derivatives by_m (many, 3, 2, 6, 16), one per lane, from the sums of culled.backward.
+    """Derivatives by_m (many, 3, 2, 6, 16), one per lane, from the sums of culled_sums.backward.
 
     stride  floats from one chunk's sums to the next one's
     """

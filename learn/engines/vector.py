@@ -14,7 +14,7 @@ FLAGS let LLVM fuse a×b+c and assume finite numbers. `reassoc` is left out on p
 
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 from llvmlite import ir
 from numba import types
@@ -30,7 +30,8 @@ FLAGS = ("contract", "nsz", "nnan", "ninf", "arcp", "afn")
 FLOAT, INT = ir.FloatType(), ir.IntType(32)
 FLOATS, INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(INT, LANES)
 BITS = ir.VectorType(ir.IntType(1), LANES)
-FLOAT_POINTER = types.CPointer(types.float32)
+FLOAT_POINTER, INT_POINTER = types.CPointer(types.float32), types.CPointer(types.int32)
+single = cast("Callable[[float], float]", types.float32)  # a conversion, in a kernel
 
 # To a type checker sixteen floats are one, and sixteen truth values too; numba knows them apart.
 Lanes = float

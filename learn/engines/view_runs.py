@@ -18,7 +18,6 @@ A run's part of the scratch is described in learn.engines.layout (VIEW_…).
 import numpy as np
 
 from learn.engines.compilation import inlined
-from learn.engines.culled import single
 from learn.engines.distant import peak_cosine, w_of
 from learn.engines.exponentials import angle
 from learn.engines.general import LEAST_SQUARE, shortfall, square, two_sum
@@ -51,6 +50,7 @@ from learn.engines.vector import (
     load,
     maximum,
     minimum,
+    single,
     splat,
     sqrt,
     store,

@@ -1,6 +1,6 @@
 """Kernels that sum the lights of each tile's list for a view per pixel, forward and backward.
 
-Letters, arrays and formulas as in learn.engines.culled_views, which makes the lists, and in
+Letters, arrays and formulas as in learn.engines.viewed_lists, which makes the lists, and in
 learn.engines.view_runs: pixels of similar view share h̄ and the spline values. Besides:
 limit    (1,) the longest difference of a view from that of its run
 """
@@ -9,12 +9,15 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.culled import INT_POINTER, unpack
-from learn.engines.culled_views import pixels_near, unpack_views
+from learn.engines.culled_sums import unpack
 from learn.engines.distant import LN2, add_to, clear, cosine, w_of, write_sums
 from learn.engines.exponentials import exp2, exp2m1
+from learn.engines.general import square
 from learn.engines.layout import (
     CULLED_NORMALS,
+    CULLED_TILE,
+    CUT_AXIS,
+    CUT_REACH,
     ENERGY_STRIDE,
     GENERAL_STRIDE,
     LANES,
@@ -36,14 +39,17 @@ from learn.engines.layout import (
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
+    INT_POINTER,
     Lanes,
     anywhere,
+    bits,
     fma,
     lane_max,
     load,
     lowest_bit,
     maximum,
     splat,
+    sqrt,
 )
 from learn.engines.vector import select as choose
 from learn.engines.view_runs import (
@@ -58,6 +64,32 @@ from learn.engines.view_runs import (
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9, *[INT_POINTER] * 2)
 BACKWARD = types.void(*[types.int64] * 11, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
+
+
+@inlined
+def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
+    """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
+
+    o  offset of their normals; their views are VIEW_VIEWS − CULLED_NORMALS behind
+    """
+    x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
+    a, v = VIEW_CUTS * entry + CUT_AXIS, o + VIEW_VIEWS - CULLED_NORMALS
+    sx = cuts[a] + load(scratch, v)
+    sy = cuts[a + 1] + load(scratch, v + CULLED_TILE)
+    sz = cuts[a + 2] + load(scratch, v + 2 * CULLED_TILE)
+    along = fma(x, sx, fma(y, sy, z * sz))
+    near = along > sqrt(square(sx, sy, sz)) * cuts[VIEW_CUTS * entry + CUT_REACH]
+    return bits(near) & ((1 << min(LANES, count)) - 1)
+
+
+@inlined
+def unpack_views(v: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
+    """Write a tile's views as three rows at offset o."""
+    for j in range(CULLED_TILE):
+        for i in range(3):
+            scratch[o + CULLED_TILE * i + j] = (
+                v[3 * (start + j) + i] if j < count else types.float32(0.0)
+            )
 
 
 @inlined

@@ -1,8 +1,8 @@
 """The culled sum for a distant viewer: lists of blocks of lights for each tile of pixels.
 
-Numpy around the kernels of learn.engines.culled and learn.engines.tables, float32. A normal may
-also look away from the viewer, as do nodes of a reflectance map just beyond the silhouette: c = h·n
-is held above 0, so values and derivatives stay finite.
+Numpy around the kernels of learn.engines.culled_lists, culled_sums and tables, float32. A normal
+may also look away from the viewer, as do nodes of a reflectance map just beyond the silhouette:
+c = h·n is held above 0, so values and derivatives stay finite.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ DIM = 0.01
 
 
 class Lists(NamedTuple):
-    """The tiles' lists, as learn.engines.culled describes them."""
+    """The tiles' lists, as learn.engines.culled_lists describes them."""
 
     cuts: np.ndarray
     lengths: np.ndarray
@@ -46,7 +46,7 @@ class Lists(NamedTuple):
 
 
 class Tables:
-    """Some lobes of a material at each light, as learn.engines.culled reads them.
+    """Some lobes of a material at each light, as learn.engines.culled_lists reads them.
 
     m         (3, 3, 2, 6); energy: (blocks, 3, 16)
     lobes     (blocks, many, 3, 2, 16); cones: (wide blocks, CONE_ROWS, 16)
@@ -95,7 +95,7 @@ class Tables:
         return result
 
     def material_gradient(self, lobe_sums: np.ndarray) -> np.ndarray:
-        """Derivative (3, 3, 2, 6) float64 by m, from the lobe sums of learn.engines.culled."""
+        """Derivative (3, 3, 2, 6) float64 by m, from the lobe sums of learn.engines.culled_sums."""
         sums, by_m = np.empty((self.many, 3, 2, 6, LANES), np.float32), np.zeros((3, 3, 2, 6))
         sizes = self.many, self.lights.blocks, len(lobe_sums), lobe_sums[0].size
         arrays = self.lights.basis, self.energy, self.lobes, lobe_sums, sums
@@ -190,7 +190,7 @@ def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) ->
     def kernel(first: int, last: int) -> None:
         scratch = np.empty(cones.shape[0] * SELECT_ROWS * LANES, np.float32)
         sizes = first, last, len(n), size, len(cones), capacity, tables.many
-        machine_code.call("culled.select", *sizes, budget, n, cones, scratch, *lists)
+        machine_code.call("culled_lists.select", *sizes, budget, n, cones, scratch, *lists)
 
     workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * TESTED)
     threads.run(kernel, threads.split(tiles, workers), workers)
@@ -211,7 +211,7 @@ def run_forward(n: np.ndarray, tables: Tables, lists: Lists, out: np.ndarray) ->
         scratch = np.empty(CULLED_SCRATCH, np.float32)
         sizes = first, last, len(n), tile_size(len(n)), lists.entries.shape[1], tables.many
         arrays = n, lights.axes, lights.geometry, tables.energy, tables.lobes, scratch, out
-        machine_code.call("culled.forward", *sizes, *arrays, *lists)
+        machine_code.call("culled_sums.forward", *sizes, *arrays, *lists)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(len(lists.lengths), 2 * workers), workers)
@@ -241,7 +241,7 @@ def run_backward(
         sizes = len(n), tile_size(len(n)), tiles, blocks, capacity, many, chunks, int(with_n)
         inputs = n, lights.axes, lights.geometry, tables.energy, tables.lobes, scratch, g
         outputs = by_n, energy_sums, lobe_sums
-        machine_code.call("culled.backward", first, last, *sizes, *inputs, *outputs, *lists)
+        machine_code.call("culled_sums.backward", first, last, *sizes, *inputs, *outputs, *lists)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)

@@ -6,7 +6,7 @@ E         (T, 3) radiance × solid angle
 left_out  radiance that may be missing from a pixel in a channel: blocks of lights are skipped up to
           that
 
-The kernels serve float32 on the CPU: for a distant viewer learn.engines.culled by lists
+The kernels serve float32 on the CPU: for a distant viewer learn.engines.culled_sums by lists
 (learn/methods/block_lists.py), for a view per pixel learn.engines.general, which leaves out nothing
 that counts. Elsewhere `exact.ExactSum` serves.
 """
@@ -115,7 +115,7 @@ def spread_over(count: int, pixels: int) -> np.ndarray:
 
 
 class ListedSum(Step):
-    """Radiance for a distant viewer by learn.engines.culled.
+    """Radiance for a distant viewer by learn.engines.culled_sums.
 
     n (P, 3), m (3, 3, 2, 6), E (T, 3), Lights, left_out, numbers of lobes, a method's name → (P, 3)
     """

@@ -27,8 +27,8 @@ class Lights:
 
     w         (T, 3) float64
     geometry  (blocks, 9, 16) float32: w, h, and what rounding took off h
-    cones     (wide blocks, CONE_ROWS, 16) float32 for learn.engines.culled: the cones about w and
-              about h; the material's rows are 0
+    cones     (wide blocks, CONE_ROWS, 16) float32 for learn.engines.culled_lists: the cones about w
+              and about h; the material's rows are 0
     axes      (blocks, 3) float32: the axes of the cones about h
     basis     (blocks, 6, 16) float32: the spline's basis at each light's θ_d
     """

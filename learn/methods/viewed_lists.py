@@ -1,6 +1,6 @@
 """The culled sum for a view per pixel: lists of blocks of lights for each tile of pixels.
 
-Numpy around the kernels of learn.engines.culled_views, float32; what learn.methods.block_lists is
+Numpy around the kernels of learn.engines.viewed_lists, float32; what learn.methods.block_lists is
 for a distant viewer.
 """
 
@@ -56,7 +56,7 @@ def bins_around(window: int) -> np.ndarray:
 
 
 class ViewedTables:
-    """Some lobes of a material under some lights, as learn.engines.culled_views reads them.
+    """Some lobes of a material under some lights, as learn.engines.viewed_lists reads them.
 
     m         (3, 3, 2, 6); energy: (blocks, 3, 16)
     values    (many, 3, 2, 6) float32: control values of the lobes' splines
@@ -224,7 +224,7 @@ def select(
         scratch = np.empty(len(cones) * SELECT_VIEW_STRIDE, np.float32)
         sizes = first, last, len(n), size, len(cones), capacity, tables.many
         arrays = budget, n, view, cones, ranges, scratch
-        machine_code.call("culled_views.select", *sizes, *arrays, *lists)
+        machine_code.call("viewed_lists.select", *sizes, *arrays, *lists)
 
     workers = threads.worth(torch.get_num_threads(), tiles * len(cones) * 2 * TESTED)
     threads.run(kernel, threads.split(tiles, workers), workers)

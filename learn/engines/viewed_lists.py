@@ -1,12 +1,12 @@
-"""Kernels for a view per pixel that sum, for each tile of pixels, only the lights near its lobes.
+"""The kernel that lists, for each tile of pixels, the lights near its lobes; a view per pixel.
 
-Letters, arrays and formulas as in learn.engines.general and learn.engines.culled; pixels are sorted
-so that a tile's normals, and as a rule its views, are close together. Besides:
+Letters, arrays and formulas as in learn.engines.general and learn.engines.culled_lists; pixels are
+sorted so that a tile's normals, and as a rule its views, are close together. Besides:
 v        (P, 3) unit vectors to the viewer
 values   (many, 3 channels, 2, 6): control values of γ and of κ log2 e of the lobes that are summed
 steps    (many, 3, 2, 5): slopes of their splines, as in learn.engines.general
 ranges   (many, 2, THETA_BINS): the least γ and the largest κ log2 e that a lobe has near θ_d
-cones    as in learn.engines.culled, of which only those about w and the energy are read
+cones    as in learn.engines.culled_lists, of which only those about w and the energy are read
 cuts     (T, room, VIEW_CUTS): as there, and behind them the axis of the cone about h
 
 The cone about h belongs to a tile and a block. For w and v in cones of half angles α and β about a
@@ -18,32 +18,24 @@ angle of that over ‖a + b‖ of (a + b)/‖a + b‖. `ranges` must cover the �
 import numpy as np
 from numba import types
 
+from learn.engines.block_cuts import (
+    bound_lobes,
+    cut_lobes,
+    highest_bound,
+    is_listed,
+    threshold_within,
+)
 from learn.engines.compilation import inlined
-from learn.engines.culled import (
-    INT_POINTER,
-    along_axis,
-    cone_about,
-    cut_at,
-    least_cosine,
-    nearest_cosine,
-)
-from learn.engines.distant import (
-    clear,
-    w_of,
-)
-from learn.engines.exponentials import angle, exp2, exp2m1, log2
-from learn.engines.general import (
-    LEAST_SQUARE,
-    square,
-)
+from learn.engines.cones import along_axis, cone_about, nearest_cosine
+from learn.engines.distant import clear, w_of
+from learn.engines.exponentials import angle, log2
+from learn.engines.general import LEAST_SQUARE, square
 from learn.engines.layout import (
     CONE_ENERGY,
     CONE_STRIDE,
     CONE_W_COS,
     CONE_W_SIN,
     CONE_W_X,
-    CULLED_NORMALS,
-    CULLED_TILE,
     CUT_AXIS,
     CUT_REACH,
     LANES,
@@ -58,31 +50,24 @@ from learn.engines.layout import (
     SELECT_WEIGHT,
     THETA_BINS,
     VIEW_CUTS,
-    VIEW_VIEWS,
 )
 from learn.engines.vector import (
     FLOAT_POINTER,
+    INT_POINTER,
     anywhere,
-    bits,
     fma,
-    lane_sum,
     load,
     maximum,
-    minimum,
     splat,
     sqrt,
     store,
 )
 from learn.engines.vector import select as choose
 
-from learn.engines.culled import LARGEST, NEVER  # isort: skip
-
 BINS_PER_RADIAN = THETA_BINS / 1.5707963267948966
 WHOLE_SPHERE = 0.999999  # sine of a cone's half angle from which it counts as the whole sphere
 
 SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
-FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 8, *[INT_POINTER] * 2)
-BACKWARD = types.void(*[types.int64] * 10, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
 
 
 @inlined
@@ -95,32 +80,6 @@ def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -
             o = 2 * THETA_BINS * s + place
             scratch[b + LANES * (SELECT_GAMMA + s) + lane] = ranges[o]
             scratch[b + LANES * (SELECT_KAPPA + s) + lane] = ranges[o + THETA_BINS]
-
-
-@inlined
-def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
-    """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
-
-    o  offset of their normals; their views are VIEW_VIEWS − CULLED_NORMALS behind
-    """
-    x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
-    a, v = VIEW_CUTS * entry + CUT_AXIS, o + VIEW_VIEWS - CULLED_NORMALS
-    sx = cuts[a] + load(scratch, v)
-    sy = cuts[a + 1] + load(scratch, v + CULLED_TILE)
-    sz = cuts[a + 2] + load(scratch, v + 2 * CULLED_TILE)
-    along = fma(x, sx, fma(y, sy, z * sz))
-    near = along > sqrt(square(sx, sy, sz)) * cuts[VIEW_CUTS * entry + CUT_REACH]
-    return bits(near) & ((1 << min(LANES, count)) - 1)
-
-
-@inlined
-def unpack_views(v: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
-    """Write a tile's views as three rows at offset o."""
-    for j in range(CULLED_TILE):
-        for i in range(3):
-            scratch[o + CULLED_TILE * i + j] = (
-                v[3 * (start + j) + i] if j < count else types.float32(0.0)
-            )
 
 
 def select(
@@ -178,54 +137,25 @@ def select(
             store(scratch, b + LANES * SELECT_H_SIN, choose(beyond, 0.0, alone))
             axis = fma(hx, nx, fma(hy, ny, hz * nz))
             c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
-            log_c = log2(c, 1.0 - c)
             weight = maximum(n_w, 0.0) * load(cones, o + LANES * CONE_ENERGY)
-            for s in range(many):
-                gamma = load(scratch, b + LANES * (SELECT_GAMMA + s))
-                kappa = load(scratch, b + LANES * (SELECT_KAPPA + s))
-                exponent = kappa * exp2(gamma * log_c)
-                bound = weight * exp2m1(minimum(exponent, LARGEST))
-                store(scratch, b + LANES * (SELECT_BOUND + s), bound)
-                store(scratch, b + LANES * (SELECT_WEIGHT + s), weight)
-        threshold = 0.125 * budget[0]
-        for _ in range(12):
-            skipped = splat(0.0)
-            for wide_block in range(wide_blocks):
-                b = SELECT_VIEW_STRIDE * wide_block
-                for s in range(many):
-                    bound = load(scratch, b + LANES * (SELECT_BOUND + s))
-                    skipped = skipped + minimum(bound, threshold)
-            if lane_sum(skipped) <= budget[0]:
-                break
-            threshold *= 0.25
+            gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
+            bound_lobes(scratch, b, many, scratch, gammas, kappas, log2(c, 1.0 - c), weight)
+        threshold = threshold_within(scratch, SELECT_VIEW_STRIDE, wide_blocks, many, budget[0])
         length = 0
         for wide_block in range(wide_blocks):
             b = SELECT_VIEW_STRIDE * wide_block
-            highest = load(scratch, b + LANES * SELECT_BOUND)
-            for s in range(1, many):
-                highest = maximum(highest, load(scratch, b + LANES * (SELECT_BOUND + s)))
-            if not anywhere(highest > threshold):
+            if not anywhere(highest_bound(scratch, b, many) > threshold):
                 continue
-            reach = splat(NEVER)
             cos_h, sin_h = (
                 load(scratch, b + LANES * SELECT_H_COS),
                 load(scratch, b + LANES * SELECT_H_SIN),
             )
-            for s in range(many):
-                gamma = load(scratch, b + LANES * (SELECT_GAMMA + s))
-                kappa = load(scratch, b + LANES * (SELECT_KAPPA + s))
-                weight = load(scratch, b + LANES * (SELECT_WEIGHT + s))
-                cut = cut_at(threshold, weight, gamma, kappa)
-                above = load(scratch, b + LANES * (SELECT_BOUND + s)) > threshold
-                store(scratch, b + LANES * (SELECT_WEIGHT + s), choose(above, cut, NEVER))
-                reach = minimum(reach, choose(above, least_cosine(cut, cos_h, sin_h), NEVER))
+            gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
+            reach = cut_lobes(scratch, b, many, scratch, gammas, kappas, threshold, cos_h, sin_h)
             store(scratch, b + LANES * SELECT_REACH, reach)
             for lane in range(LANES):
                 block, q = LANES * wide_block + lane, b + LANES * SELECT_WEIGHT + lane
-                listed = False
-                for s in range(many):
-                    listed = listed or scratch[q + LANES * s] < NEVER
-                if block < room and listed:
+                if block < room and is_listed(scratch, q, many):
                     entry = room * tile + length
                     entries[entry] = block
                     to = VIEW_CUTS * entry
