@@ -182,11 +182,11 @@ def _settings(studio: Studio, config: WorkerConfig) -> dict[str, Any]:
     settings = msgspec.to_builtins(studio.settings)
     if config.assignment.job.error is None:
         return settings
-    from factory.render.estimators import choice
+    from factory.render.estimators import rules
     from factory.render.settings import DENOISED, PORTION
 
     estimators = {s.path: {"value": s.value, "reason": s.reason} for s in (*PORTION, *DENOISED)}
-    return settings | {"estimators": estimators, "rules": choice.identity()}
+    return settings | {"estimators": estimators, "rules": rules.identity()}
 
 
 def _studio(config: WorkerConfig) -> Studio:

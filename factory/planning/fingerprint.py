@@ -19,7 +19,7 @@ def render_fingerprint(by_error: bool = False) -> str:
     by_error  True: of jobs that limit the error, with the rules by which an estimator is chosen
     """
     from factory.render import settings
-    from factory.render.estimators import choice
+    from factory.render.estimators import rules
 
     def values(group: Iterable[settings.Setting]) -> list[list[object]]:
         return [[s.path, s.value] for s in group]
@@ -35,6 +35,6 @@ def render_fingerprint(by_error: bool = False) -> str:
         blender = "none"
     parts: list[object] = [*map(values, groups), tiers, blender]
     if by_error:
-        parts += [values(settings.PORTION), values(settings.DENOISED), choice.identity()]
+        parts += [values(settings.PORTION), values(settings.DENOISED), rules.identity()]
     text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -8,7 +8,8 @@ import pytest
 from factory.commands import render as command
 from factory.commands.plan import described
 from factory.planning.fingerprint import render_fingerprint
-from factory.render.estimators import choice
+from factory.render.estimators import attempt
+from factory.render.estimators import rules as estimator_rules
 from manifests.cli import main
 from manifests.store import Store
 from manifests.verification import faults_of
@@ -26,7 +27,7 @@ def rules(monkeypatch):
     """A function that changes the rules by which estimators are chosen, until the test ends."""
 
     def change():
-        monkeypatch.setattr(choice, "VERSION", choice.VERSION + 1)
+        monkeypatch.setattr(estimator_rules, "VERSION", estimator_rules.VERSION + 1)
         render_fingerprint.cache_clear()
 
     yield change
@@ -82,7 +83,7 @@ def test_a_picture_that_does_not_keep_its_limit_is_kept_and_noted(render, limite
     )
     assert (outcome.made, outcome.failed) == (1, 0)
     (record,) = Store(tmp_path).records()
-    assert record.samples == 2 * choice.MOST_SAMPLES == 4096
+    assert record.samples == 2 * attempt.MOST_SAMPLES == 4096
     assert record.accuracy.estimated > record.accuracy.requested == 1e-4
     (note,) = notes
     assert note.startswith(f"{record.id}: its error is about") and "4096 samples" in note

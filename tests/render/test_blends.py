@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import blends, choice, closed_form
+from factory.render.estimators import blends, choice, closed_form, rules
 from factory.render.estimators.halves import Halves
 from factory.render.estimators.renderer import Shown
 from shaders import tone
@@ -125,6 +125,6 @@ def test_a_closed_form_that_is_a_little_off_is_blended_or_left():
 
 
 def test_shares_are_part_of_the_fingerprint(monkeypatch):
-    before = choice.identity()
+    before = rules.identity()
     monkeypatch.setattr(blends, "SHARES", (0.0, 0.5))
-    assert choice.identity() != before
+    assert rules.identity() != before

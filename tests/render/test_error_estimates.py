@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import blends, choice, closed_form, denoised, path_tracing, ratio
+from factory.render.estimators import attempt as attempts
+from factory.render.estimators import (
+    blends,
+    choice,
+    closed_form,
+    denoised,
+    halves,
+    path_tracing,
+    ratio,
+    rules,
+)
 from factory.render.estimators.halves import Estimate, Halves, half_seed, mean_over
 from factory.render.estimators.renderer import EFFORTS, DirectWork, Portion, Shown
 from shaders import tone
@@ -64,7 +74,7 @@ def test_the_error_is_kept_and_no_more_samples_are_taken_than_that_needs(request
     made = choice.picture(shown(known), requested, estimators)
     assert made.estimated.bound <= requested
     assert error(made.radiance, known) <= requested
-    if made.estimator == path_tracing.NAME and made.samples > 2 * choice.PILOT:
+    if made.estimator == path_tracing.NAME and made.samples > 2 * attempts.PILOT:
         assert error(made.radiance, known) > 0.6 * requested
     assert made.samples == sum(count for _, count, _ in known.requested)
 
@@ -136,7 +146,7 @@ def test_the_same_seed_chooses_the_same_estimator_and_another_seed_other_noise()
 
 
 def test_an_error_that_the_most_samples_do_not_reach_is_said(monkeypatch):
-    monkeypatch.setattr(choice, "MOST_SAMPLES", 32)
+    monkeypatch.setattr(attempts, "MOST_SAMPLES", 32)
     made = choice.picture(shown(Known()), 1e-3)
     assert made.samples == 64 and made.estimated.bound > 1e-3
 
@@ -182,10 +192,10 @@ def test_the_denoiser_is_expected_to_leave_less_where_the_frame_has_more_pixels(
 def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
     scales, samples = [], []
     for bias in (0.2, 0.001):
-        attempt = choice._Attempt(shown(Known(noise=0.8, bias=bias)), 20.0, choice.ALL)
+        attempt = attempts.Attempt(shown(Known(noise=0.8, bias=bias)), 20.0, choice.ALL)
         scales.append(attempt.scale)
         attempt.error = 1e-6  # no try is kept
-        assert attempt.run(choice._Plan(0.0, denoised.NAME, 8)) is None
+        assert attempt.run(attempts.Plan(0.0, denoised.NAME, 8)) is None
         attempt.error, attempt.now = 20.0, attempt.halves.estimate()
         scales.append(attempt.scale)
         samples.append(next(p.samples for p in attempt.plans() if p.estimator == denoised.NAME))
@@ -196,10 +206,10 @@ def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
 @pytest.mark.parametrize("estimator", choice.ALL)
 def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
     known = Shaded(noise=1.5, deepest=0.8)
-    attempt = choice._Attempt(shown(known), 20.0, choice.ALL)
+    attempt = attempts.Attempt(shown(known), 20.0, choice.ALL)
     attempt.direct = known.direct_light()
-    attempt.run(choice._Plan(0.0, estimator, 2000))
-    assert attempt.halves.samples == choice.GROWTH * choice.PILOT
+    attempt.run(attempts.Plan(0.0, estimator, 2000))
+    assert attempt.halves.samples == attempts.GROWTH * attempts.PILOT
 
 
 def test_no_closed_form_is_computed_where_light_is_blocked_and_its_noise_explains_nothing():
@@ -215,7 +225,7 @@ def test_no_closed_form_is_computed_where_light_is_blocked_and_its_noise_explain
 
 @pytest.mark.parametrize("share", [0.0, 0.6])
 def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
-    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
+    attempt = attempts.Attempt(shown(Shaded()), 20.0, choice.ALL)
     pair = list(attempt.halves.pictures)
     lucky = blends.Blend(pair, Estimate(-5.0, 9.0), bias=-7.0, bias_alone=-7.0, share=share)
     assert attempt._at_least_as_blocked(lucky) is lucky
@@ -362,7 +372,7 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
     # the same noise by twice the samples is twice as much for one
     assert ratio.needed(200.0, 8, scale, 6.0, direct) > 1.8 * many
     # less than the closed form's own error is never reached
-    assert ratio.needed(200.0, 4, scale, 0.45, direct) > choice.MOST_SAMPLES
+    assert ratio.needed(200.0, 4, scale, 0.45, direct) > attempts.MOST_SAMPLES
     # without bias the noise decides
     alone = ratio.needed(200.0, 4, 0.0, 6.0, lambda samples: Estimate(0.0, 0.0))
     assert alone == ratio.LEAST
@@ -403,11 +413,11 @@ def test_the_share_of_noise_that_is_left_is_that_of_the_unbiased_pictures():
 
 def test_the_ratios_law_goes_by_what_a_try_has_shown():
     known = Shaded(noise=0.8, deepest=0.8)
-    attempt = choice._Attempt(shown(known), 0.3, choice.ALL)
+    attempt = attempts.Attempt(shown(known), 0.3, choice.ALL)
     attempt.direct, attempt.blocked = known.direct_light(), Estimate(50.0, 1.0)
     before = attempt.ratio_scale
     attempt.halves.unblocked()  # by the same portions, so that the noise is common
-    assert attempt.run(choice._Plan(0.0, ratio.NAME, 8)) is None
+    assert attempt.run(attempts.Plan(0.0, ratio.NAME, 8)) is None
     assert attempt.ratio_scale != before and attempt.left < 1
     attempt.error, attempt.now = 20.0, attempt.halves.estimate()
     plan = attempt._ratio_plan()
@@ -415,7 +425,7 @@ def test_the_ratios_law_goes_by_what_a_try_has_shown():
 
 
 def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
-    attempt = choice._Attempt(shown(Shaded()), 20.0, choice.ALL)
+    attempt = attempts.Attempt(shown(Shaded()), 20.0, choice.ALL)
     attempt.closed_direct, attempt.error = Estimate(2.0, 3.0), 1e6
     pair = list(attempt.halves.pictures)
     blend = blends.Blend(pair, Estimate(1.0, 0.4), bias=0.5, bias_alone=0.5, share=0.0)
@@ -584,7 +594,7 @@ def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
 
     from shaders import direct_light, direct_light_kernels
 
-    before = json.dumps(choice.identity())
+    before = json.dumps(rules.identity())
     for module, name, value in (
         (direct_light, "SPACING", 0.4),
         (direct_light, "WITHIN", {"ggx": 5.0}),
@@ -593,8 +603,8 @@ def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
     ):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, value)
-            assert json.dumps(choice.identity()) != before, name
-    assert json.dumps(choice.identity()) == before
+            assert json.dumps(rules.identity()) != before, name
+    assert json.dumps(rules.identity()) == before
 
 
 def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
@@ -659,10 +669,10 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
     estimates = []
     for closed in (1.0, 1.03):
         known = Shaded(noise=0.1, deepest=0.8, closed=closed)
-        attempt = choice._Attempt(shown(known), 60.0, choice.ALL)
+        attempt = attempts.Attempt(shown(known), 60.0, choice.ALL)
         assert attempt.closed() is None or closed
         attempt.direct = known.direct_light()
-        made = attempt.run(choice._Plan(0.0, ratio.NAME, 64))
+        made = attempt.run(attempts.Plan(0.0, ratio.NAME, 64))
         assert made is not None and made.estimator == ratio.NAME
         estimates.append(made.estimated.error)
     off = error(known.truth * np.float32(1.03), known)
@@ -711,6 +721,6 @@ def test_path_tracing_plans_the_display_curves_part_by_the_square_of_the_samples
 
 
 def test_the_display_curves_part_is_of_the_fingerprint(monkeypatch):
-    before = choice.identity()
-    monkeypatch.setattr(choice, "CURVE", 2.0)
-    assert choice.identity() != before
+    before = rules.identity()
+    monkeypatch.setattr(halves, "CURVE", 2.0)
+    assert rules.identity() != before

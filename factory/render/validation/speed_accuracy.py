@@ -45,7 +45,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators import choice
+from factory.render.estimators import rules
 from factory.render.estimators.halves import Halves
 from factory.render.estimators.renderer import Shown
 from factory.render.validation import command_line
@@ -156,7 +156,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
         "bare_loop": options.bare_loop,
         "adaptive": not options.no_adaptive,
         "bias": options.bias,
-        "rules": choice.VERSION,
+        "rules": rules.VERSION,
     }
 
 

@@ -1,0 +1,384 @@
+"""One shot's way to its limit: the samples so far, what they say, and what may be done next.
+
+A pilot of a few samples of each half says how noisy the shot is. A plan names an estimator and the
+further samples that it needs by its model; the time of denoisers and closed forms counts as
+samples. Every try has all samples that were rendered so far, so that nothing that a failed one
+rendered is lost. Whatever is tried is accepted by its estimated error and bias alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from factory.render.estimators import blends, closed_form, denoised, path_tracing, ratio
+from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves
+from factory.render.estimators.renderer import DirectPicture, Shown
+from manifests.schema import Estimator, Tier
+
+PILOT = 4  # samples of each half
+MOST_SAMPLES = 2048  # of each half
+MORE = 1.5  # times the samples of a try that failed, at least
+GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture, how it was made, and how good it is.
+
+    radiance   (height, width, 3) float32
+    alpha      (height, width) the object's coverage
+    estimator  its name
+    samples    per pixel that were rendered, of both halves
+    predicted  error by the estimator's model from the pilot
+    estimated  error of the finished picture, with its standard error
+    traced     tier whose light paths were traced: `direct` where the object cannot shade itself
+    """
+
+    radiance: np.ndarray
+    alpha: np.ndarray
+    estimator: Estimator
+    samples: int
+    predicted: float
+    estimated: Estimate
+    traced: Tier
+
+
+class Plan(NamedTuple):
+    """Further samples of each half for an estimator, and all that it costs, as such samples."""
+
+    cost: float
+    estimator: Estimator
+    samples: int
+
+
+class _Tried(NamedTuple):
+    """Pictures of both halves by an estimator, and the unbiased ones that they are compared with.
+
+    predicted  error by the estimator's model
+    """
+
+    estimator: Estimator
+    pair: list[np.ndarray]
+    predicted: float
+    unbiased: Sequence[np.ndarray]
+
+
+@dataclass
+class Attempt:
+    """What is known of a shot so far.
+
+    error          the limit
+    pilot, now     error of path tracing by the pilot, and by all samples so far
+    tries          {estimator: how many times it was tried}
+    tried          {estimator: (its last estimate, samples of each half that it was of)}
+    blocked        error that direct light without shadows would have, by the pilot; None before it
+                   is asked for
+    direct         the closed form's picture; None before it is asked for, and where none holds
+    asked          whether it has been asked for
+    closed_direct  its error in the tier `direct`, by the last samples without shadows
+    expected       the same before samples have measured it
+    left           share of path tracing's noise that the ratio's unbiased pictures have, once it is
+                   known
+    scale          of the denoiser's law
+    ratio_scale    of the ratio's law
+    """
+
+    shown: Shown
+    error: float
+    estimators: tuple[Estimator, ...]
+    halves: Halves = field(init=False)
+    pilot: Estimate = field(init=False)
+    now: Estimate = field(init=False)
+    scale: float = field(init=False)
+    ratio_scale: float = field(init=False)
+    tries: dict[Estimator, int] = field(default_factory=dict)
+    tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
+    blocked: Estimate | None = None
+    direct: DirectPicture | None = None
+    left: float = 1.0
+    closed_direct: Estimate | None = None
+    asked: bool = False
+    expected: Estimate = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.halves = Halves(self.shown)
+        self.halves.grow(PILOT)
+        self.pilot = self.now = self.halves.estimate()
+        self.scale = denoised.scale(self.shown.mask.size)
+        self.ratio_scale = ratio.scale(self.shown.mask.size)
+        self.expected = closed_form.hoped(self.error)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether path tracing keeps the limit, or no more samples may be rendered."""
+        return self.now.bound <= self.error or self.halves.samples >= MOST_SAMPLES
+
+    def path_traced(self) -> Picture:
+        """Return path tracing's picture of all samples so far."""
+        return Picture(
+            radiance=self.halves.picture,
+            alpha=self.halves.alpha,
+            estimator=path_tracing.NAME,
+            samples=2 * self.halves.samples,
+            predicted=path_tracing.predicted(self.pilot, PILOT, self.halves.samples),
+            estimated=self.now,
+            traced=self.shown.tier,
+        )
+
+    def closed(self) -> Picture | None:
+        """Return the closed form's picture if the samples so far show that it keeps the error."""
+        if not self.asked and self._is_worth_asking():
+            self.asked = True
+            self.direct = self._direct_light()
+            if self.direct is not None:
+                self.expected = closed_form.expected(self.direct, self.shown.mask)
+        if self.direct is None or closed_form.NAME not in self.estimators:
+            return None
+        # without noise if it may, since a blend is not worth it
+        for shares in ((0.0,), blends.SHARES):
+            smooth = [self.direct.radiance] * 2
+            blend = self._at_least_as_blocked(
+                blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
+            )
+            bias = blends.doubted(blend.bias, blend.estimate)
+            if shares == (0.0,) and self.shown.tier == "direct":
+                known = self._error_in_direct_light(self.halves.pictures)
+                blend, bias = blend._replace(estimate=known), known.error
+            # in the tier `direct` it is the closed form alone whose error further samples show
+            if self.shown.tier != "direct" or shares == (0.0,):
+                estimate = _with_bias(blend.estimate, bias)
+                self.tried[closed_form.NAME] = (estimate, self.halves.samples)
+            if self._is_kept(blend.estimate, bias):
+                return Picture(
+                    radiance=(blend.pair[0] + blend.pair[1]) / 2,
+                    alpha=self.direct.alpha,
+                    estimator=closed_form.NAME,
+                    samples=2 * self.halves.samples,
+                    predicted=self.expected.error,
+                    estimated=blend.estimate,
+                    traced=self.shown.tier,
+                )
+        return None
+
+    def _at_least_as_blocked(self, blend: blends.Blend) -> blends.Blend:
+        """Return a blend of the closed form whose error is at least what blocked light makes it.
+
+        That is measured by pictures whose noise is common, and so is much more certain.
+        """
+        if self.blocked is None:
+            return blend
+        known = (1 - blend.share) ** 2 * max(self.blocked.error, 0.0)
+        estimate = replace(blend.estimate, error=max(blend.estimate.error, known))
+        return blend._replace(estimate=estimate, bias=max(blend.bias, known))
+
+    def _direct_light(self) -> DirectPicture | None:
+        """Return direct light by as many points per pixel as the limit needs."""
+        renderer, mask = self.shown.renderer, self.shown.mask
+        points = closed_form.POINTS
+        work, direct = renderer.direct_light_work(points), renderer.direct_light(points)
+        if work is None or direct is None:
+            return None
+
+        def finer(known: DirectPicture, more: closed_form.Finer) -> DirectPicture | None:
+            if renderer.direct_light_work(more.points) == work:
+                return None  # the frame has no more points
+            return renderer.direct_light(more.points, known, more.where)
+
+        return closed_form.refined(direct, mask, work.points, self.error, finer)
+
+    def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
+        """Return the closed form's error by both halves' pictures of direct light."""
+        assert self.direct is not None
+        measured = closed_form.measured(self.direct.radiance, unblocked, self.shown.mask)
+        return closed_form.weighed(measured, self.expected)
+
+    def _is_kept(self, estimate: Estimate, bias: float) -> bool:
+        """Whether a picture has an error and a squared bias that the limit allows."""
+        return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
+
+    def _is_worth_asking(self) -> bool:
+        """Whether the closed form, and what it makes possible, costs less than the other plans."""
+        if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
+            return False
+        work = self.shown.renderer.direct_light_work(closed_form.POINTS)
+        if work is None:
+            return False
+        cost = closed_form.cost(int(self.shown.mask.sum()), work)
+        least = min(self.plans()).cost
+        if least <= cost:
+            return False
+        if self.shown.tier == "direct":
+            return True
+        if self.blocked is None:
+            self.blocked = self.halves.error_of_direct_light()
+            self._measure_noise_left(self.halves.pictures)
+        if not self._is_blocked():
+            return True
+        by_ratio = self._ratio_plan()
+        return by_ratio is not None and by_ratio.cost + cost < least
+
+    def _is_blocked(self) -> bool:
+        """Whether so much light is blocked that no blend of the closed form keeps the limit."""
+        if self.blocked is None:
+            return False
+        # as a blend of the largest share it would have this share of its error
+        least_share = (1 - max(blends.SHARES)) ** 2
+        certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
+        return least_share * certain > blends.MOST_BIAS * self.error
+
+    def plans(self) -> list[Plan]:
+        """Return what may be done next; path tracing is always there."""
+        samples, error, tier = self.halves.samples, self.error, self.shown.tier
+        most = MOST_SAMPLES - samples
+        further = min(path_tracing.needed(self.now, samples, error), MOST_SAMPLES) - samples
+        plans = [Plan(further, path_tracing.NAME, further)]
+        if self._may(denoised.NAME, denoised.MOST_TRIES):
+            count = denoised.needed(self.now.noise_bound, samples, self.scale, error)
+            if tried := self.tried.get(denoised.NAME):
+                count = math.ceil(max(denoised.CAUTION * count, MORE * tried[1]))
+            further = max(count - samples, 0)
+            if further <= most:
+                cost = denoised.cost(samples + further, tier)
+                plans.append(Plan(further + cost, denoised.NAME, further))
+        if self.direct is None:
+            return plans
+        by_ratio = tier != "direct" and self.blocked is not None
+        if by_ratio and self._may(ratio.NAME, ratio.MOST_TRIES) and (plan := self._ratio_plan()):
+            plans.append(plan)
+        if closed_form.NAME in self.tried and not self._is_blocked():
+            total = closed_form.needed(*self.tried[closed_form.NAME], error)
+            if total is not None and total <= MOST_SAMPLES:
+                plans.append(Plan(total - samples, closed_form.NAME, total - samples))
+        return plans
+
+    def _measure_noise_left(self, smooth: Sequence[np.ndarray]) -> None:
+        """Measure how much noise the ratio's unbiased pictures have; smooth: for the slope."""
+        slope = self.halves.slope_map(smooth)
+        self.left = ratio.left_of_noise(self.halves.pictures, self.halves.unblocked(), slope)
+
+    def _ratio_plan(self) -> Plan | None:
+        """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
+        if self.left > ratio.MOST_LEFT:
+            return None
+        halves, least = self.halves, ratio.LEAST
+        if ratio.NAME in self.tried:
+            least = math.ceil(MORE * self.tried[ratio.NAME][1])
+        noise = self.left * self.now.noise_bound
+        count = ratio.needed(
+            noise, halves.samples, self.ratio_scale, self.error, self._direct_light_error, least
+        )
+        if count > MOST_SAMPLES:
+            return None
+        further = max(count - halves.samples, 0)
+        total = halves.samples + further
+        rendered = further + total - halves.unblocked_samples
+        cost = rendered + 2 * denoised.cost(total, self.shown.tier)
+        return Plan(cost, ratio.NAME, further)
+
+    def _direct_light_error(self, samples: int) -> Estimate:
+        """Return the closed form's error in direct light as so many samples of a half show it."""
+        halves = self.halves
+        if self.closed_direct is None:
+            # the uncertainty of the picture is taken for that of direct light, of which a half
+            # alone has twice as much
+            uncertain = 2 * self.now.standard_error * halves.samples / samples
+            return closed_form.weighed(Estimate(self.expected.error, uncertain), self.expected)
+        tried = halves.unblocked_samples
+        return ratio.seen_with_more(self.closed_direct, self.expected, tried, samples)
+
+    def _may(self, name: Estimator, most: int) -> bool:
+        return name in self.estimators and self.tries.get(name, 0) < most
+
+    def run(self, plan: Plan) -> Picture | None:
+        """Render a plan's samples, and return the picture if it keeps the error."""
+        halves, name = self.halves, plan.estimator
+        self.tries[name] = self.tries.get(name, 0) + 1
+        if plan.samples:
+            halves.grow(min(plan.samples, (GROWTH - 1) * halves.samples))
+        if name not in (path_tracing.NAME, closed_form.NAME):
+            for each in self._pairs(with_ratio=name == ratio.NAME):
+                if made := self._judge(each):
+                    return made
+        self.now = halves.estimate()
+        return None
+
+    def _pairs(self, with_ratio: bool) -> list[_Tried]:
+        """Return the samples' denoised pictures, and before them those by the ratio."""
+        halves = self.halves
+        smooth = halves.denoised()
+        noise = self.pilot.noise * PILOT / halves.samples
+        by_law = denoised.predicted(noise, self.scale, halves.samples, self.error)
+        by_denoiser = _Tried(denoised.NAME, smooth, by_law, halves.pictures)
+        if not with_ratio:
+            return [by_denoiser]
+        assert self.direct is not None
+        radiance, unblocked = self.direct.radiance, halves.unblocked()
+        self.closed_direct = self._error_in_direct_light(unblocked)
+        pairs = zip(smooth, halves.unblocked_denoised(), strict=True)
+        self._measure_noise_left(smooth)
+        by_ratio = _Tried(
+            ratio.NAME,
+            [ratio.combined(radiance, *pair) for pair in pairs],
+            ratio.predicted(self.left * noise, self.ratio_scale, self.error),
+            ratio.unbiased(radiance, halves.pictures, unblocked, halves.slope_map(smooth)),
+        )
+        return [by_ratio, by_denoiser]
+
+    def _judge(self, tried: _Tried) -> Picture | None:
+        """Return the best blend of an estimator's pictures if it keeps the error.
+
+        Its law's scale is measured.
+        """
+        halves, name = self.halves, tried.estimator
+        shares = ratio.SHARES if name == ratio.NAME else blends.SHARES
+        blend = blends.best(halves, tried.pair, tried.unbiased, self.error, shares)
+        estimate, bias = self._estimate(name, blend)
+        self.tried[name] = _with_bias(estimate, bias), halves.samples
+        noise = halves.estimate().noise
+        if name == denoised.NAME:
+            self.scale = denoised.scale_measured(blend, noise, halves.samples)
+        else:
+            self.ratio_scale = ratio.scale_measured(blend, self.left * noise)
+        if not self._is_kept(estimate, bias):
+            return None
+        return Picture(
+            radiance=(blend.pair[0] + blend.pair[1]) / 2,
+            alpha=halves.alpha,
+            estimator=name,
+            samples=2 * halves.samples,
+            predicted=tried.predicted,
+            estimated=estimate,
+            traced=self.shown.tier,
+        )
+
+    def _estimate(self, name: Estimator, blend: blends.Blend) -> tuple[Estimate, float]:
+        """Return the error of pictures of both halves, and the squared bias that is part of it.
+
+        What is compared with pictures that contain the closed form cannot show its error: that is
+        added, unless the samples as rendered show beyond doubt that it is more.
+        """
+        bias = blends.doubted(blend.bias, blend.estimate)
+        if name != ratio.NAME:
+            return blend.estimate, bias
+        plain = self.halves.denoised_estimate(blend.pair)
+        if closed_form.is_out(plain, self.error):
+            return plain, bias
+        known = self.closed_direct
+        assert known is not None
+        uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
+        error = max(blend.estimate.error, 0.0) + known.error
+        return Estimate(error, uncertainty), max(bias, 0.0) + known.error
+
+
+def _with_bias(estimate: Estimate, bias: float) -> Estimate:
+    """Return an estimate by which further samples are planned.
+
+    Its error is above the limit also where the squared bias is above its share beyond doubt.
+    """
+    least = bias - CONFIDENCE * estimate.standard_error
+    return Estimate(max(estimate.error, least / blends.MOST_BIAS), estimate.standard_error)
