@@ -1,7 +1,7 @@
 """Direct light of a mixture of closures without noise, seen by a distant viewer.
 
-A mixture's radiance is a function of the normal alone when the viewer and the light are distant: a
-reflectance map (Ramamoorthi and Hanrahan 2001). Each closure is integrated as its width asks for:
+A mixture's radiance is a function of the normal alone when the viewer and the light are distant
+(shaders.reflectance_maps). Each closure is integrated as its width asks for:
 
 wide    by maps over the visible hemisphere, of unit weight, between whose nodes radiance is
         interpolated. A node is the sum over the light's texels: blocks of them count as one light
@@ -19,21 +19,29 @@ The light is piecewise constant over its texels, as in the layer and in Cycles w
 
 n      (…, 3) unit normals, camera frame; the viewer is at (0, 0, 1)
 t      (tan θ_h / α)²
-nodes  of a map: polar angle θ and azimuth φ of the normal at ((θ cos φ, θ sin φ) 2/π + 1)/2
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from shaders import direct_light_kernels, light_blocks
+from shaders import direct_light_kernels, light_blocks, normal_groups
 from shaders.light_blocks import LightBlocks
 from shaders.mixture import TABLE_SIZE, Mixture, ramp_table, table_look_up
+from shaders.normal_groups import (
+    COS_LEANING,
+    FACING,
+    Group,
+    by_repetition,
+    distinct,
+    facing,
+    large,
+    means,
+)
+from shaders.reflectance_maps import ReflectanceMap
 
 LOBES = ("ggx", "beckmann", "ashikhmin_shirley")
 NARROW = 0.03  # α below which a lobe is sampled
@@ -49,25 +57,20 @@ SAMPLES = 12  # directions per normal of each of the two distributions
 # error is common to them, so that the differences of grids of points do not show it
 SHARED = 4
 MOST_TOGETHER = 16384
-# points that share a normal from which it has a sum of its own, and of so many normals at most
-FACE_POINTS, MOST_FACES = 64, 256
 KEPT_FACES = 1 << 14  # sums of faces that are remembered
-COS_FLAT = float(np.cos(np.radians(0.1)))  # between normals and facets that count as the same
-NORMAL_STEPS = 1 << 17  # of a normal's x and y, by which normals are distinguished
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
-COS_LEANING = float(np.cos(np.radians(2.0)))  # between normals and facets that differ
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow
 LEANING = ((0.2, 1), (0.08, 2), (0.0, 3))
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
-FACING = 1e-3  # n·v of normals that lean away from the viewer
 
 
 def constants() -> list[list[object]]:
     """Return name and value of every constant that alters pixels, for a fingerprint."""
     result: list[list[object]] = []
-    for module in (globals() | vars(light_blocks), vars(direct_light_kernels)):
+    names = globals() | vars(light_blocks) | vars(normal_groups)
+    for module in (names, vars(direct_light_kernels)):
         for name, value in sorted(module.items()):
             if name.isupper() and isinstance(value, (int, float, np.floating)):
                 result.append([name, round(float(value), 9)])  # cosines differ in the last bit
@@ -98,11 +101,11 @@ class DirectLight:
         self.camera_from_light = camera_from_light
         self.blocks = LightBlocks(self.light, camera_from_light)
         self._least = np.exp(mixture.log_alpha.min(0))
-        self._maps = {k: _Map.empty(self._size(k)) for k in range(len(mixture.kinds))}
+        self._maps = {k: ReflectanceMap.empty(self._size(k)) for k in range(len(mixture.kinds))}
         self._faces: dict[bytes, np.ndarray] = {}  # what maps are for, by normals of flat faces
-        self._misdirected: _Map | None = None
+        self._misdirected: ReflectanceMap | None = None
         if misdirected and "ashikhmin_shirley" in mixture.kinds and self.light.any():
-            self._misdirected = _Map.empty(LEAST_NODES)
+            self._misdirected = ReflectanceMap.empty(LEAST_NODES)
         self._tables = [_table(mixture, k) for k in range(len(mixture.kinds))]
 
     @property
@@ -154,11 +157,11 @@ class DirectLight:
         """
         given = np.ascontiguousarray(n, np.float32)
         facets = None if facets is None else np.ascontiguousarray(facets, np.float32)
-        n, lean = _facing(given, facets)
+        n, lean = facing(given, facets)
         facets = n if facets is None else facets
         radiance = np.zeros_like(n)
-        alone, shared = _by_repetition(n, facets)
-        faces = _large(shared)
+        alone, shared = by_repetition(n, facets)
+        faces = large(shared)
         if len(faces.first):
             radiance[faces.points] = self._on_faces(n[faces.first])[faces.each]
             others = np.ones(len(n), bool)
@@ -171,16 +174,16 @@ class DirectLight:
                 self._sample(k, n, facets, alone, shared, samples, radiance)
         if lean:
             (leaning,) = np.nonzero(np.einsum("ij,ij->i", facets, n) < COS_LEANING)
-            first, each = _distinct(leaning, patches)
-            means = _means(n[leaning], each)
-            radiance[leaning] -= self._leaning(means, facets[first], away=False)[each]
+            first, each = distinct(leaning, patches)
+            towards = means(n[leaning], each)
+            radiance[leaning] -= self._leaning(towards, facets[first], away=False)[each]
             np.maximum(radiance, 0, out=radiance)
         (away,) = np.nonzero(given[:, 2] < FACING)
         if len(away):
             patches = None if patches is None else self._by_closures(given, patches)
-            first, each = _distinct(away, patches)
-            means = _means(given[away], each)
-            radiance[away] = self._leaning(means, facets[first], away=True)[each]
+            first, each = distinct(away, patches)
+            towards = means(given[away], each)
+            radiance[away] = self._leaning(towards, facets[first], away=True)[each]
         return radiance + self.mistaken(given, facets, cells, patches) if misdirected else radiance
 
     def mistaken(
@@ -194,11 +197,11 @@ class DirectLight:
         radiance = np.zeros_like(n)
         if self._misdirected is None:
             return radiance
-        self._look_up(self._misdirected, self.misdirected, None, _facing(n)[0], radiance, cells)
+        self._look_up(self._misdirected, self.misdirected, None, facing(n)[0], radiance, cells)
         (away,) = np.nonzero(n[:, 2] < FACING)
         if len(away):
-            first, each = _distinct(away, patches)
-            radiance[away] = self.misdirected(_means(n[away], each), facets[first])[each]
+            first, each = distinct(away, patches)
+            radiance[away] = self.misdirected(means(n[away], each), facets[first])[each]
         return radiance
 
     def _mapped(self, n: np.ndarray, cells: np.ndarray | None) -> np.ndarray:
@@ -273,7 +276,7 @@ class DirectLight:
 
     def _look_up(
         self,
-        at: _Map,
+        at: ReflectanceMap,
         compute: Callable[[np.ndarray], np.ndarray],
         k: int | None,
         n: np.ndarray,
@@ -300,10 +303,10 @@ class DirectLight:
         (low,) = np.nonzero(n[:, 2] < np.float32(horizon))
         if len(low):
             weights = table_look_up(table[:, 2:], 1 - n[low, 2])
-            _, each = _distinct(low, cells)
-            out[low] += compute(_means(n[low], each))[each] * weights
+            _, each = distinct(low, cells)
+            out[low] += compute(means(n[low], each))[each] * weights
 
-    def _horizon(self, at: _Map, k: int | None) -> float:
+    def _horizon(self, at: ReflectanceMap, k: int | None) -> float:
         """Return n·v below which a map is not looked up: two nodes from where closure k ends.
 
         A closure whose normal is tilted away from the viewer ends before n·v = 0.
@@ -371,8 +374,8 @@ class DirectLight:
         k: int,
         n: np.ndarray,
         facets: np.ndarray,
-        alone: _Group,
-        shared: _Group,
+        alone: Group,
+        shared: Group,
         samples: int,
         out: np.ndarray,
     ) -> None:
@@ -381,7 +384,7 @@ class DirectLight:
         Points of a flat facet have one normal, and reflect the same. They share their directions,
         instead of having a few each, whose noise would be large.
 
-        alone, shared  points by whether others have their normals (`_by_repetition`)
+        alone, shared  points by whether others have their normals (`by_repetition`)
         """
         common = SHARED * samples * len(shared.points) // max(len(shared.first), 1)
         for group, count in ((alone, samples), (shared, min(common, MOST_TOGETHER))):
@@ -400,122 +403,6 @@ class DirectLight:
                 radiance,
             )
             out[group.points] += radiance[group.each]
-
-
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """Radiance of a closure of unit weight: nodes (S, S, 4), the last 0, and known (S, S) uint8."""
-
-    nodes: np.ndarray
-    known: np.ndarray
-
-    def normals(self, nodes: np.ndarray) -> np.ndarray:
-        """Return the normals (N, 3) of nodes (N, 2), by row and column."""
-        place = ((nodes[:, ::-1] - 1) / (len(self.known) - 3) * 2 - 1) * (np.pi / 2)
-        theta = np.linalg.norm(place, axis=1)
-        along = place / np.maximum(theta[:, None], 1e-12)
-        theta = np.minimum(theta, np.arccos(FACING))
-        n = np.concatenate([np.sin(theta)[:, None] * along, np.cos(theta)[:, None]], axis=1)
-        return np.ascontiguousarray(n, np.float32)  # its layout decides what is compiled
-
-    def set(self, nodes: np.ndarray, radiance: np.ndarray) -> None:
-        """Keep the radiance (N, 3) of nodes (N, 2)."""
-        rows, columns = nodes.T
-        self.nodes[rows, columns, :3] = radiance
-        self.known[rows, columns] = 1
-
-    def add(self, n: np.ndarray, horizon: float, table: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Add to out (N, 3) the radiance at normals (N, 3) times the weights of a table (S, 5).
-
-        horizon  n·v of normals below which nothing is done
-        Returns  indices of normals where nothing was added, because nodes are not known; they are 2
-        """
-        lacking = np.empty(len(n), np.int32)
-        count = direct_light_kernels.interpolate(
-            n, np.float32(horizon), self.known, self.nodes, table, lacking, out
-        )
-        return lacking[:count]
-
-    @classmethod
-    def empty(cls, size: int) -> _Map:
-        return cls(np.zeros((size, size, 4), np.float32), np.zeros((size, size), np.uint8))
-
-
-def _distinct(
-    indices: np.ndarray, cells: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray | slice]:
-    """Return one of the indices (N,) for each cell, and which of them stands for each index."""
-    if cells is None:
-        return indices, slice(None)
-    _, first, each = np.unique(cells[indices], return_index=True, return_inverse=True)
-    return indices[first], each
-
-
-class _Group(NamedTuple):
-    """Points, some of which have the same normals.
-
-    points  (G,) their indices; first (U,) one index of each normal
-    each    (G,) which of the U normals every point has
-    """
-
-    points: np.ndarray
-    first: np.ndarray
-    each: np.ndarray
-
-
-def _by_repetition(n: np.ndarray, facets: np.ndarray) -> tuple[_Group, _Group]:
-    """Return the normals (P, 3) that one point has, and those that two or more of flat faces have.
-
-    Normals that lean from their facets count as those of one point.
-    """
-    (flat,) = np.nonzero(np.einsum("pi,pi->p", n, facets) > COS_FLAT)
-    x, y, z = np.rint((n[flat].T.astype(np.float64) + 1) * NORMAL_STEPS).astype(np.int64)
-    keys = (x * (2 * NORMAL_STEPS + 1) + y) * 2 + (z > NORMAL_STEPS)
-    _, first, each, counts = np.unique(
-        keys, return_index=True, return_inverse=True, return_counts=True
-    )
-    alone = np.ones(len(n), bool)
-    alone[flat] = counts[each] == 1
-    (points,) = np.nonzero(alone)
-    (normals,) = np.nonzero(counts > 1)
-    inside = counts[each] > 1
-    return (
-        _Group(points, points, np.arange(len(points))),
-        _Group(flat[inside], flat[first[normals]], np.searchsorted(normals, each[inside])),
-    )
-
-
-def _large(shared: _Group) -> _Group:
-    """Return those normals of a group that at least FACE_POINTS have, MOST_FACES of them."""
-    counts = np.bincount(shared.each, minlength=len(shared.first))
-    most = np.argsort(-counts, kind="stable")[:MOST_FACES]
-    kept = most[counts[most] >= FACE_POINTS]
-    place = np.full(len(counts), -1)
-    place[kept] = np.arange(len(kept))
-    inside = place[shared.each] >= 0
-    return _Group(shared.points[inside], shared.first[kept], place[shared.each[inside]])
-
-
-def _means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:
-    """Return the mean (G, 3), of unit length, of normals (P, 3) of each group.
-
-    each  (P,) the number of each normal's group, or a slice: every normal is one
-    """
-    if isinstance(each, slice):
-        return n
-    sums = np.stack([np.bincount(each, values) for values in n.T], axis=1)
-    lengths = np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
-    return np.ascontiguousarray(sums / lengths, np.float32)
-
-
-def _facing(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
-    """Return normals (P, 3) with n·v of at least FACING, and whether any leans from its facet."""
-    out = np.empty(n.shape, np.float32)
-    facets = n if facets is None else facets
-    leaning = direct_light_kernels.face(
-        np.ascontiguousarray(n, np.float32), facets, np.float32(FACING), COS_LEANING, out
-    )
-    return out, leaning > 0
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

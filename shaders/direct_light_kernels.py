@@ -3,6 +3,9 @@
 They evaluate the closed forms of shaders.closures, whose letters they have, in float32, where
 polynomials stand for exponentials and logarithms: they are inlined, and sixteen lanes wide.
 tests/shaders/test_direct_light.py compares them with shaders.closures.
+
+They are in one file because numba compiles a cached kernel again only when the file that defines it
+has changed, not when another file whose functions it contains has.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manifests.facets import OTHERS
-from shaders.direct_light import FACING
+from shaders.normal_groups import FACING
 
 DEVIATION = 0.0025  # pixels
 COUNT = 32  # points; a step of 1/32 in the share of a pixel that lies beside an upright edge

@@ -28,8 +28,9 @@ from learn.metrics.pictures import (
     standard_error_net_of_noise,
 )
 from shaders import tone
-from shaders.direct_light import COS_LEANING, FACING, DirectLight
+from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
+from shaders.normal_groups import COS_LEANING, FACING
 
 SAMPLES = 192  # of each narrow lobe at each normal, as many as the factory takes for a point
 LARGEST_RATIO = (

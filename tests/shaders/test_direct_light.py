@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from shaders import direct_light, direct_light_kernels, envmap
+from shaders import direct_light, direct_light_kernels, envmap, normal_groups
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
 from tests.support.texel_sums import ROTATION, normals, summed
@@ -345,7 +345,7 @@ def test_normals_of_several_points_are_those_of_flat_faces():
     n = np.repeat(normals(6, 60).astype(np.float32), [1, 2, 3, 4, 9, 1], axis=0)
     facets = n.copy()
     facets[-1] = n[0]  # no flat face
-    alone, shared = direct_light._by_repetition(n, facets)
+    alone, shared = normal_groups.by_repetition(n, facets)
     assert alone.points.tolist() == [0, 19] == alone.first.tolist()
     assert shared.points.tolist() == list(range(1, 19)) and len(shared.first) == 4
     assert (n[shared.first][shared.each] == n[shared.points]).all()
@@ -484,7 +484,7 @@ def test_samples_of_narrow_lobes_are_what_numpy_gives(light, kind, degrees):
     facet /= np.linalg.norm(facet)
     n, facets = (np.tile(each, (70, 1)).astype(np.float32) for each in (normal, facet))
     found = np.zeros_like(n)
-    direct._sample(0, n, facets, *direct_light._by_repetition(n, facets), 512, found)
+    direct._sample(0, n, facets, *normal_groups.by_repetition(n, facets), 512, found)
     extent = np.tan(direct_light.EXTENT / 2)
     expected = sample_in_numpy(kind, alpha, normal, facet, extent, light, 400_000)
     assert expected.min() > 0

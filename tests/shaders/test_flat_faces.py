@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from shaders import direct_light, envmap
+from shaders import envmap, normal_groups
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
 from tests.support.texel_sums import ROTATION, normals, summed
@@ -42,7 +42,7 @@ def errors(mixture, light, n, facets):
 
 
 def test_a_flat_face_is_summed_over_all_texels(light, glossy):
-    n = np.tile(FACE, (direct_light.FACE_POINTS, 1)).astype(np.float32)
+    n = np.tile(FACE, (normal_groups.FACE_POINTS, 1)).astype(np.float32)
     beside = n + np.float32([0.01, 0, 0])  # facets that the normals lean from: no face is flat
     beside /= np.linalg.norm(beside, axis=1, keepdims=True)
     assert errors(glossy, light, n, n).max() < 0.003
@@ -52,27 +52,27 @@ def test_a_flat_face_is_summed_over_all_texels(light, glossy):
 
 def test_other_points_beside_a_face_keep_their_maps(light, glossy):
     """In any order of the points."""
-    face = np.tile(FACE, (direct_light.FACE_POINTS, 1))
+    face = np.tile(FACE, (normal_groups.FACE_POINTS, 1))
     others = normals(300, 80)
     order = np.random.default_rng(2).permutation(len(face) + len(others))
     n = np.concatenate([face, others])[order].astype(np.float32)
     at = DirectLight(glossy, light, ROTATION).at(n, facets=n)[np.argsort(order)]
     by_maps = DirectLight(glossy, light, ROTATION).at(others.astype(np.float32))
     np.testing.assert_array_equal(at[len(face) :], by_maps)
-    alone = np.tile(FACE, (direct_light.FACE_POINTS, 1)).astype(np.float32)
+    alone = np.tile(FACE, (normal_groups.FACE_POINTS, 1)).astype(np.float32)
     np.testing.assert_array_equal(at[: len(face)], DirectLight(glossy, light, ROTATION).at(alone))
 
 
 def test_only_the_normals_of_most_points_have_sums_of_their_own(monkeypatch):
-    monkeypatch.setattr(direct_light, "MOST_FACES", 2)
+    monkeypatch.setattr(normal_groups, "MOST_FACES", 2)
     counts = [70, 63, 90, 200, 64]
     n = np.repeat(normals(5, 60).astype(np.float32), counts, axis=0)
-    _, shared = direct_light._by_repetition(n, n)
-    faces = direct_light._large(shared)
+    _, shared = normal_groups.by_repetition(n, n)
+    faces = normal_groups.large(shared)
     assert sorted(np.bincount(faces.each)) == [90, 200]
     assert (n[faces.first][faces.each] == n[faces.points]).all()
-    monkeypatch.setattr(direct_light, "MOST_FACES", 9)
-    assert sorted(np.bincount(direct_light._large(shared).each)) == [64, 70, 90, 200]
+    monkeypatch.setattr(normal_groups, "MOST_FACES", 9)
+    assert sorted(np.bincount(normal_groups.large(shared).each)) == [64, 70, 90, 200]
 
 
 def test_the_sum_of_a_face_is_kept(light, glossy, monkeypatch):
