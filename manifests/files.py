@@ -1,4 +1,4 @@
-"""Result files: written whole or not at all, and continued only under the settings that made them.
+"""Result files, written whole or not at all.
 
 Every writer of the project uses `replacing` or `write_bytes`. Libraries write into memory, or into
 the plain stream that `replacing` yields, never to a path: OpenEXR, numpy and others ignore the
@@ -23,9 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
 from manifests.errors import InputError
-from manifests.inputs import kind_of, require_file
-
-MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
+from manifests.inputs import kind_of
 
 _DRAFT = itertools.count()  # two threads of one process never write one file's draft
 _DRAFT_NAME = re.compile(r"\..*\.(?P<machine>\w+)-(?P<process>\d{1,9})-\d+\.part", re.DOTALL)
@@ -274,37 +272,6 @@ def write_lines(path: str | os.PathLike, lines: Iterable[bytes], draft: Path | N
         Path(path).unlink(missing_ok=True)
 
 
-def reserve_outputs(
-    folder: Path,
-    names: Iterable[str],
-    overwrite: bool,
-    inputs: Iterable[str | os.PathLike | None] = (),
-) -> None:
-    """Raise InputError if one of the files exists and may not be replaced, or is an input.
-
-    folder     of the results
-    names      of the files in it
-    overwrite  whether existing files may be replaced; inputs never may
-    inputs     files that the results are computed from
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(
-            folder, "a folder, or a name for a new one", "a file", "give another --out"
-        )
-    there = [folder / name for name in names if (folder / name).exists()]
-    read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
-    for path in there:
-        if any(path.samefile(each) for each in read):
-            raise InputError(
-                path,
-                "a folder for results that does not hold what they are made of",
-                "this input",
-                "give another --out",
-            )
-    if there and not overwrite:
-        raise InputError(there[0], "no earlier result", "one", "give another --out, or --overwrite")
-
-
 def write_text(path: str | os.PathLike, text: str) -> None:
     """Write UTF-8 text, whole or not at all: a kill or a full disk leaves the earlier file.
 
@@ -327,58 +294,3 @@ def _finite(value):
     if isinstance(value, list | tuple):
         return [_finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def read_lines(path: str | os.PathLike, line_type: Any = dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the lines of a JSONL file as dictionaries; an unfinished last line is left out.
-
-    line_type  what msgspec checks each line against; unknown keys are kept
-    Returns    [] if there is no file
-    Raises     InputError for a damaged line, for what is no ordinary file, and for a file larger
-               than MOST_LINE_BYTES
-    """
-    import msgspec
-
-    from manifests.reading import decode
-
-    if not os.path.lexists(path):
-        return []
-    require_file(path, "lines of JSON", "give another --out", MOST_LINE_BYTES)
-    lines = []
-    for number, line in enumerate(Path(path).read_bytes().split(b"\n")[:-1], 1):
-        try:
-            decode(line, line_type, f"{path}:{number}")
-        except InputError as problem:
-            remedy = "remove the line: what it holds is made again"
-            raise InputError(problem.where, problem.expected, problem.found, remedy) from None
-        lines.append(msgspec.json.decode(line))
-    return lines
-
-
-def pin_settings(path: Path, requested: Mapping[str, Any]) -> None:
-    """Write the settings of the results beside `path`, or check that they are the ones in the file.
-
-    requested  {name: value} that JSON can hold; a tuple becomes a list
-    Raises     InputError if the file holds other settings
-    """
-    from manifests.reading import read
-    from manifests.renamed_keys import with_current_names
-
-    requested = with_current_names(json.loads(json.dumps(requested)), path)
-    if not os.path.lexists(path):
-        write_json(path, requested)
-        return
-    try:
-        there = with_current_names(read(path, dict[str, Any]), path)
-    except InputError as problem:
-        raise InputError(
-            problem.where, "settings as JSON", problem.found, "give another --out"
-        ) from None
-    other = [key for key in requested if there.get(key) != requested[key]]
-    if other:
-        raise InputError(
-            path.parent,
-            "results of the same settings",
-            f"other {', '.join(other)}",
-            "give another --out",
-        )

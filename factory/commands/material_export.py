@@ -129,7 +129,7 @@ def _reserve(
 
     beside  names of files that are written with it
     """
-    from manifests.files import reserve_outputs
+    from manifests.outputs import reserve_outputs
 
     if path.suffix != ending:
         raise InputError(path, f"a name that ends in {ending}", path.suffix or "none", "rename it")

@@ -61,7 +61,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write sheet.png and index.html; return 0."""
     from factory.preview.contact_sheet import caption, draw, page, row
-    from manifests import files
+    from manifests import files, outputs
     from manifests.errors import InputError
     from manifests.materials import load_catalogue
     from manifests.progress import tqdm
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if folder.name in ("", ".."):
         folder = folder.resolve()
     out = options.out or folder.with_name(folder.name + "-preview")
-    files.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
+    outputs.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = spread(store, options)
     if not chosen:
         raise InputError(

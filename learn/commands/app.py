@@ -123,7 +123,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
     from learn.editing import decomposition, photograph
     from learn.networks import weights as checkpoint
     from learn.refinement import PHOTOGRAPHS
-    from manifests import files
+    from manifests import files, outputs
 
     for name in ("photo", "out"):
         if getattr(arguments, name) is None:
@@ -136,7 +136,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
             repeated = f"--repeat {arguments.repeat}"
             raise InputError(f"--{name}", "no --repeat with it", repeated, remedy)
     inputs = [arguments.photo, arguments.repeat, arguments.mask, arguments.regions]
-    files.reserve_outputs(
+    outputs.reserve_outputs(
         arguments.out,
         ["edited.png", "edited.exr"],
         arguments.overwrite,

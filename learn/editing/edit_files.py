@@ -13,7 +13,7 @@ from learn.data.devices import array
 from learn.editing import drawing, material_file, targets
 from learn.figures import montage
 from learn.metrics.pictures import display_l2
-from manifests import earlier_results, files
+from manifests import earlier_results, files, outputs
 from manifests.errors import InputError
 from manifests.progress import tqdm
 from shaders import tone
@@ -64,7 +64,7 @@ def reserve(
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]
-    files.reserve_outputs(
+    outputs.reserve_outputs(
         out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs)
     )
     return names

@@ -21,7 +21,7 @@ from learn.figures import montage
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.training import montage as training_montage
-from manifests import files
+from manifests import files, outputs
 from shaders import tone
 
 TILE = 160
@@ -70,7 +70,7 @@ def run(
     Raises  InputError: an unusable picture, mask or weights, or files that are there already
     """
     out = Path(out)
-    files.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
+    outputs.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
     write(out, compute(image, mask, weights, exposure, device), weights)
 
 

@@ -22,7 +22,7 @@ from learn.editing.photograph import Photograph
 from learn.figures import montage
 from learn.figures.montage import Tile
 from learn.networks import weights as checkpoint
-from manifests import earlier_results, files
+from manifests import earlier_results, files, outputs
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.progress import tqdm
@@ -119,7 +119,7 @@ def run(
     else:
         names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
-    files.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
+    outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.

@@ -33,7 +33,7 @@ from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, refine
-from manifests import files, lock, ray_tasks
+from manifests import files, lock, outputs, ray_tasks
 from manifests.cached_store import open_store
 from manifests.line_files import Lines
 from manifests.progress import tqdm
@@ -157,7 +157,7 @@ def make(options: Options) -> dict:
         seen = overlap.sentences(
             [options.weights], tested(records, scenes), options.data, options.allow_overlap
         )
-        files.pin_settings(out / "settings.json", settings(options))
+        outputs.pin_settings(out / "settings.json", settings(options))
         measure(options, bench, scenes, to_refine)
         used = {scene.id for scene in scenes}
         lines = [
@@ -220,7 +220,7 @@ def settings(options: Options) -> dict:
 
 def rows_of(out: Path) -> dict[str, dict]:
     """Return {id: line} of the measured lines; of two of one id the later one counts."""
-    return {row["id"]: row for row in files.read_lines(Path(out) / "lines.jsonl", Line)}
+    return {row["id"]: row for row in outputs.read_lines(Path(out) / "lines.jsonl", Line)}
 
 
 def measure(options: Options, bench: "Bench", scenes: Sequence[Scene], to_refine: set[str]) -> None:

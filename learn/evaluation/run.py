@@ -28,7 +28,7 @@ from learn.evaluation.bench import Bench
 from learn.layer.predictions import MEASURED
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
-from manifests import files, lock, ray_tasks, subprocesses
+from manifests import lock, outputs, ray_tasks, subprocesses
 from manifests.cached_store import open_store
 from manifests.errors import InputError
 from manifests.line_files import Lines, encoded
@@ -112,7 +112,7 @@ def make(options: Options) -> dict:
             options.allow_overlap,
         )
         nearest = nearest_training_items(options, records, chosen, bench)
-        files.pin_settings(out / "settings.json", settings(options))
+        outputs.pin_settings(out / "settings.json", settings(options))
         work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
         pictures, edits = (
             [row for id_, row in rows_of(out / name).items() if id_ in requested]
@@ -329,4 +329,4 @@ def rows_of(path: Path) -> dict[str, dict]:
 
     Raises  InputError for a damaged line
     """
-    return {row["id"]: row for row in files.read_lines(path, rows.TYPES[path.name])}
+    return {row["id"]: row for row in outputs.read_lines(path, rows.TYPES[path.name])}

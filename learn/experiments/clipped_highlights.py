@@ -71,7 +71,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation.methods import network
     from learn.networks import weights as checkpoint
     from learn.refinement import RefinementSettings, refine
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     net, metadata = checkpoint.load_parts(weights)
     settings = replace(RefinementSettings(), outer_iterations=arguments.outer_iterations)
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     split = data_splits(Data(), arguments.data)["test"]
     predict = network(net)
     cases = {

@@ -130,9 +130,9 @@ def _of_evaluation(folder: Path) -> Iterator[tuple[Key, Value]]:
 
 def _of_ladder(folder: Path) -> Iterator[tuple[Key, Value]]:
     """Yield the figures of `learn evaluate-ladder`, by group and rung."""
-    from manifests import files
+    from manifests import outputs
 
-    for row in files.read_lines(folder / "lines.jsonl"):
+    for row in outputs.read_lines(folder / "lines.jsonl"):
         if "rung" not in row:
             remedy = "name what --out of evaluate-ladder named"
             raise InputError(folder / "lines.jsonl", "lines of evaluate-ladder", "others", remedy)

@@ -57,7 +57,7 @@ def opened(
     from learn.data.records import Records
     from learn.evaluation import ladder, overlap
     from learn.experiments import ladder_scenes
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -78,7 +78,7 @@ def opened(
         "weights": hashes[0] if is_one else hashes,
         "seed": arguments.seed,
     }
-    files.pin_settings(arguments.out / "settings.json", about | settings)
+    outputs.pin_settings(arguments.out / "settings.json", about | settings)
     return DrawnEdits(records, pictures, scenes, seen)
 
 

@@ -107,7 +107,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.data.sources import source_of
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
-    from manifests import files
+    from manifests import outputs
     from manifests.progress import tqdm
     from manifests.store import file_hash
 
@@ -122,7 +122,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": file_hash(arguments.data / "dataset.json"),
         "lights": None if arguments.lights is None else arguments.lights.name,
     }
-    files.pin_settings(arguments.out / "settings.json", pinned)
+    outputs.pin_settings(arguments.out / "settings.json", pinned)
     data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
     tests = objective_training.tests(data_splits, run, arguments.size, arguments.batches)
     of_all = settings(REFERENCE, run, arguments)

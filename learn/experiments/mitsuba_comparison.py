@@ -95,7 +95,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation.methods import network
     from learn.experiments import ladder_scenes
     from learn.networks import weights as checkpoint
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -112,7 +112,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "longer": arguments.longer,
         "seed": arguments.seed,
     }
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     predict, labels = network(net), getattr(net, "training_labels", None)
 
     def row(scene: Scene) -> dict[str, Any]:

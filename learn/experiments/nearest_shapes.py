@@ -77,7 +77,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.data.seen import DIGITS
     from learn.evaluation import distances
     from learn.networks import weights as checkpoint
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -88,7 +88,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "weights": file_hash(arguments.weights),
         "data": {path.name: file_hash(path / "materials.json") for path in arguments.data},
     }
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     training = distances.training_shapes(arguments.geometry, seen)
     todo, degrees, sentences = [], {}, []
     for folder in arguments.data:

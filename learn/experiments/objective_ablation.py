@@ -142,7 +142,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
     from learn.layer import predictions
-    from manifests import files
+    from manifests import outputs
     from manifests.progress import tqdm
     from manifests.store import file_hash
 
@@ -166,7 +166,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     if arguments.glossy:  # only then: folders of before have no such key
         pinned["glossy"] = True
-    files.pin_settings(arguments.out / "settings.json", pinned)
+    outputs.pin_settings(arguments.out / "settings.json", pinned)
     data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
     policy, tested = predictions.VALIDATION, run
     if arguments.glossy:

@@ -104,7 +104,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
     from learn.evaluation import ladder, overlap
     from learn.evaluation.ladder_design import Scene
     from learn.networks import weights as checkpoint
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -124,7 +124,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         "seed": arguments.seed,
         "refinement": refinement,
     }
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
     return Opened(records, cases, network, metadata["size"], seen)
 

@@ -29,7 +29,7 @@ from learn.layer import predictions
 from learn.metrics.radiometry import irradiance_error
 from learn.networks.prediction import Prediction
 from learn.refinement import NAMED, RefinementSettings, refine
-from manifests import files
+from manifests import outputs
 from manifests.errors import InputError
 from manifests.renamed_keys import current_name
 from shaders import tone
@@ -183,7 +183,7 @@ def pin_settings(out: Path, about: dict[str, Any]) -> None:
 
     Raises InputError where they depend on something else.
     """
-    files.pin_settings(
+    outputs.pin_settings(
         Path(out) / "settings.json", about | {"defaults": asdict(RefinementSettings())}
     )
 

@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import ladder, overlap
     from learn.evaluation.methods import network, training_labels
     from learn.networks import weights as checkpoint
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -96,7 +96,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "weights": file_hash(weights),
         "seed": arguments.seed,
     }
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     mean = torch.from_numpy(np.mean(training_labels(None, "built-in"), 0)).float()[None]
     bench = Bench(records, pictures, network(net), metadata["size"], mean)
     todo = [

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from learn.commands import options
 from learn.experiments import on_ray
-from manifests import files, lock
+from manifests import files, lock, outputs
 from manifests.provenance import provenance
 from manifests.reading import read
 
@@ -109,7 +109,7 @@ def run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     The provenance is that of the start: the machine's load is not yet that of the measurement.
     """
     inputs = [value for value in vars(arguments).values() if isinstance(value, Path)]
-    files.reserve_outputs(arguments.out, (REPORT, PAGE, CHART), overwrite=True, inputs=inputs)
+    outputs.reserve_outputs(arguments.out, (REPORT, PAGE, CHART), overwrite=True, inputs=inputs)
     made_by = provenance()
     with lock.writing(arguments.out, patience=0):
         with on_ray.asking(getattr(arguments, "ray", None), experiment, arguments):
@@ -181,7 +181,7 @@ def resume(
     from manifests.progress import tqdm
 
     keys = list(cases[0][0]) if cases else []
-    kept = [current(row) for row in files.read_lines(path)]
+    kept = [current(row) for row in outputs.read_lines(path)]
     done = {tuple(row[key] for key in keys): row for row in kept}
     missing = [(each, case) for each, case in cases if tuple(each.values()) not in done]
     on_ray.reached(path, cases, measure, len(missing))

@@ -46,14 +46,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)
     scenes = scenes_of(records)
     about = {"data": file_hash(records.store.fetch("materials.json"))}
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     spread = scenes[:: max(1, len(scenes) // arguments.pictures)][: arguments.pictures]
     todo = [({"picture": scene["full"].id}, scene) for scene in spread]
     rows = runner.resume(

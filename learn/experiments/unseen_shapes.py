@@ -71,7 +71,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.evaluation import overlap
     from learn.networks import weights as checkpoint
-    from manifests import files
+    from manifests import outputs
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "weights": {_name(path): file_hash(path) for path in arguments.weights},
         "data": {path.name: file_hash(path / "materials.json") for path in arguments.data},
     }
-    files.pin_settings(arguments.out / "settings.json", about)
+    outputs.pin_settings(arguments.out / "settings.json", about)
     networks: dict[int, dict[str, Coded]] = {}  # {size of pictures: {name: network}}
     for path in arguments.weights:
         network, metadata = checkpoint.load_network(path)

@@ -23,7 +23,7 @@ from learn.metrics.pictures import l2_and_ssim
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings
-from manifests import files
+from manifests import outputs
 from manifests.errors import InputError
 from manifests.store import file_hash
 
@@ -54,7 +54,7 @@ def compare(
             'render them with "size"',
         )
     settings = RefinementSettings()
-    files.pin_settings(
+    outputs.pin_settings(
         out / "settings.json", {"weights": file_hash(weights), "refinement": asdict(settings)}
     )
     painters: dict[str, dict] = {}  # of the last picture: {its id: {"ours" | "true": painters}}

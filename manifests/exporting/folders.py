@@ -15,8 +15,9 @@ from manifests.errors import InputError
 from manifests.exporting import Format
 from manifests.exporting.card import data_card
 from manifests.exporting.samples import Sample, Samples
-from manifests.files import pin_settings, replacing, write_bytes, write_text
+from manifests.files import replacing, write_bytes, write_text
 from manifests.inputs import require_file
+from manifests.outputs import pin_settings
 from manifests.schema import Record, View
 from manifests.store import Store, inside, light_path
 

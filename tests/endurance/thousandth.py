@@ -34,7 +34,7 @@ from factory.execution.run import RunOptions, carry_out, planned
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from factory.planning.plan import Plan
-from manifests import files
+from manifests import files, outputs
 from manifests.line_files import Lines
 from manifests.provenance import provenance, shortened
 from manifests.subprocesses import processors
@@ -162,7 +162,7 @@ def main():
         sample = Sample(plan.job, plan.assets, plan.render, options.share)
         before, rows = costs(plan), options.out / f"{name}.jsonl"
         rendered(sample, options.out / name, rows, end)
-        made = list(files.read_lines(rows))
+        made = list(outputs.read_lines(rows))
         report["presets"][name] = summary(plan, made, before, costs(plan))
         files.write_json(options.out / "report.json", report)
         print(msgspec.json.format(msgspec.json.encode(report["presets"][name])).decode())

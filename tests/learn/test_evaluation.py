@@ -22,7 +22,7 @@ from learn.networks.compact import Compact
 from learn.networks.prediction import Prediction
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementSettings
-from manifests import cli, exr, files, subprocesses
+from manifests import cli, exr, outputs, subprocesses
 from manifests.errors import InputError
 from manifests.line_files import Lines
 from shaders import tone
@@ -372,7 +372,7 @@ def both_sides(tmp_path):
 
 def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options):
     run.make(replace(options, data=both_sides(6), edits=100))
-    edits = files.read_lines(options.out / "edits.jsonl")
+    edits = outputs.read_lines(options.out / "edits.jsonl")
     assert len(edits) == 12  # of 24
     assert {row["split"] for row in edits} == {"test"}
 
@@ -403,8 +403,8 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
     # the torn one and the new one
     assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])
     for name in ("edits.jsonl", "pictures.jsonl"):
-        assert without_seconds(files.read_lines(out / name)) == without_seconds(
-            files.read_lines(options.out / name)
+        assert without_seconds(outputs.read_lines(out / name)) == without_seconds(
+            outputs.read_lines(options.out / name)
         )
     assert again["tables"]["edits"] == whole["tables"]["edits"]
     calls.clear()
@@ -447,7 +447,7 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
     assert {
         row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()
     } == {2}
-    assert len(files.read_lines(options.out / "edits.jsonl")) == 8  # the later of two lines holds
+    assert len(outputs.read_lines(options.out / "edits.jsonl")) == 8  # the later of two lines holds
 
 
 def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
@@ -497,12 +497,14 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatc
 
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
     refined = run.settings(replace(options, refine=True))
-    files.pin_settings(tmp_path / "settings.json", refined)
+    outputs.pin_settings(tmp_path / "settings.json", refined)
     # what a file gives back is the same
-    files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
+    outputs.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
     monkeypatch.setattr(run, "RefinementSettings", lambda: replace(RefinementSettings(), a=0.5))
     with pytest.raises(InputError, match="other refine"):
-        files.pin_settings(tmp_path / "settings.json", run.settings(replace(options, refine=True)))
+        outputs.pin_settings(
+            tmp_path / "settings.json", run.settings(replace(options, refine=True))
+        )
     assert run.settings(options)["refine"] is False
 
 
@@ -512,9 +514,9 @@ def test_the_method_of_refinement_is_part_of_an_evaluations_settings(options, tm
         for method in (None, "auto", "quadrature")
     }
     assert by[None] == by["auto"] and by["quadrature"]["refine"]["method"] == "quadrature"
-    files.pin_settings(tmp_path / "settings.json", by["auto"])
+    outputs.pin_settings(tmp_path / "settings.json", by["auto"])
     with pytest.raises(InputError, match="other refine"):
-        files.pin_settings(tmp_path / "settings.json", by["quadrature"])
+        outputs.pin_settings(tmp_path / "settings.json", by["quadrature"])
 
 
 def test_a_method_without_refinement_is_refused(options, capsys, tmp_path):

@@ -28,7 +28,7 @@ from learn.networks.weights import save_weights
 from learn.refinement import RefinementResult, RefinementSettings
 from learn.refinement.coordinates import disk, hemisphere
 from learn.refinement.settings import Level
-from manifests import files
+from manifests import outputs
 from manifests.errors import InputError
 from shaders import tone
 from tests.support.synthetic import matte, write_dataset
@@ -132,7 +132,7 @@ def finished(data, weights, others, tmp_path_factory):
         finally:
             torch.set_num_threads(threads)
     (picture,), (edit,) = (
-        files.read_lines(options.out / name) for name in ("pictures.jsonl", "edits.jsonl")
+        outputs.read_lines(options.out / name) for name in ("pictures.jsonl", "edits.jsonl")
     )
     return Finished(options, picture, edit, calls)
 

@@ -24,7 +24,7 @@ from learn.experiments.__main__ import COMMANDS as EXPERIMENTS
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
-from manifests import files
+from manifests import files, outputs
 from manifests.cli import main
 from tests.support import fake_ray, ladder_rungs
 from tests.support.synthetic import add_shape, matte, write_dataset
@@ -89,7 +89,7 @@ def command(name, room, out, *more):
 
 def rows(name, out):
     """The rows of a run, without what varies, each once, as sorted text."""
-    lines = list(files.read_lines(out / PROGRAMS[name][2]))
+    lines = list(outputs.read_lines(out / PROGRAMS[name][2]))
     return sorted(json.dumps(without_varying(line), sort_keys=True) for line in lines)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from learn.data.settings import decode_run, read_run
 from learn.refinement import RefinementSettings
-from manifests import files
+from manifests import outputs
 from manifests.errors import InputError
 from manifests.renamed_keys import CURRENT_NAMES, with_current_names
 from manifests.training_runs import VERSION, Data, Losses, Run, Schedule, Stage
@@ -105,12 +105,12 @@ def test_a_settings_file_by_earlier_names_holds_the_settings_of_today(tmp_path):
     assert old != today and with_current_names(old) == today
     path = tmp_path / "settings.json"
     path.write_text(json.dumps(old))
-    files.pin_settings(path, today)  # the same settings
+    outputs.pin_settings(path, today)  # the same settings
     name = "unexplained_share_at_half_weight"
     later = json.loads(json.dumps(today))
     later["refine"]["half_weight_colour"] = later["refine"].pop(name)
     assert with_current_names(later) == today
     with pytest.raises(InputError, match="other refine"):
-        files.pin_settings(path, today | {"refine": today["refine"] | {"outer_iterations": 1}})
+        outputs.pin_settings(path, today | {"refine": today["refine"] | {"outer_iterations": 1}})
     with pytest.raises(InputError, match="other refine"):
-        files.pin_settings(path, today | {"refine": today["refine"] | {"b_colour": 0.2}})
+        outputs.pin_settings(path, today | {"refine": today["refine"] | {"b_colour": 0.2}})
