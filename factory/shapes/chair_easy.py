@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.chair_parts import FRAME, SOFT
+from factory.shapes.chair_seats import FRAME, SOFT
 from factory.shapes.closed_surface import LEFT_RIGHT
 from factory.shapes.curves import smooth_path
 from factory.shapes.lofts import rod, tube

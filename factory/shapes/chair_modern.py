@@ -3,15 +3,8 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.chair_parts import (
-    FRAME,
-    SOFT,
-    four_legs,
-    sled,
-    soft_pad,
-    star_base,
-    trumpet_base,
-)
+from factory.shapes.chair_bases import four_legs, sled, star_base, trumpet_base
+from factory.shapes.chair_seats import FRAME, SOFT, soft_pad
 from factory.shapes.closed_surface import LEFT_RIGHT
 from factory.shapes.curves import rounded_path, smooth_path
 from factory.shapes.lofts import rod, tube

@@ -3,20 +3,9 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.chair_parts import (
-    FRAME,
-    SOFT,
-    apron,
-    arm_rests,
-    between,
-    four_legs,
-    hoop_path,
-    posts,
-    seat_outline,
-    soft_pad,
-    stretchers,
-    upright_bars,
-)
+from factory.shapes.chair_backs import arm_rests, between, hoop_path, posts, upright_bars
+from factory.shapes.chair_bases import apron, four_legs, stretchers
+from factory.shapes.chair_seats import FRAME, SOFT, seat_outline, soft_pad
 from factory.shapes.closed_surface import LEFT_RIGHT
 from factory.shapes.curves import smooth_path
 from factory.shapes.lofts import slab, tube

@@ -5,11 +5,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from factory.shapes import surfaces
 from factory.shapes.catalogue import FAMILIES, PAPER_COUNTS, load, specs
+from factory.shapes.closed_surface import signed_volume
 from factory.shapes.creases import edge_pairs
+from factory.shapes.curves import superellipse
+from factory.shapes.lofts import ellipsoid, revolve, rod, slab, tube
 from factory.shapes.mesh import face_components
 from factory.shapes.raster import back_faces, look, silhouette
+from factory.shapes.rounded_boxes import cushion, rounded_box
+from factory.shapes.shells import shell
 from manifests.errors import InputError
 from shaders.frames import camera_from_world
 
@@ -176,25 +180,25 @@ def test_surfaces_close_and_look_outward():
         -1,
     )
     made = [
-        surfaces.tube([[0, 0, 0], [1, 0, 0], [1, 1, 0.5]], 0.1),
-        surfaces.tube(circle, 0.2, ring=True),
-        surfaces.rod([0, 0, 0], [0, 0.2, 1], 0.1, 0.05, square=6),
-        surfaces.slab(surfaces.superellipse(32, 4), 0.2, 0.8),
-        surfaces.revolve([[0, 0], [0.5, 0], [0.4, 0.5], [0, 1]]),
-        surfaces.rounded_box([1, 2, 0.5], 0.1),
-        surfaces.cushion([1, 1, 0.3]),
-        surfaces.ellipsoid([1, 1, 0.5], 4),
-        surfaces.shell(cage, 0.05),
-        surfaces.rounded_box([1, 2, 0.5], 0.1).mirrored(),
+        tube([[0, 0, 0], [1, 0, 0], [1, 1, 0.5]], 0.1),
+        tube(circle, 0.2, ring=True),
+        rod([0, 0, 0], [0, 0.2, 1], 0.1, 0.05, square=6),
+        slab(superellipse(32, 4), 0.2, 0.8),
+        revolve([[0, 0], [0.5, 0], [0.4, 0.5], [0, 1]]),
+        rounded_box([1, 2, 0.5], 0.1),
+        cushion([1, 1, 0.3]),
+        ellipsoid([1, 1, 0.5], 4),
+        shell(cage, 0.05),
+        rounded_box([1, 2, 0.5], 0.1).mirrored(),
     ]
     for vertices, faces in made:
         _, _, same, counts = edge_pairs(faces)
         assert (counts == 2).all() and not same.any()
-        assert surfaces.signed_volume(vertices, faces) > 0
+        assert signed_volume(vertices, faces) > 0
 
 
 def test_a_sphere_of_revolution_has_a_spheres_volume():
     angle = np.linspace(-np.pi / 2, np.pi / 2, 80)
-    ball = surfaces.revolve(np.stack([np.cos(angle), np.sin(angle)], 1), 160)
+    ball = revolve(np.stack([np.cos(angle), np.sin(angle)], 1), 160)
     # facets of 2.25°: 1 − sin(x)/x and its like
-    assert abs(surfaces.signed_volume(*ball) / (4 / 3 * np.pi) - 1) < 2e-3
+    assert abs(signed_volume(*ball) / (4 / 3 * np.pi) - 1) < 2e-3
