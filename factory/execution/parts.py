@@ -5,7 +5,7 @@ by shapes  A part of a job array reads its own shapes alone. The job's sources a
            source, and so some of every family. A source at a cut is read by two parts, each of
            which makes its share of the shots.
 by shots   All shapes are read first, and each part makes successive shots: where a shape's role
-           depends on the others (factory.planning.assets.follows_alone), in a job with fewer
+           depends on the others (factory.planning.job_shapes.follows_alone), in a job with fewer
            sources than parts, and on an object store, where parts cannot take turns.
 """
 
@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 
 from factory.execution.registration import register, register_shapes
 from factory.execution.reservations import Reservations
-from factory.planning.assets import (
+from factory.planning.assets import read_whole
+from factory.planning.facts import Facts
+from factory.planning.job_shapes import (
     Arrivals,
     Shape,
     duplicate_note,
     follows_alone,
-    read_whole,
     without_shapes,
 )
-from factory.planning.facts import Facts
 from factory.planning.plan import Plan, Shot, require_shots
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source

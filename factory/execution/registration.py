@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 
 from factory.execution.worker import Reply
-from factory.planning.assets import Light, Material, Shape
+from factory.planning.assets import Light, Material
+from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan
 from manifests.errors import InputError
 from manifests.light_files import encode_light, read_light

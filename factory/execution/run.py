@@ -26,9 +26,10 @@ from factory.execution.pool import Pool
 from factory.execution.registration import note_settings
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
-from factory.planning.assets import Assets, Shape
+from factory.planning.assets import Assets
 from factory.planning.facts import Memory
 from factory.planning.fingerprint import render_fingerprint
+from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan, Shot
 from factory.planning.reading import Reading
 from manifests import lock

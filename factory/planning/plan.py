@@ -21,7 +21,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from factory.planning.assets import Assets, Light, Material, Shape
+from factory.planning.assets import Assets, Light, Material
+from factory.planning.job_shapes import Shape
 from manifests import ids
 from manifests.errors import InputError
 from manifests.ids import TEXELS, camera_words, geometry_id, shot_seed

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import msgspec
 
-from factory.planning.assets import Assets, Light, Shape, resolve
+from factory.planning.assets import Assets, Light, resolve
+from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan
 from factory.planning.shape_names import Source
 from manifests.materials import Catalogue, encode

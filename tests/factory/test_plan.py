@@ -15,7 +15,8 @@ import pytest
 from factory.commands import render
 from factory.commands.plan import described, split_counts
 from factory.planning import jobs
-from factory.planning.assets import Assets, Light, Material, Shape, resolve
+from factory.planning.assets import Assets, Light, Material, resolve
+from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan, Shot, camera_words, shot_seed
 from factory.planning.shape_names import Source, local, sources
 from manifests import splits

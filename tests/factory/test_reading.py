@@ -8,7 +8,7 @@ import time
 import msgspec
 import pytest
 
-from factory.planning import assets, facts, reading
+from factory.planning import assets, facts, job_shapes, reading
 from factory.planning.facts import Facts, Memory, facts_of
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
@@ -242,7 +242,7 @@ def test_parts_of_a_job_array_make_every_shot_once(stream, job, tmp_path, in_pro
 
 
 def test_a_duplicate_with_another_role_is_refused():
-    arrivals = assets.Arrivals(
+    arrivals = job_shapes.Arrivals(
         Job(shapes=("dish:0",), materials=("a",), lights=("b",), split="general")
     )
     known = Facts(name="dish:0", category="dish", hash="f" * 64, segments=1, report="")
