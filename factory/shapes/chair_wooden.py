@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.chair_backs import arm_rests, between, hoop_path, posts, upright_bars
+from factory.shapes.chair_backs import BackPoint, arm_rests, between, hoop_path, posts, upright_bars
 from factory.shapes.chair_bases import apron, four_legs, stretchers
 from factory.shapes.chair_seats import FRAME, SOFT, seat_outline, soft_pad
 from factory.shapes.closed_surface import LEFT_RIGHT
@@ -18,115 +18,73 @@ def dining(a: Assembly, rng: np.random.Generator) -> None:
     stretchers(a, rng, four_legs(a, rng, w, d, h - 0.02, rear))
     apron(a, w, d, h, rear)
     if rng.random() < 0.5:
-        a.add(
-            "seat",
-            soft_pad(w, d, rng.uniform(0.045, 0.08), rear, rng.uniform(4, 8)).moved(z=h),
-            SOFT,
-        )
+        seat = soft_pad(w, d, rng.uniform(0.045, 0.08), rear, rng.uniform(4, 8))
     else:
-        a.add(
-            "seat",
-            slab(
-                seat_outline(w + 0.02, d + 0.02, rear, rng.uniform(5, 9)), 0.028, 0.8, -0.008
-            ).moved(z=h),
-            SOFT,
-        )
+        outline = seat_outline(w + 0.02, d + 0.02, rear, rng.uniform(5, 9))
+        seat = slab(outline, 0.028, 0.8, -0.008)
+    a.add("seat", seat.moved(z=h), SOFT)
     at = posts(a, rng, w, d, h, rear, top, lean)
     kind = rng.choice(["slats", "ladder", "board", "splat", "pad", "spindles"])
     rail, bow = rng.uniform(0.05, 0.09), rng.uniform(0.005, 0.035)
     if kind in ("slats", "splat", "spindles"):
-        between(
-            a,
-            "top rail",
-            at,
-            top - rail,
-            top + 0.005,
-            0.022,
-            1.04,
-            bow,
-            FRAME,
-            crown=rng.choice([0.0, 0.03, 0.05]),
-        )
-        low = h + rng.uniform(0.0, 0.12)
-        if low > h + 0.04:
-            between(a, "low rail", at, low - 0.02, low + 0.02, 0.018, 1.0, bow, FRAME)
-        if kind == "slats":
-            count = int(rng.integers(3, 8))
-            upright_bars(
-                a,
-                "slat",
-                at,
-                low - 0.02,
-                top - rail / 2,
-                count,
-                np.array([0.26 / count, 0.006]),
-                0.78,
-                square=5.0,
-            )
-        elif kind == "spindles":
-            upright_bars(
-                a, "spindle", at, low - 0.02, top - rail / 2, int(rng.integers(5, 10)), 0.006, 0.8
-            )
-        else:
-            z = np.linspace(low - 0.02, top - rail / 2, 15)
-            t = np.linspace(0, 1, 15)
-            girth = 0.05 + 0.03 * np.sin(2 * np.pi * t * rng.uniform(0.8, 1.5)) + 0.02 * t
-            a.add(
-                "splat",
-                tube(
-                    np.array([at(k, 0.0) - [bow * 0.7, 0, 0] for k in z]),
-                    np.stack([girth, np.full(15, 0.006)], 1),
-                    16,
-                    4.0,
-                ),
-                SOFT,
-            )
+        _add_railed_back(a, rng, at, h, top, kind, rail, bow)
     elif kind == "ladder":
-        count = int(rng.integers(2, 6))
-        step = (top - h - 0.08) / count
-        for k in range(count):
-            low = h + 0.1 + k * step
-            between(
-                a,
-                "rung",
-                at,
-                low,
-                low + step * rng.uniform(0.45, 0.55),
-                0.014,
-                1.0,
-                bow,
-                SOFT,
-                crown=0.012,
-            )
+        _add_rungs(a, rng, at, h, top, bow)
     elif kind == "board":
-        between(
-            a,
-            "back",
-            at,
-            h + rng.uniform(0.08, 0.2),
-            top - 0.01,
-            0.016,
-            1.0,
-            bow,
-            SOFT,
-            crown=rng.choice([0.0, 0.04]),
-        )
+        low, crown = h + rng.uniform(0.08, 0.2), rng.choice([0.0, 0.04])
+        between(a, "back", at, low, top - 0.01, 0.016, 1.0, bow, SOFT, crown)
     else:
-        low = h + rng.uniform(0.03, 0.12)
-        between(
-            a,
-            "back pad",
-            at,
-            low,
-            top - 0.015,
-            0.05,
-            0.97,
-            bow,
-            SOFT,
-            crown=rng.choice([0.0, 0.03]),
-        )
+        low, crown = h + rng.uniform(0.03, 0.12), rng.choice([0.0, 0.03])
+        between(a, "back pad", at, low, top - 0.015, 0.05, 0.97, bow, SOFT, crown)
     if rng.random() < 0.3:
         arm_rests(a, rng, w, d, h, at(h + 0.22, 1)[0])
+
+
+def _add_railed_back(
+    a: Assembly,
+    rng: np.random.Generator,
+    at: BackPoint,
+    h: float,
+    top: float,
+    kind: str,
+    rail: float,
+    bow: float,
+) -> None:
+    """Add a rail at the top of a back, perhaps one below, and slats, spindles or a splat between.
+
+    h, top  heights of the seat and of the back
+    rail    height of the top rail itself
+    bow     by which rails are bowed backwards
+    """
+    crown = rng.choice([0.0, 0.03, 0.05])
+    between(a, "top rail", at, top - rail, top + 0.005, 0.022, 1.04, bow, FRAME, crown)
+    low = h + rng.uniform(0.0, 0.12)
+    if low > h + 0.04:
+        between(a, "low rail", at, low - 0.02, low + 0.02, 0.018, 1.0, bow, FRAME)
+    low, high = low - 0.02, top - rail / 2
+    if kind == "slats":
+        count = int(rng.integers(3, 8))
+        size = np.array([0.26 / count, 0.006])
+        upright_bars(a, "slat", at, low, high, count, size, 0.78, square=5.0)
+    elif kind == "spindles":
+        upright_bars(a, "spindle", at, low, high, int(rng.integers(5, 10)), 0.006, 0.8)
+    else:
+        t = np.linspace(0, 1, 15)
+        girth = 0.05 + 0.03 * np.sin(2 * np.pi * t * rng.uniform(0.8, 1.5)) + 0.02 * t
+        path = np.array([at(z, 0.0) - [bow * 0.7, 0, 0] for z in np.linspace(low, high, 15)])
+        a.add("splat", tube(path, np.stack([girth, np.full(15, 0.006)], 1), 16, 4.0), SOFT)
+
+
+def _add_rungs(
+    a: Assembly, rng: np.random.Generator, at: BackPoint, h: float, top: float, bow: float
+) -> None:
+    """Add the rungs of a ladder back; heights and bow as of `_add_railed_back`."""
+    count = int(rng.integers(2, 6))
+    step = (top - h - 0.08) / count
+    for k in range(count):
+        low = h + 0.1 + k * step
+        high = low + step * rng.uniform(0.45, 0.55)
+        between(a, "rung", at, low, high, 0.014, 1.0, bow, SOFT, crown=0.012)
 
 
 def windsor(a: Assembly, rng: np.random.Generator) -> None:

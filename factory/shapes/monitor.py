@@ -13,7 +13,8 @@ from factory.shapes.closed_surface import LEFT_RIGHT, Surface
 from factory.shapes.curves import rounded_path, smooth_path, superellipse
 from factory.shapes.lofts import rod, slab, tube
 from factory.shapes.mesh import Mesh
-from factory.shapes.monitor_parts import CASE, add_panel, bend, draw_panel, panel, stand
+from factory.shapes.monitor_panel import CASE, add_panel, bend, draw_panel, panel
+from factory.shapes.monitor_stands import stand
 from factory.shapes.monitor_tubes import tube_monitor, tube_television
 from factory.shapes.rounded_boxes import rounded_box
 

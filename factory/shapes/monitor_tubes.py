@@ -6,7 +6,7 @@ from factory.shapes.assembly import Assembly
 from factory.shapes.closed_surface import LEFT_RIGHT, Surface, closed
 from factory.shapes.curves import superellipse
 from factory.shapes.lofts import loft, revolve, rod
-from factory.shapes.monitor_parts import CASE, add_panel, panel
+from factory.shapes.monitor_panel import CASE, add_panel, panel
 from factory.shapes.rounded_boxes import rounded_box
 
 

@@ -1,4 +1,4 @@
-"""Parts of screens: the panel (a casing with a screen let into it) and the stands.
+"""The panel of a screen: a casing with a screen let into it.
 
 Metres; the screen faces +x. Segment SCREEN shows the picture, CASE is everything else.
 """
@@ -9,10 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import LEFT_RIGHT, Surface
-from factory.shapes.curves import rounded_path, smooth_path, superellipse
-from factory.shapes.lofts import loft, rod, slab, tube
-from factory.shapes.rounded_boxes import rounded_box
+from factory.shapes.closed_surface import Surface
+from factory.shapes.lofts import loft
 
 SCREEN, CASE = 1, 2
 Piece: TypeAlias = tuple[Surface, int]
@@ -147,127 +145,3 @@ def draw_panel(
         bulge=rng.choice([0.0, rng.uniform(0.015, 0.04)]),
     )
     return wide, high, panel(wide, high, **{**options, **fixed})
-
-
-def stand(
-    a: Assembly,
-    rng: np.random.Generator,
-    kind: str,
-    lift: float,
-    wide: float,
-    behind: float = -0.03,
-) -> None:
-    """Add the support of a panel whose middle is `lift` above the desk."""
-    column = behind - rng.uniform(0.03, 0.06)
-    size = rng.uniform(0.018, 0.035)
-    if kind == "v":
-        for s in LEFT_RIGHT:
-            path = rounded_path(
-                [
-                    [0.12, s * 0.2 * wide * 2, 0.008],
-                    [column, s * 0.05, 0.05],
-                    [column, s * 0.02, lift],
-                ],
-                0.05,
-            )
-            a.add("stand", tube(path, np.array([0.016, 0.009]), around=14, square=4.0), CASE)
-        return
-    if kind == "feet":
-        for s in LEFT_RIGHT:
-            y = s * wide * 0.36
-            for x in (0.11, -0.13):
-                a.add(
-                    "foot",
-                    rod(
-                        [-0.012, y, lift * 0.55],
-                        [x, y + s * 0.02, 0.006],
-                        [0.012, 0.008],
-                        around=14,
-                        square=4.0,
-                    ),
-                    CASE,
-                )
-        return
-    if kind == "tripod":
-        for angle in (0.75, -0.75, np.pi):
-            foot = [column + 0.02 + 0.24 * np.cos(angle), 0.24 * np.sin(angle), 0.006]
-            a.add(
-                "leg",
-                tube(
-                    smooth_path(
-                        [[column, 0, 0.06], [(column + foot[0]) / 2, foot[1] / 2, 0.035], foot], 9
-                    ),
-                    np.linspace([0.016, 0.012], [0.01, 0.006], 9),
-                    around=14,
-                    square=3.0,
-                ),
-                CASE,
-            )
-        a.add(
-            "column", rod([column, 0, 0.03], [column, 0, lift + 0.02], size * 0.8, size * 0.6), CASE
-        )
-    elif kind == "loop":
-        w = rng.uniform(0.08, 0.16)
-        path = rounded_path(
-            [
-                [0.13, w, 0.008],
-                [column, w, 0.008],
-                [column, w * 0.8, lift],
-                [column, -w * 0.8, lift],
-                [column, -w, 0.008],
-                [0.13, -w, 0.008],
-            ],
-            0.05,
-            6,
-        )
-        a.add("stand", tube(path, 0.008, around=12), CASE)
-    else:
-        depth, reach = rng.uniform(0.17, 0.26), rng.uniform(0.2, 0.34)
-        if kind == "disc":
-            outline = superellipse(48) * [depth / 2, depth / 2]
-        elif kind == "arc":
-            turn = np.linspace(-1.2, 1.2, 25)
-            path = np.stack(
-                [
-                    column - 0.05 + 0.2 * np.cos(turn) - 0.02,
-                    0.2 * np.sin(turn) * reach / 0.24,
-                    np.full(25, 0.009),
-                ],
-                1,
-            )
-            a.add("foot", tube(path, np.array([0.03, 0.009]), around=16, square=5.0), CASE)
-            outline = superellipse(32, 4.0) * [0.09, 0.045]
-        else:
-            outline = superellipse(48, rng.uniform(3, 9)) * [depth / 2, reach / 2]
-        a.add(
-            "foot",
-            slab(outline, rng.uniform(0.01, 0.018), 0.8, rng.choice([0.0, 0.008])).moved(
-                0.0 if kind != "arc" else column + 0.06, 0, 0.008
-            ),
-            CASE,
-        )
-        lean = rng.uniform(-0.02, 0.05)
-        flat = rng.choice([True, False])
-        path = smooth_path(
-            [
-                [column + lean, 0, 0.01],
-                [column + lean * 0.3, 0, lift * 0.5],
-                [column, 0, lift + 0.03],
-            ],
-            12,
-        )
-        a.add(
-            "neck",
-            tube(
-                path,
-                np.array([size * (1.6 if flat else 0.8), size * (0.5 if flat else 0.8)]),
-                around=18,
-                square=rng.choice([2.5, 6.0]),
-            ),
-            CASE,
-        )
-    a.add(
-        "mount",
-        rounded_box([0.016 - column, 0.1, 0.1], 0.012, edge=2).moved((column - 0.004) / 2, 0, lift),
-        CASE,
-    )
