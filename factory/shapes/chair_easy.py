@@ -1,4 +1,8 @@
-"""The upholstered easy chair, one of the styles of factory.shapes.chair."""
+"""The upholstered easy chair, one of the styles of factory.shapes.chair.
+
+w, d  the seat's width (y) and depth (x), m
+h     the height of its top
+"""
 
 import numpy as np
 
@@ -53,6 +57,28 @@ def armchair(a: Assembly, rng: np.random.Generator) -> None:
             .moved(-d / 2 + 0.06 - lean * 0.2, 0, (top + h) / 2),
             SOFT,
         )
+    _add_arms(a, rng, w, d, h, thick, arm_high, low)
+    if top - h > 0.5 and rng.random() < 0.7:
+        _add_wings(a, w, d, h, arm_high, top, lean)
+    _add_legs(a, rng, w, d, low)
+
+
+def _add_arms(
+    a: Assembly,
+    rng: np.random.Generator,
+    w: float,
+    d: float,
+    h: float,
+    thick: float,
+    arm_high: float,
+    low: float,
+) -> None:
+    """Add two arms: boxes, boxes with a roll on top, or arms that slope up to the back.
+
+    thick     width of an arm
+    arm_high  its height above the seat
+    low       height of the base's lower side
+    """
     kind = rng.choice(["box", "roll", "slope"])
     for s in LEFT_RIGHT:
         y = s * (w / 2 + thick / 2)
@@ -87,17 +113,24 @@ def armchair(a: Assembly, rng: np.random.Generator) -> None:
             half = np.stack([np.full(9, thick / 2), (path[:, 2] - low) / 2], 1)
             path[:, 2] = (path[:, 2] + low) / 2
             a.add("arm", tube(path, half, around=28, square=rng.uniform(4, 7), bevel=0.35), SOFT)
-    if top - h > 0.5 and rng.random() < 0.7:
-        for s in LEFT_RIGHT:
-            a.add(
-                "wing",
-                rounded_box([0.24, 0.07, top - h - arm_high + 0.05], 0.034, (0, 0.3, 0), 4, 5)
-                .turned("y", -lean)
-                .moved(
-                    -d / 2 + 0.05 - lean * 0.3, s * (w / 2 + 0.04), (top + h + arm_high) / 2 - 0.01
-                ),
-                SOFT,
-            )
+
+
+def _add_wings(
+    a: Assembly, w: float, d: float, h: float, arm_high: float, top: float, lean: float
+) -> None:
+    """Add a wing on each side of the back, above the arms; top: the back's height."""
+    for s in LEFT_RIGHT:
+        a.add(
+            "wing",
+            rounded_box([0.24, 0.07, top - h - arm_high + 0.05], 0.034, (0, 0.3, 0), 4, 5)
+            .turned("y", -lean)
+            .moved(-d / 2 + 0.05 - lean * 0.3, s * (w / 2 + 0.04), (top + h + arm_high) / 2 - 0.01),
+            SOFT,
+        )
+
+
+def _add_legs(a: Assembly, rng: np.random.Generator, w: float, d: float, low: float) -> None:
+    """Add four short legs, splayed and tapered."""
     size = rng.uniform(0.018, 0.03)
     square = rng.choice([2.0, 6.0])
     for front in (1, -1):
