@@ -11,11 +11,11 @@ from scipy.ndimage import map_coordinates
 
 from factory.materials.recipe import label_on
 from factory.materials.sphere import Sphere
+from manifests import captions
 from manifests.materials import Material
 from shaders import tone
 from shaders.tone import LUMINANCE
 
-CAPTION = 12  # pixels below a sphere
 GROUND = 24  # display value around the spheres
 # percentile of a sphere's luminance that reaches white, if it is brighter than a white sphere
 WHITE_AT = 98.0
@@ -38,19 +38,15 @@ def contact_sheet(
     """
     sphere, exposure = lit_sphere(L, size)
     rows = -(-len(materials) // columns)
-    picture = Image.new("RGB", (columns * size, rows * (size + CAPTION)), (GROUND,) * 3)
+    picture = Image.new("RGB", (columns * size, rows * (size + captions.LINE)), (GROUND,) * 3)
     draw = ImageDraw.Draw(picture)
     for i, material in enumerate(watch(materials)):
-        x, y = i % columns * size, i // columns * (size + CAPTION)
+        x, y = i % columns * size, i // columns * (size + captions.LINE)
         picture.paste(
             Image.fromarray(material_sphere(sphere, material, size, of, exposure)), (x, y)
         )
-        text = (
-            material.name
-            if len(material.name) * 6 <= size
-            else material.name[: size // 6 - 1] + "…"
-        )
-        draw.text((x + size // 2, y + size), text, fill=(190,) * 3, anchor="ma", font_size=10)
+        below = (x + size // 2, y + size)
+        captions.write_caption(draw, below, material.name, size, fill=(190,) * 3, anchor="ma")
     return picture
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from factory.preview.shading import mirror_sphere, shade
+from manifests.captions import write_caption
 from manifests.errors import InputError
 from manifests.light_files import read_light
 from manifests.materials import Material
@@ -27,7 +28,6 @@ COLUMNS = ("image", "normals", "mask", "light", "label", "difference x 4")
 GAIN = 4.0
 SHADED = 56  # pixels per side at which the label is shaded
 MARGIN, TEXT = 4, 26
-FONT = 12  # pixels; at the usual size of 10, some spaces and colons disappear
 STYLE = (
     "body{background:#181818;color:#ddd;font:14px sans-serif}td{padding:2px 4px}code{color:#9c9}"
 )
@@ -193,12 +193,14 @@ def draw(rows: Sequence[Sequence[np.ndarray]], captions: Sequence[str], size: in
     image = Image.new("RGB", (width, height), (24, 24, 24))
     draw = ImageDraw.Draw(image)
     for k, name in enumerate(COLUMNS):
-        draw.text((MARGIN + k * (size + MARGIN), 7), name, fill=(255, 220, 120), font_size=FONT)
+        place = (MARGIN + k * (size + MARGIN), 7)
+        write_caption(draw, place, name, size, fill=(255, 220, 120))
     for r, (tiles, text) in enumerate(zip(rows, captions, strict=True)):
         top = TEXT + r * (size + MARGIN + TEXT)
         for k, each in enumerate(tiles):
             image.paste(Image.fromarray(each), (MARGIN + k * (size + MARGIN), top))
-        draw.text((MARGIN, top + size + 6), text, fill=(210, 210, 210), font_size=FONT)
+        place = (MARGIN, top + size + 6)
+        write_caption(draw, place, text, width - 2 * MARGIN, fill=(210, 210, 210))
     return image
 
 

@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw
 
 from factory.shapes.mesh import Mesh
 from factory.shapes.raster import picture
+from manifests import captions
 
 AZIMUTH = 0.65  # radians: the front and the left side
-FONT, LABEL = 12, 16  # pixels; at the usual size of 10, the colon after a t disappears
 
 
 def contact_sheet(
@@ -32,16 +32,15 @@ def contact_sheet(
         1, min(count, round(10 / len(azimuths)), int(np.ceil(count**0.5 * 1.3)))
     )
     rows, wide = -(-count // columns), size * len(azimuths)
-    montage = Image.new("RGB", (columns * wide, max(rows, 1) * (size + LABEL)), "white")
+    montage = Image.new("RGB", (columns * wide, max(rows, 1) * (size + captions.LINE)), "white")
     pen = ImageDraw.Draw(montage)
     for k, mesh in enumerate(meshes):
-        x, y = k % columns * wide, k // columns * (size + LABEL)
+        x, y = k % columns * wide, k // columns * (size + captions.LINE)
         if isinstance(mesh, str):
-            pen.text((x + 3, y + 3), mesh[: wide // 7], fill="red", font_size=FONT)
+            captions.write_caption(pen, (x + 3, y + 3), mesh, wide - 6, fill="red")
             continue
         for j, azimuth in enumerate(azimuths):
             pixels = (picture(mesh, azimuth, size=size) * 255 + 0.5).astype(np.uint8)
             montage.paste(Image.fromarray(pixels), (x + j * size, y))
-        text = mesh.name[-(wide // 7) :]
-        pen.text((x + 3, y + size), text, fill=(90, 90, 90), font_size=FONT)
+        captions.write_caption(pen, (x + 3, y + size), mesh.name, wide - 6, fill=(90, 90, 90))
     return montage

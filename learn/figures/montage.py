@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
+from manifests import captions
 from shaders import tone
 
-BORDER, CAPTION, GROUND = 4, 14, 32.0
+BORDER, GROUND = 4, 32.0
 LIGHT_EXPOSURE = 0.5
 
 Tile = tuple[str, np.ndarray | None]  # caption and display picture; None leaves the place empty
@@ -37,7 +38,7 @@ def fitted(display: np.ndarray, size: int) -> np.ndarray:
 def contact_sheet(rows: Sequence[Sequence[Tile]], size: int) -> np.ndarray:
     """Return one picture (H, W, 3) uint8 of rows of captioned tiles, each size pixels square."""
     columns = max(len(row) for row in rows)
-    step_y, step_x = size + CAPTION + BORDER, size + BORDER
+    step_y, step_x = size + captions.LINE + BORDER, size + BORDER
     canvas = Image.new(
         "RGB", (columns * step_x + BORDER, len(rows) * step_y + BORDER), (int(GROUND) // 2,) * 3
     )
@@ -47,10 +48,10 @@ def contact_sheet(rows: Sequence[Sequence[Tile]], size: int) -> np.ndarray:
             if picture is None:
                 continue
             x, y = BORDER + j * step_x, BORDER + i * step_y
-            draw.text((x, y), shortened(caption, size // 6), fill=(230, 230, 230))
+            captions.write_caption(draw, (x, y), caption, size, fill=(230, 230, 230))
             canvas.paste(
                 Image.fromarray(np.clip(fitted(picture, size), 0, 255).astype(np.uint8)),
-                (x, y + CAPTION),
+                (x, y + captions.LINE),
             )
     return np.asarray(canvas)
 
@@ -58,14 +59,6 @@ def contact_sheet(rows: Sequence[Sequence[Tile]], size: int) -> np.ndarray:
 def grid(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     """Return pictures of one size side by side, row beneath row, without captions or borders."""
     return np.concatenate([np.concatenate(list(row), 1) for row in rows], 0)
-
-
-def shortened(caption: str, length: int) -> str:
-    """Return a caption of at most `length` letters; a longer one keeps its beginning and end."""
-    half = (length - 1) // 2
-    return (
-        caption if len(caption) <= length else f"{caption[:half]}…{caption[len(caption) - half :]}"
-    )
 
 
 def normals_picture(n: np.ndarray, mask: np.ndarray) -> np.ndarray:
