@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from manifests.errors import InputError, closest, missing_package, printable
+from manifests.notices import line_of, set_program
 
 OUTPUT = "standard output"
 READER_GONE = 141  # what a shell reports of a program that SIGPIPE ends
@@ -47,8 +48,9 @@ def main(
     prog       what the usage calls the program; None: "python -m PROGRAM"
     groups     {title: names}: the help lists the commands so; None: in one list
     version    printed by --version; None: there is no such option
-    reword     what the line of an error is passed through
+    reword     what lines on standard error are passed through
     """
+    set_program(program, reword)
     # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -69,12 +71,12 @@ def main(
     named = [word for word in words if word in commands][:1]
     first = next((word for word in words if not word.startswith("-")), None)
     if moved and not named and first is not None and first in moved:
-        print(f"{program}: '{first}' has a new name; type `{moved[first]}`", file=sys.stderr)
+        print(line_of(f"'{first}' has a new name; type `{moved[first]}`"), file=sys.stderr)
         return 2
     if first and first not in commands:
         shown = printable(first)
         remedy = closest(shown, commands)
-        print(f"{program}: no command '{shown}' ({remedy} --help lists all)", file=sys.stderr)
+        print(line_of(f"no command '{shown}' ({remedy} --help lists all)"), file=sys.stderr)
         return 2
     for name in named or commands:
         if isinstance(commands, Mapping):
@@ -98,17 +100,17 @@ def main(
         finally:  # inside the outer try, so that a full disk or a closed pipe ends in one line
             _flush_output()
     except InputError as problem:
-        return _failed(program, problem, debug, reword)
+        return _failed(problem, debug)
     except ModuleNotFoundError as error:
         if (missing := missing_package(error)) is None:
             raise
-        return _failed(program, missing, debug, reword)
+        return _failed(missing, debug)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         if isinstance(error, BrokenPipeError) and (error.filename == OUTPUT or _reader_has_gone()):
             _drop_output()
             return READER_GONE  # `| head` has read enough: nothing to report
-        return _failed(program, error, debug, reword)
+        return _failed(error, debug)
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise
@@ -118,7 +120,7 @@ def main(
             str(error).split(". ")[0] or "less",
             "take fewer --workers, or smaller pictures or batches; on a GPU, --device cpu",
         )
-        return _failed(program, shortage, debug, reword)
+        return _failed(shortage, debug)
     except KeyboardInterrupt as interrupt:
         traceback.clear_frames(interrupt.__traceback__)
         how = (
@@ -126,7 +128,7 @@ def main(
             if getattr(options, "continues", True)
             else "the same command with --overwrite replaces it"
         )
-        print(f"\n{program}: stopped; what was written stays, {how}", file=sys.stderr)
+        print(f"\n{line_of(f'stopped; what was written stays, {how}')}", file=sys.stderr)
         return 130
 
 
@@ -198,7 +200,7 @@ def _reader_has_gone() -> bool:
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _failed(program: str, error: Exception, debug: bool, reword: Callable[[str], str]) -> int:
+def _failed(error: Exception, debug: bool) -> int:
     """Print an error as one line, with `debug` after the whole trace; return the exit status 1.
 
     The frames that the error passed through are cleared first. This closes their progress bars, so
@@ -207,5 +209,5 @@ def _failed(program: str, error: Exception, debug: bool, reword: Callable[[str],
     if debug:
         traceback.print_exception(error)
     traceback.clear_frames(error.__traceback__)
-    print(f"{program}: {reword(printable(str(error)))}", file=sys.stderr)
+    print(line_of(error), file=sys.stderr)
     return 1

@@ -1,11 +1,11 @@
 """`export DIR`: a data set in the formats that people train from, or its own files in tars."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from manifests.exporting import FORMATS
 from manifests.help_format import HelpFormatter
+from manifests.notices import notice
 from manifests.option_types import positive
 
 EPILOG = """examples:
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     for name, form, path in (("--tars", "tars", tars), ("--parquet", "records", records)):
         if path is not None:
             said = f"{name} is deprecated: write --to {form} --out {path}"
-            print(f"python -m factory export: {said}", file=sys.stderr)
+            notice(said)
     if not (options.to or records or tars):
         raise InputError("export", "--to FORMAT --out PATH", "neither", "see --help for formats")
     if options.to in OWN and (tars or records):
@@ -119,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
                 f"{options.folder}: {result.left_out} views without pictures are left out, because"
                 " there are pictures; render them into a folder of their own to export them"
             )
-            print(f"factory: {said}", file=sys.stderr)
+            notice(said)
     if tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
             count = to_tars(store, tars, options.split, each, bar.update)

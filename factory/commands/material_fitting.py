@@ -158,11 +158,11 @@ def run_fit(options: argparse.Namespace) -> None:
 
 def run_add(options: argparse.Namespace) -> None:
     """Fit materials of a source and write them into a catalogue that may hold others."""
-    import sys
 
     from factory.materials import fitting, sources
     from manifests import materials as catalogue
     from manifests.errors import InputError
+    from manifests.notices import notice
 
     result, recipe = _sources_and_recipe(options)
     maps, title, credit = _light_maps(options.light), options.title, sources.credit(result)
@@ -184,7 +184,7 @@ def run_add(options: argparse.Namespace) -> None:
     entries = fitting.fit_all(result, recipe, maps, options.out, options.workers)
     fitting.write_catalogue([*older, *entries], options.out, title or "Own materials", credit, maps)
     for names in fitting.duplicates([*older, *entries]):
-        print(f"the same fit under several names: {', '.join(names)}", file=sys.stderr)
+        notice(f"the same fit under several names: {', '.join(names)}")
     _summary(options.out, entries)
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from factory.commands import job_options
 from manifests.help_format import HelpFormatter
+from manifests.notices import notice
 from manifests.option_types import above_zero, positive
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     job = job_options.with_error(job, options)
     plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
-        print(f"factory: {note}", file=sys.stderr)
+        notice(note)
     require_shots(len(plan), plan.assets.shapes)
     for line in described(plan):
         print(line)

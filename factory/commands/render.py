@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from factory.commands import job_options
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
+from manifests.notices import notice
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
@@ -205,7 +206,7 @@ def run(options: argparse.Namespace) -> int:
     shard = None if options.shard is None else parsed_shard(options.shard)
     plan = planned(job, opened(job, folder, options.lights, options.catalogue))
     for note in plan.assets.notes:
-        print(f"factory: {note}", file=sys.stderr)
+        notice(note)
     run_options = RunOptions(
         workers=options.workers,
         device=options.device,
@@ -310,7 +311,7 @@ class Progress:
     def __call__(self, event: str, value: Any) -> None:
         """Show an event; see factory.execution.run.carry_out."""
         if event == "note":
-            self.bar.write(f"factory: {value}", file=sys.stderr)
+            notice(value)
             return
         if event == "total":
             self.total = value

@@ -195,6 +195,7 @@ def run_preview(options: argparse.Namespace) -> int:
     from factory.shapes.contact_sheet import contact_sheet
     from manifests.errors import InputError
     from manifests.files import write_image
+    from manifests.notices import notice
     from manifests.progress import tqdm
 
     if not 16 <= options.size <= 2048:
@@ -229,7 +230,7 @@ def run_preview(options: argparse.Namespace) -> int:
                 yield load(spec, **(reading_options(options) if _is_file(spec) else {}))
             except InputError as problem:
                 failed.append(problem)
-                tqdm.write(f"factory: {problem}")
+                notice(problem)
                 yield str(problem)
 
     from PIL import Image

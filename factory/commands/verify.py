@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
+from manifests.notices import notice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -80,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
             dirty += not _is_clean(folder, store, options)
             datasets[folder] = store.dataset()
         except (InputError, OSError) as error:
-            print(f"factory: {error}", file=sys.stderr)
+            notice(error)
             dirty += 1
     for kind, name, where, other, there in shared_between(datasets):
         print(
@@ -116,11 +117,7 @@ def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
         )
         if not options.repair:
             remedy = "verify --repair removes what is broken, and render makes it again"
-            print(
-                "factory:"
-                f" {InputError(folder, 'a clean data set', f'{len(faults)} faults', remedy)}",
-                file=sys.stderr,
-            )
+            notice(InputError(folder, "a clean data set", f"{len(faults)} faults", remedy))
             return False
         removed, unlinked = repair(store, faults)
         left = sum(not fault.mendable for fault in faults)
@@ -128,10 +125,9 @@ def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
             f"{folder}: {removed} lines and {unlinked} files removed; run the same `render` again"
         )
         if left:
-            print(
+            notice(
                 f"{folder}: --repair cannot mend {left} faults; run the same `render` again, or"
-                " copy the folder again",
-                file=sys.stderr,
+                " copy the folder again"
             )
         return not left
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from learn.commands import options
 from manifests import RUNS
 from manifests.help_format import HelpFormatter
+from manifests.notices import notice
 from manifests.option_types import positive, whole
 
 EPILOG = """example:
@@ -88,7 +89,6 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
-    import sys
 
     import torch
 
@@ -120,10 +120,7 @@ def run(arguments: argparse.Namespace) -> None:
             skip_bad=arguments.skip_bad,
         )
         if left_out := sources.skipped(data_splits):
-            print(
-                f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}",
-                file=sys.stderr,
-            )
+            notice(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}")
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
         saving = arguments.sheet_every, arguments.checkpoint_every
         training = kind(

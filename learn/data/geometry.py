@@ -5,7 +5,6 @@ data set's lines (learn.data.geometry_cache), which is made on first use. Where 
 (a full disk, a read-only data set) the arrays stay in memory.
 """
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +16,7 @@ import numpy as np
 from learn.data.geometry_cache import GeometryCache, Rows
 from learn.data.records import Records
 from manifests.errors import InputError
+from manifests.notices import notice
 from manifests.packed_geometry import pack_depth, pack_normals, unpack_depth, unpack_normals
 from manifests.progress import tqdm
 from manifests.schema import Camera, Record, View
@@ -169,10 +169,7 @@ class Geometry:
             if arrays is None and hashes:
                 raise OSError(f"{self.folder / 'packed'} does not hold what was written")
         except OSError as error:
-            print(
-                f"learn: packed geometry stays in memory, for it cannot be kept: {error}",
-                file=sys.stderr,
-            )
+            notice(f"packed geometry stays in memory, for it cannot be kept: {error}")
             arrays = cache.collect(rows(), most)
         return cache.collect((), 0) if arrays is None else arrays
 

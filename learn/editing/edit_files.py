@@ -1,7 +1,6 @@
 """The files of `learn edit`: their names, and how they are written."""
 
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from learn.figures import montage
 from learn.metrics.pictures import display_l2
 from manifests import earlier_results, files, outputs
 from manifests.errors import InputError
-from manifests.progress import tqdm
+from manifests.notices import notice
 from shaders import tone
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ def write(
                 out / "edit.json", report["files"], SOMETIMES_WRITTEN, inputs
             )
             if line is not None:
-                tqdm.write(line, file=sys.stderr)
+                notice(line)
     return report
 
 

@@ -5,7 +5,6 @@ the material of picture j; on the diagonal is the picture itself.
 """
 
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from learn.networks import weights as checkpoint
 from manifests import earlier_results, files, outputs
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from manifests.notices import notice
 from manifests.progress import tqdm
 from shaders import envmap, tone
 
@@ -168,7 +168,7 @@ def run(
         if overwrite and (
             line := earlier_results.remove(out / "transfer.json", written, PICTURES, inputs)
         ):
-            tqdm.write(line, file=sys.stderr)
+            notice(line)
 
 
 def light_names(lights: Sequence[str]) -> list[str]:

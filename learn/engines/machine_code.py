@@ -20,13 +20,13 @@ import importlib.metadata
 import importlib.util
 import os
 import re
-import sys
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from manifests.errors import InputError
 from manifests.files import write_bytes
+from manifests.notices import notice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,10 +50,8 @@ def is_available() -> bool:
     if "numba" not in _found:  # not functools.cache: torch.compile warns of it
         _found["numba"] = importlib.util.find_spec("numba") is not None
         if not _found["numba"]:
-            print(
-                "brdfactory: numba is not installed; the exact sum runs in plain torch, about 100"
-                " times slower",
-                file=sys.stderr,
+            notice(
+                "numba is not installed; the exact sum runs in plain torch, about 100 times slower"
             )
     return _found["numba"]
 
@@ -109,20 +107,14 @@ def _machine_code(name: str) -> bytes:
             return code
     except OSError:
         pass
-    print(
-        f"brdfactory: compiling the kernel {name} for this machine, less than 1 s, once (kept in"
-        f" {path.parent})",
-        file=sys.stderr,
+    notice(
+        f"compiling the kernel {name} for this machine, less than 1 s, once (kept in {path.parent})"
     )
     code = _compile(name)
     try:
         _write(path, hashlib.sha256(code).digest() + code)
     except (OSError, InputError) as error:
-        print(
-            f"brdfactory: cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be"
-            " written",
-            file=sys.stderr,
-        )
+        notice(f"cannot keep it ({error}); set BRDFACTORY_CACHE to a folder that can be written")
     return code
 
 

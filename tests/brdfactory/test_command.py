@@ -1,6 +1,7 @@
 """The command `brdfactory`: all commands of both programs, beside a user's factory.py."""
 
 import argparse
+import ast
 import os
 import re
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 from brdfactory import __main__, command_line
 from factory.__main__ import COMMANDS as FACTORY
 from learn.__main__ import COMMANDS as LEARN
+from manifests import cli
 
 
 def test_it_has_every_command_of_the_two_programs_and_completion():
@@ -52,6 +54,45 @@ def test_help_and_errors_name_commands_as_they_are_typed(capsys, tmp_path):
     assert command_line.reworded("python -m learn.experiments exposure") == (
         "python -m learn.experiments exposure"
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "missing"],
+        ["shapes", "preview", "missing.obj", "--out", "sheet.png"],
+        ["render", "missing.json", "--out", "data"],
+        ["edit", "missing.png", "--material", "brass", "--out", "edited"],
+    ],
+)
+def test_errors_begin_with_the_program_that_was_typed(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    package = command_line.COMMANDS[words[0]]
+    commands = FACTORY if package == "factory" else LEARN
+    for program, run in (
+        ("brdfactory", command_line.run),
+        (package, lambda words: cli.main(package, "", commands, words)),
+    ):
+        assert run(words) == 1
+        lines = [
+            line for line in re.split(r"[\r\n]+", capsys.readouterr().err) if "missing" in line
+        ]
+        assert lines and all(line.startswith(f"{program}: ") for line in lines)
+
+
+def test_no_module_names_a_program_before_its_lines(root):
+    """manifests.notices does, for a line may be of either program. The extension is of Blender."""
+    named = re.compile(r"(brdfactory|factory|learn): ")
+    places = []
+    for package in ("brdfactory", "factory", "learn", "manifests", "shaders"):
+        for path in sorted((root / package).rglob("*.py")):
+            if path.parent.name == "blender_extension":
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                text = node.value if isinstance(node, ast.Constant) else None
+                if isinstance(text, str) and named.match(text):
+                    places.append(f"{path.relative_to(root)}:{node.lineno}")
+    assert places == []
 
 
 def test_without_a_command_all_are_listed(capsys):

@@ -152,7 +152,7 @@ def test_the_contact_sheet_shows_balls_on_a_ground(own):
     )
     assert run("materials", "preview", *arguments) == 0
     picture = np.asarray(Image.open(own / "sheet.png"))
-    assert picture.shape == (36, 24, 3)
+    assert picture.shape == (40, 24, 3)
     assert (picture[0, 0] == 24).all() and picture[12, 12].max() > 60
 
 

@@ -74,7 +74,7 @@ def test_preview_goes_on_past_a_broken_shape_and_fails(kettle, tmp_path, capsys)
     out = tmp_path / "sheet.png"
     assert shapes("preview", "chiar:1", "sphere:2", "--size", 32, "--out", out) == 1
     assert out.exists()
-    assert "did you mean chair" in capsys.readouterr().out
+    assert "did you mean chair" in capsys.readouterr().err
 
 
 def test_preview_makes_the_folder_before_it_renders(tmp_path, monkeypatch):
