@@ -9,6 +9,7 @@ Credentials are those of the environment; a URL must not hold any.
 import contextlib
 import os
 import re
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -18,6 +19,7 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from manifests.errors import InputError
+from manifests.notices import notice
 from manifests.store_sessions import Sessions
 
 T = TypeVar("T")
@@ -37,6 +39,8 @@ BY_OBSTORE = {
 # protocols of file systems, where a file that is being written can be seen: it is renamed at last
 RENAMED = ("file", "local", "sftp", "ssh", "smb", "ftp", "hdfs", "webdav")
 PATIENCE = 300.0  # seconds for which a request is tried again
+FIRST_PATIENCE = 30.0  # the same, before the store has answered at all: its name may be wrong
+SAY_AFTER = 3.0  # seconds without a first answer after which a line says so
 VARIABLE = "BRDFACTORY_STORE_PATIENCE"  # another number of seconds
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 20.0
 TIMEOUT = 60  # seconds for one request
@@ -54,6 +58,7 @@ LASTING = (
     NotImplementedError,
 )
 DENIED = ("credential", "403 forbidden", "401 unauthorized", "account must be specified")
+NO_SUCH_HOST = "name or service not known"
 METADATA = "169.254.169.254"  # where obstore asks for credentials if the environment has none
 SFTP = "pip install 'brdfactory[sftp]', or '.[sftp]' in a checkout"
 PLUG_IN = "install fsspec's plug-in for it"
@@ -102,6 +107,7 @@ class ObjectFolder:
         self._patience = _patience() if patience is None else patience
         self._scheme = self.url.partition(":")[0]
         self._answered = False  # whether the store has ever answered
+        self._is_said = False  # whether a line has said that it does not
         self._files, base = _file_system(self._scheme, self.url)
         self._base = base.rstrip("/")
 
@@ -186,12 +192,18 @@ class ObjectFolder:
     def _tried(self, where: str, request: Callable[[], T]) -> T:
         """Return what a request returns, after several tries.
 
+        A store that does not answer at first is named on standard error.
+
         Raises  FileNotFoundError at once; Unreachable after the last try, or for a lasting error
         """
-        end, pause = time.monotonic() + self._patience, FIRST_PAUSE
+        patience = self._patience
+        if not self._answered:  # the whole store may be missing, not only this object
+            where, patience = self.url, min(patience, FIRST_PATIENCE)
+        end, pause = time.monotonic() + patience, FIRST_PAUSE
         while True:
             try:
-                result = request()
+                with self._saying(where):
+                    result = request()
             except FileNotFoundError:
                 self._answered = True
                 raise
@@ -202,11 +214,36 @@ class ObjectFolder:
                     remedy = "check the network, then run the same command: what was written stays"
                 if expected:
                     raise Unreachable(where, expected, _said(error), remedy) from None
+                self._say(f"{where}: {_said(error)}; trying again for up to {patience:g} s")
             else:
-                self._answered = True
+                self._answered, self._is_said = True, False
                 return result
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    @contextlib.contextmanager
+    def _saying(self, where: str) -> Iterator[None]:
+        """Say during a request, after SAY_AFTER seconds, that there is no answer yet.
+
+        Only before the first answer: later ones may be large and take their time.
+        """
+        if self._answered or self._is_said:
+            yield
+            return
+        text = f"{where}: connecting, no answer yet; one request may take {TIMEOUT} s"
+        timer = threading.Timer(SAY_AFTER, self._say, [text])
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+    def _say(self, text: str) -> None:
+        """Print a line, unless one was printed since the last answer."""
+        if not self._is_said:
+            self._is_said = True
+            notice(text)
 
     def _lasting(self, error: Exception) -> tuple[str, str]:
         """Return (what was expected, a remedy) of an error that another try does not mend.
@@ -223,6 +260,8 @@ class ObjectFolder:
         ):
             remedy = "check the credentials: docs/clusters.md names the variables"
             return "a store that answers", remedy
+        if not self._answered and NO_SUCH_HOST in text.lower():
+            return "a host that exists", "check the host's name and the network"
         if "BadScheme" in text:
             return "a server with TLS", f"export {variables}_ALLOW_HTTP=true to do without"
         if "404 Not Found" in text:  # of a list, which is empty where only the folder is missing

@@ -1,6 +1,8 @@
 """Folders on object stores: URLs, tries, errors, and copies of bounded size. In memory."""
 
 import os
+import sys
+import threading
 import time
 from pathlib import Path
 
@@ -156,6 +158,62 @@ def test_missing_credentials_are_said_in_plain_words(remote):
     with pytest.raises(Unreachable, match="found no credentials in the environment") as caught:
         remote.write("a.json", b"")
     assert "http" not in str(caught.value) and "docs/clusters.md" in str(caught.value)
+
+
+def test_a_host_that_does_not_exist_ends_the_command_at_once(monkeypatch):
+    monkeypatch.setattr(object_store.time, "sleep", lambda _: pytest.fail("it waits"))
+    remote = ObjectFolder("memory://a/b", patience=1000.0)
+    error = OSError(-2, "Name or service not known")
+    remote._files = Failing(remote._files, 1000, error)
+    with pytest.raises(Unreachable, match=r"^memory://a/b: expected a host that exists"):
+        remote.write("records/a.json", b"")
+
+
+def test_a_store_that_has_never_answered_is_given_up_soon(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(object_store.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(
+        object_store.time, "sleep", lambda pause: clock.__setitem__(0, clock[0] + pause)
+    )
+    remote = ObjectFolder("memory://a/b", patience=1000.0)
+    files = remote._files
+    remote._files = Failing(files, 1000, OSError("refused"))
+    with pytest.raises(Unreachable, match=r"^memory://a/b: expected a store that answers"):
+        remote.names("records")
+    assert clock[0] <= object_store.FIRST_PATIENCE
+    remote._files = files
+    remote.names("records")
+    remote._files, before = Failing(files, 1000, OSError("refused")), clock[0]
+    with pytest.raises(Unreachable):
+        remote.names("records")
+    assert clock[0] - before > 900
+
+
+def test_a_line_says_once_that_a_store_does_not_answer(remote, monkeypatch, capsys):
+    monkeypatch.setattr(object_store.time, "sleep", lambda _: None)
+    remote._patience, files = 60.0, remote._files
+    for _ in range(2):  # an answer between
+        remote._files = Failing(files, 3, OSError("reset by peer"))
+        remote.write("a.json", b"1")
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1 and "reset by peer; trying again for up to" in lines[0]
+
+
+def test_a_line_says_where_it_waits_while_a_first_request_hangs(remote, monkeypatch, capsys):
+    monkeypatch.setattr(object_store, "SAY_AFTER", 0.01)
+    printed = threading.Event()
+    monkeypatch.setattr(
+        object_store, "notice", lambda text: (print(text, file=sys.stderr), printed.set())
+    )
+    listed = remote._files.ls
+
+    def slow(*values, **options):
+        assert printed.wait(20)
+        return listed(*values, **options)
+
+    monkeypatch.setattr(remote._files, "ls", slow)
+    remote.names("")
+    assert capsys.readouterr().err.startswith(f"{remote.url}: connecting, no answer yet")
 
 
 def test_the_patience_is_a_number(monkeypatch):
