@@ -25,6 +25,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
 from manifests import files
 from manifests.errors import InputError
+from manifests.wording import number_of
 from shaders import tone
 
 Drawn = str | Path | np.ndarray | Material
@@ -179,7 +180,7 @@ class Decomposition:
         requested = requested * len(own) if len(requested) == 1 else requested
         if len(requested) != len(own):
             raise InputError(
-                "relight", f"{len(own)} materials", f"{len(requested)}", "one a region"
+                "relight", number_of(len(own), "material"), f"{len(requested)}", "one a region"
             )
         chosen = [None if m is None else material(m) for m in requested]
         read = _read(chosen)

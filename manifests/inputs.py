@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -85,7 +86,7 @@ def kind_of(mode: int) -> str | None:
 def _size(count: int) -> str:
     """Return a number of bytes in a readable unit."""
     if count < 1024:
-        return f"{count} bytes"
+        return number_of(count, "byte")
     amount, unit = count / 1024, "KiB"
     for larger in ("MiB", "GiB"):
         if amount >= 1024:

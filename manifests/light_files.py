@@ -11,6 +11,7 @@ from manifests.arrays import LIGHT_MEMBERS
 from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.inputs import require_file, require_hash
+from manifests.wording import number_of
 from shaders.envmap import mean_radiance
 from shaders.tone import LUMINANCE
 
@@ -38,7 +39,12 @@ def read_light(path: str | Path, file_hash: str | None = None) -> np.ndarray:
     arrays, data = _light_arrays(path, ("L",))
     L = arrays["L"]
     if wrong := int((~(np.isfinite(L) & (L >= 0))).sum()):
-        raise InputError(path, "finite radiance ≥ 0", f"{wrong} values that are not", LIGHT_AGAIN)
+        raise InputError(
+            path,
+            "finite radiance ≥ 0",
+            number_of(wrong, "value that is not", "values that are not"),
+            LIGHT_AGAIN,
+        )
     if not abs((mean := float(mean_radiance(L) @ LUMINANCE)) - 1) <= UNIT_MEAN:
         raise InputError(
             path, "radiance of unit mean luminance", f"a mean of {mean:.6g}", LIGHT_AGAIN

@@ -25,6 +25,7 @@ from manifests.arrays import (
 from manifests.errors import InputError
 from manifests.facets import Facets
 from manifests.inputs import require_file, require_hash
+from manifests.wording import number_of
 
 PIXEL_BYTES = 4 * len(
     GEOMETRY_TYPES | FACET_TYPES
@@ -99,7 +100,12 @@ def read_picture(
     channels = _channels(path, PICTURE_TYPES, size, file_hash, exact)
     radiance = np.stack([channels[name] for name in PICTURE_CHANNELS], axis=-1).astype(np.float32)
     if wrong := int((~(np.isfinite(radiance) & (radiance >= 0))).sum()):
-        raise InputError(path, "finite radiance ≥ 0", f"{wrong} values that are not", AGAIN)
+        raise InputError(
+            path,
+            "finite radiance ≥ 0",
+            number_of(wrong, "value that is not", "values that are not"),
+            AGAIN,
+        )
     return radiance
 
 
@@ -169,7 +175,12 @@ def read_geometry(
 def _require_finite(path: str | Path, what: str, values: np.ndarray) -> None:
     """Raise InputError unless all values are finite."""
     if wrong := int((~np.isfinite(values)).sum()):
-        raise InputError(path, f"finite {what}", f"{wrong} values that are not", AGAIN)
+        raise InputError(
+            path,
+            f"finite {what}",
+            number_of(wrong, "value that is not", "values that are not"),
+            AGAIN,
+        )
 
 
 def _require_unit(path: str | Path, what: str, normals: np.ndarray, mask: np.ndarray) -> None:

@@ -7,6 +7,7 @@ from manifests.exporting import FORMATS
 from manifests.help_format import HelpFormatter
 from manifests.notices import notice
 from manifests.option_types import positive
+from manifests.wording import number_of
 
 EPILOG = """examples:
   python -m factory export out/demo --to webdataset --out demo-shards
@@ -112,20 +113,22 @@ def run(options: argparse.Namespace) -> int:
                 options.by or "",
                 bar.update,
             )
-        line = f"{options.out}: {result.samples} samples, {result.made} files written"
+        line = f"{options.out}: {number_of(result.samples, 'sample')},"
+        line += f" {number_of(result.made, 'file')} written"
         print(line + (f", {result.already_there} were there" if result.already_there else ""))
         if result.left_out:
             said = (
-                f"{options.folder}: {result.left_out} views without pictures are left out, because"
-                " there are pictures; render them into a folder of their own to export them"
+                f"{options.folder}: left out {number_of(result.left_out, 'view')} without pictures,"
+                " because there are pictures; render views into a folder of their own to export"
+                " them"
             )
             notice(said)
     if tars:  # first: it may be refused, and then nothing is written
         with tqdm(desc="exporting", unit="record", delay=1.0) as bar:
             count = to_tars(store, tars, options.split, each, bar.update)
-        print(f"{tars}: {count} tars")
+        print(f"{tars}: {number_of(count, 'tar')}")
     if records:
-        print(f"{records}: {to_parquet(store, records, options.split)} records")
+        print(f"{records}: {number_of(to_parquet(store, records, options.split), 'record')}")
     return 0
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from factory.commands.actions import add_action, add_command, add_library, add_picture_output
 from factory.planning.shape_names import OWN_LICENCE
 from manifests.option_types import positive, whole
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -151,7 +152,9 @@ def run_make(options: argparse.Namespace) -> None:
         for seed, (L, seconds) in tqdm(made, total=len(missing), unit="map", disable=None):
             total += seconds
             library.add_made(names_of[seed], L, options.library, OWN_LICENCE, interiors.SOURCE)
-    print(f"{options.library}: {len(missing)} maps made, {len(names) - len(missing)} were there")
+    there = len(names) - len(missing)
+    line = f"{options.library}: {number_of(len(missing), 'map')} made"
+    print(f"{line}, {there} {'was' if there == 1 else 'were'} there")
     if missing:
         print(f"{total / len(missing):.1f} seconds of processor time per map")
 
@@ -223,7 +226,8 @@ def run_preview(options: argparse.Namespace) -> None:
     ]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_image(options.out, np.concatenate(rows), "PNG")
-    print(f"{options.out}: {len(rows)} lights, from the top: {', '.join(map(str, requested))}")
+    shown = ", ".join(map(str, requested))
+    print(f"{options.out}: {number_of(len(rows), 'light')}, from the top: {shown}")
 
 
 def run_add(options: argparse.Namespace) -> None:

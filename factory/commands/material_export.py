@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from factory.commands.actions import add_action, add_catalogues
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from manifests.materials import Material
@@ -154,7 +155,7 @@ def _write_library(path: Path, chosen: "Sequence[Material]", light: str, size: i
         previews,
         lambda items: tqdm(items, unit="material", desc="materials", disable=None),
     )
-    print(f"{path}: {len(chosen)} materials, {path.stat().st_size / 1e6:.1f} MB")
+    print(f"{path}: {number_of(len(chosen), 'material')}, {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _error_table(path: Path) -> Path:
@@ -178,8 +179,8 @@ def _write_approximations(path: Path, chosen: "Sequence[Material]") -> None:
         write_text(_error_table(path), materialx.table(chosen, results))
     errors = [result.error for result in results.values()]
     print(
-        f"{path}: {len(chosen)} materials; relative L1 median {np.median(errors):.3f}, worst"
-        f" {max(errors):.3f}"
+        f"{path}: {number_of(len(chosen), 'material')}; relative L1 median {np.median(errors):.3f},"
+        f" worst {max(errors):.3f}"
     )
 
 

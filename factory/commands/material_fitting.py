@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from factory.commands.actions import Run, add_action
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -151,7 +152,9 @@ def run_fit(options: argparse.Namespace) -> None:
     result, recipe = _sources_and_recipe(options)
     maps = _light_maps(options.light)
     entries = fitting.fit_all(result, recipe, maps, options.out, options.workers)
-    title = options.title or f"{len(entries)} materials fitted from {options.source.name}"
+    title = (
+        options.title or f"{number_of(len(entries), 'material')} fitted from {options.source.name}"
+    )
     fitting.write_catalogue(entries, options.out, title, sources.credit(result), maps)
     _summary(options.out, entries)
 
@@ -195,7 +198,7 @@ def _summary(path: Path, entries: Sequence[Entry]) -> None:
     agreement = [e.errors.nodes_vs_label.mean for e in entries]
     drift = [e.errors.nodes_vs_source.mean for e in entries]
     print(
-        f"{path}: {len(entries)} materials; relative L1 of label and nodes: median"
-        f" {np.median(agreement):.4f}, worst {max(agreement):.4f}; of nodes and measurement: median"
-        f" {np.median(drift):.4f}, worst {max(drift):.4f}"
+        f"{path}: {number_of(len(entries), 'material')}; relative L1 of label and nodes:"
+        f" median {np.median(agreement):.4f}, worst {max(agreement):.4f}; of nodes and measurement:"
+        f" median {np.median(drift):.4f}, worst {max(drift):.4f}"
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from factory.commands import material_export, material_fitting
 from factory.commands.actions import add_action, add_catalogues, add_command, add_picture_output
+from manifests.wording import number_of
 
 EPILOG = """examples:
   python -m factory materials list
@@ -242,7 +243,7 @@ def run_preview(options: argparse.Namespace) -> None:
     )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_image(options.out, picture, "PNG")
-    print(f"{options.out}: {len(chosen)} materials under {options.light}")
+    print(f"{options.out}: {number_of(len(chosen), 'material')} under {options.light}")
 
 
 def run_report(options: argparse.Namespace) -> None:

@@ -11,6 +11,7 @@ from factory.commands import job_options
 from manifests.help_format import HelpFormatter
 from manifests.notices import notice
 from manifests.option_types import above_zero, positive
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from factory.execution.forecast import Forecast
@@ -117,16 +118,18 @@ def described(plan: Plan) -> Iterator[str]:
     job, assets = plan.job, plan.assets
     categories = Counter((s.category, s.role) for s in assets.shapes)
     views, rotations = (
-        f"{numbers.random} random" if isinstance(numbers, Draw) else str(len(numbers))
-        for numbers in (job.views, job.rotations)
+        f"{numbers.random} random {what}{'s' * (numbers.random != 1)}"
+        if isinstance(numbers, Draw)
+        else number_of(len(numbers), what)
+        for numbers, what in ((job.views, "view"), (job.rotations, "rotation"))
     )
     height, width = job.camera.size
     each = (
-        f"pictures of {height}×{width}, {quality(job)}"
+        f"{number_of(len(plan), 'picture')} of {height}×{width}, {quality(job)}"
         if job.pictures
-        else f"views of {height}×{width}, geometry alone"
+        else f"{number_of(len(plan), 'view')} of {height}×{width}, geometry alone"
     )
-    yield f"job {job.name}: {len(plan)} {each}, {lens(job)}"
+    yield f"job {job.name}: {each}, {lens(job)}"
     yield "  shapes     " + ", ".join(
         f"{count} {category} ({role})" for (category, role), count in sorted(categories.items())
     )
@@ -137,14 +140,14 @@ def described(plan: Plan) -> Iterator[str]:
     yield f"  lights     {len(job.lights)}: " + ", ".join(dict.fromkeys(job.lights))
     if not job.pictures:
         sides = Counter(shape.side for shape in assets.shapes)
-        yield f"  each       {views} views"
+        yield f"  each       {views}"
         yield "  split      " + ", ".join(
             f"{count * len(plan) // len(assets.shapes)} {side}"
             for side, count in sorted(sides.items())
         )
         return
     kinds = f"{'/'.join(job.tiers)} × {'/'.join(job.light_resolutions)}"
-    yield f"  each       {views} views × {rotations} rotations × {kinds} × {job.repeats} seeds"
+    yield f"  each       {views} × {rotations} × {kinds} × {number_of(job.repeats, 'seed')}"
     yield "  split      " + ", ".join(
         f"{count} {split}" for split, count in split_counts(plan).items()
     )
@@ -152,7 +155,9 @@ def described(plan: Plan) -> Iterator[str]:
 
 def quality(job: Job) -> str:
     """Return the words for a job's samples, or for the error that it names."""
-    return f"{job.samples} samples" if job.error is None else f"display error ≤ {job.error:g}"
+    return (
+        number_of(job.samples, "sample") if job.error is None else f"display error ≤ {job.error:g}"
+    )
 
 
 def lens(job: Job) -> str:
@@ -234,8 +239,8 @@ def _forecast(plan: Plan, options: argparse.Namespace) -> str:
         lines = [*_cluster(forecast, options, len(plan), parts), disk]
         return "\n".join(lines)
     return (
-        f"  time       about {_time(forecast.hours)} with {forecast.workers}"
-        f" worker{'s' * (forecast.workers > 1)} ({parts})\n{disk}"
+        f"  time       about {_time(forecast.hours)} with {number_of(forecast.workers, 'worker')}"
+        f" ({parts})\n{disk}"
     )
 
 
@@ -250,8 +255,8 @@ def _cluster(
     cluster = on_cluster(forecast, options.machines, cores, pictures)
     workers = cluster.machines * cluster.cores
     yield (
-        f"  cluster    {cluster.machines} machine{'s' * (cluster.machines > 1)} of"
-        f" {cluster.cores} cores: {workers} workers of one thread"
+        f"  cluster    {number_of(cluster.machines, 'machine')} of"
+        f" {number_of(cluster.cores, 'core')}: {number_of(workers, 'worker')} of one thread"
     )
     yield f"  time       about {_time(cluster.hours)} ({parts})"
     if forecast.waited > BUSY and os.getloadavg()[0] > processors():

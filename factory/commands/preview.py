@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from manifests.help_format import HelpFormatter
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from manifests.schema import Record
@@ -101,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
         files.write_text(
             out / "index.html", page(folder.name, rows, captions, [r.id for r in chosen])
         )
-    print(f"{out / 'index.html'}: {len(chosen)} records")
+    print(f"{out / 'index.html'}: {number_of(len(chosen), 'record')}")
     return 0
 
 

@@ -13,6 +13,7 @@ from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
 from manifests.notices import notice
 from manifests.option_types import positive
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from factory.execution.run import Outcome
@@ -215,8 +216,8 @@ def run(options: argparse.Namespace) -> int:
         library=options.lights,
         ray=options.ray,
     )
-    what = "pictures" if job.pictures else "views"
-    with Progress(options.limit, what[:-1]) as progress:
+    what = "picture" if job.pictures else "view"
+    with Progress(options.limit, what) as progress:
         outcome = carry_out(plan, options.out, run_options, progress)
     print(outcome_line(outcome, options.out, what))
     return 1 if outcome.failed else 0
@@ -268,11 +269,11 @@ def _with_assets(job: Job, folder: str) -> Job:
     )
 
 
-def outcome_line(outcome: Outcome, folder: str, what: str = "pictures") -> str:
+def outcome_line(outcome: Outcome, folder: str, what: str = "picture") -> str:
     """Return one line that says how many pictures (or views) were made, skipped and failed."""
-    line = f"{outcome.made} {what} made in {folder}"
-    if outcome.already_there:
-        line += f", {outcome.already_there} were there already"
+    line = f"{number_of(outcome.made, what)} made in {folder}"
+    if count := outcome.already_there:
+        line += f", {count} {'was' if count == 1 else 'were'} there already"
     if outcome.failed:
         where = f"{folder}/failures*.jsonl"  # parts of a job and of a store have files of their own
         line += f"; {outcome.failed} FAILED, see {where}; the same command tries them again"
@@ -322,7 +323,7 @@ class Progress:
         elif event == "failed":
             self.failed += 1
         words = [f"{self.failed} failed"] if self.failed else []
-        words += [f"{self.unread} shapes to read"] if self.unread else []
+        words += [f"{number_of(self.unread, 'shape')} to read"] if self.unread else []
         self.bar.set_postfix_str(", ".join(words), refresh=False)
         # the last already_there may be counted before a better estimate of the total comes
         total = max(self.total - self.already_there, 0)

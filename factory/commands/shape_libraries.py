@@ -7,6 +7,7 @@ from pathlib import Path
 
 from factory.commands.actions import add_action, add_library
 from factory.commands.mesh_options import add_reading, reading_options
+from manifests.wording import number_of
 
 
 def add_add(actions: argparse._SubParsersAction) -> None:
@@ -127,6 +128,6 @@ def run_collect(options: argparse.Namespace) -> int:
     )
     counts = Counter((row["package"], row["side"]) for row in rows)
     for (package, side), count in sorted(counts.items()):
-        print(f"{package}: {count} meshes for {side}")
+        print(f"{package}: {number_of(count, 'mesh', 'meshes')} for {side}")
     print(f"See {options.library / 'meshes.json'}")
     return 0

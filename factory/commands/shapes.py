@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from factory.commands.actions import add_action, add_command, add_picture_output
 from factory.commands.mesh_options import add_reading, reading_options
 from factory.commands.shape_libraries import add_add, add_collect
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from factory.shapes.mesh import Mesh
@@ -183,7 +184,8 @@ def _print_meshes(options: argparse.Namespace) -> int:
             f" {mesh.report.line()}{duplicate}{licence}"
         )
     duplicates = len(entries) - failed - len(hashes)
-    print(f"{len(entries)} meshes, {failed} refused, {duplicates} duplicates")
+    meshes = number_of(len(entries), "mesh", "meshes")
+    print(f"{meshes}, {failed} refused, {number_of(duplicates, 'duplicate')}")
     return 1 if failed else 0
 
 

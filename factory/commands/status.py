@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from manifests.help_format import HelpFormatter
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from manifests.schema import Camera, Record
@@ -44,12 +45,16 @@ def run(options: argparse.Namespace) -> int:
         return 0
     made = report["records"] + report["views"]
     what = "pictures and views" if report["views"] else "pictures"
+    if report["planned"] == 1:
+        what = "view" if report["views"] else "picture"
     # jobs of one folder can share pictures, which are rendered once
     most = "at most " if len(report["jobs"]) > 1 and made < report["planned"] else ""
     planned = f"{most}{report['planned']}"
     print(f"{options.folder}: {made} of {planned} {what}, {report['failed']} failed")
     for job in report["jobs"]:
-        print(f"  job {job['name']}: {job['shots']} {job['of']}, begun {job['begun']}")
+        print(
+            f"  job {job['name']}: {number_of(job['shots'], job['of'][:-1])}, begun {job['begun']}"
+        )
     if report["views"]:
         print(
             f"  views            {report['views']} of geometry alone: "
@@ -74,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"  {'error ≤ ' + requested:<16} {counts}; estimated {kept['mean']:.3g} on average,"
             f" at most {kept['largest']:.3g}; {kept['above']} above;"
-            f" {kept['samples']:.0f} samples on average"
+            f" samples {kept['samples']:.0f} on average"
         )
     print(
         f"  {'materials':<16} {report['materials']};  shapes {report['shapes']};  rendering time"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
 from manifests.notices import notice
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -112,22 +113,23 @@ def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
             return True
         records, strays, others = summary(faults)
         print(
-            f"{folder}: {verification.count} records; {records} faults in records, {strays} stray"
-            f" files, {others} others"
+            f"{folder}: {number_of(verification.count, 'record')}; {number_of(records, 'fault')} in"
+            f" records, {number_of(strays, 'stray file')}, {number_of(others, 'other')}"
         )
         if not options.repair:
             remedy = "verify --repair removes what is broken, and render makes it again"
-            notice(InputError(folder, "a clean data set", f"{len(faults)} faults", remedy))
+            notice(InputError(folder, "a clean data set", number_of(len(faults), "fault"), remedy))
             return False
         removed, unlinked = repair(store, faults)
         left = sum(not fault.mendable for fault in faults)
         print(
-            f"{folder}: {removed} lines and {unlinked} files removed; run the same `render` again"
+            f"{folder}: {number_of(removed, 'line')} and {number_of(unlinked, 'file')} removed; run"
+            " the same `render` again"
         )
         if left:
             notice(
-                f"{folder}: --repair cannot mend {left} faults; run the same `render` again, or"
-                " copy the folder again"
+                f"{folder}: --repair cannot mend {number_of(left, 'fault')}; run the same `render`"
+                " again, or copy the folder again"
             )
         return not left
 
@@ -136,7 +138,7 @@ def _counted(verification: Verification) -> str:
     """Return the number of records and views, and that of the orders where it is larger."""
     planned = sum(order.shots for order in verification.dataset.orders)
     rest = f" of at most {planned} that its orders ask for" if planned > verification.count else ""
-    return f"{verification.count} records{rest}"
+    return f"{number_of(verification.count, 'record')}{rest}"
 
 
 def _faults(verification: Verification, quick: bool) -> list[Fault]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from manifests.wording import number_of
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 SUFFIX = ".binary"
@@ -68,7 +69,7 @@ def read(path: Path) -> TabulatedBRDF:
             raise InputError(
                 path,
                 f"a header of {HEADER.size} bytes",
-                f"{len(head)} bytes",
+                number_of(len(head), "byte"),
                 "copy the file again",
             )
         sides = HEADER.unpack(head)

@@ -17,6 +17,7 @@ import numpy as np
 from manifests.archives import opened_zip, read_array
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from manifests.wording import number_of
 
 LAYERS = ((6, 21), (21, 21), (21, 3))
 PARAMETERS = sum(a * b + b for a, b in LAYERS)  # 675
@@ -93,7 +94,7 @@ def load(path: Path) -> dict[str, NeuralBRDF]:
         raise InputError(
             path,
             f"weights (N, {PARAMETERS}) beside N names",
-            f"weights {weights.shape}, {len(names)} names",
+            f"weights {weights.shape}, {number_of(len(names), 'name')}",
             "give NBRDF weights",
         )
     if not np.isfinite(weights).all():

@@ -21,6 +21,7 @@ from manifests.materials import Material
 from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera, Dataset, Record
 from manifests.store import Store, inside
+from manifests.wording import number_of
 from shaders import frames, tone
 from shaders.envmap import roll
 
@@ -166,7 +167,7 @@ def caption(record: Record) -> str:
     kept = ""
     if (accuracy := record.accuracy) is not None:
         kept = f" ({accuracy.estimator}, error {accuracy.estimated:.3g} of {accuracy.requested:g})"
-    samples = "1 sample" if record.samples == 1 else f"{record.samples} samples"
+    samples = number_of(record.samples, "sample")
     return (
         f"{record.shape}, {materials}; light {where}; "
         f"{record.tier}, map {record.light_resolution}, {samples}{kept}; "

@@ -15,6 +15,7 @@ from factory.shapes.enclosing import smallest_sphere
 from factory.shapes.raster import back_faces
 from factory.shapes.raw import WELD
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 FLAT = 1e-13  # of the size squared: a face of less area is none
 
@@ -43,7 +44,8 @@ def clean(
         raise InputError(
             where,
             "finite coordinates",
-            f"{len(broken)} vertices with NaN or infinity, the first number {broken[0] + 1}",
+            f"{number_of(len(broken), 'vertex', 'vertices')} with NaN or infinity, the first number"
+            f" {broken[0] + 1}",
             "repair or export it again",
         )
     size = float(np.ptp(vertices[used], axis=0).max()) if len(used) else 0.0
@@ -81,7 +83,7 @@ def clean(
         raise InputError(
             where,
             "a mesh with a surface",
-            f"{len(flat)} triangles of no area",
+            f"{number_of(len(flat), 'triangle')} of no area",
             "check the file in a viewer, or export it again",
         )
     compact, faces = np.unique(faces[kept], return_inverse=True)

@@ -21,6 +21,7 @@ import numpy as np
 from factory.shapes.creases import CREASE_DEG, corner_normals, edge_pairs, face_normals
 from factory.shapes.enclosing import smallest_sphere
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 # vertices are hashed to 1/65536 of the unit sphere's radius: twice the digits of a float16, none of
 # libm's noise
@@ -52,7 +53,9 @@ class Report:
             else f"{self.open_edges} open and {self.crowded_edges} crowded edges"
         )
         notes = f"; {', '.join(self.cleaned)}" if self.cleaned else ""
-        return f"{self.triangles} triangles, {self.components} components, {tight}{back}{notes}"
+        triangles = number_of(self.triangles, "triangle")
+        components = number_of(self.components, "component")
+        return f"{triangles}, {components}, {tight}{back}{notes}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,7 @@ def finish(
         raise InputError(
             name,
             "a mesh with a surface",
-            f"{len(faces)} triangles of no area",
+            f"{number_of(len(faces), 'triangle')} of no area",
             "check the file in a viewer, or export it again",
         )
     vertices = (vertices - centre) / radius

@@ -24,6 +24,7 @@ from factory.shapes.raw import (
     text_lines,
 )
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 TEXT = "an OBJ file's text"
 # a name may end in a backslash
@@ -73,7 +74,10 @@ def _passed_over(unknown):
     if not unknown:
         return ()
     (word, _), *_ = unknown.most_common(1)
-    return (f"{unknown.total()} lines of unknown kind passed over, most of them '{glimpse(word)}'",)
+    return (
+        f"{number_of(unknown.total(), 'line')} of unknown kind passed over, most of them"
+        f" '{glimpse(word)}'",
+    )
 
 
 def _polygon(words, vertices):

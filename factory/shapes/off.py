@@ -18,6 +18,7 @@ from factory.shapes.raw import (
     whole_number,
 )
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 KINDS = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
 
@@ -30,7 +31,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise InputError(
             where,
             f"{face_count:,} faces as its header says",
-            f"{size:,} bytes",
+            number_of(size, "byte", form=","),
             "download or export it again",
         )
     require_count(max(face_count, vertex_count // 4) if face_count else 0, maximum, where, size)

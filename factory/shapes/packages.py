@@ -29,6 +29,7 @@ from factory.shapes.raster import look
 from manifests import files
 from manifests.errors import InputError, closest
 from manifests.reading import read
+from manifests.wording import number_of
 from shaders.frames import camera_from_world
 
 LIST = Path(__file__).parents[2] / "manifests" / "mesh-packages.json"
@@ -250,7 +251,7 @@ def _usable(
     if mesh.hash in hashes:
         reason = f"the same mesh as {hashes[mesh.hash]}"
     elif mesh.report.triangles < FEWEST_TRIANGLES:
-        reason = f"{mesh.report.triangles} triangles, fewer than {FEWEST_TRIANGLES}"
+        reason = f"{number_of(mesh.report.triangles, 'triangle')}, fewer than {FEWEST_TRIANGLES}"
     elif (mesh.report.back_faces or 0.0) > MOST_INNER:
         reason = f"{mesh.report.back_faces:.0%} of what is seen are inner sides"
     elif (share := cover(mesh)) < LEAST_COVER:

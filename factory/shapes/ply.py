@@ -12,6 +12,7 @@ from factory.shapes.ply_header import Element, read_header
 from factory.shapes.ply_rows import DOWNLOAD, BinaryRows, Rows, TextRows
 from factory.shapes.raw import AGAIN, NOTHING, Raw, from_polygons, require_count
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
@@ -24,7 +25,7 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
         raise InputError(where, "a PLY header with faces", "none", NOTHING)
     if face.count + vertex.count > size:  # each takes at least a byte
         expected = f"{face.count:,} faces and {vertex.count:,} vertices as its header says"
-        raise InputError(where, expected, f"{size:,} bytes", DOWNLOAD)
+        raise InputError(where, expected, number_of(size, "byte", form=","), DOWNLOAD)
     require_count(max(face.count, vertex.count // 4) if face.count else 0, maximum, where, size)
     requested = _columns(vertex, face, where)
     rows: Rows = TextRows(file, where) if order is None else BinaryRows(file, start, where, order)

@@ -12,6 +12,7 @@ import numpy as np
 from factory.shapes.ply_header import Element
 from factory.shapes.raw import AGAIN, Polygons, glimpse, require_count, text_lines, whole_number
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 CODES = {
     "i1": "b",
@@ -267,5 +268,8 @@ class BinaryRows(Rows):
         rest = self.data[self.place :]
         if rest.strip():
             raise InputError(
-                self.where, "the end, as its header says", f"{len(rest):,} bytes more", DOWNLOAD
+                self.where,
+                "the end, as its header says",
+                f"{number_of(len(rest), 'byte', form=',')} more",
+                DOWNLOAD,
             )

@@ -18,6 +18,7 @@ from factory.shapes.ears import TooLarge
 from factory.shapes.fans import fans
 from factory.shapes.polygons import triangulate
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 MAXIMUM_TRIANGLES = 2_000_000
 # more than any format spends on one, OBJ with normals and texture coordinates included
@@ -50,10 +51,11 @@ def require_count(count: int, maximum: int, where: str | Path, size: int = 0) ->
 
     size  bytes, refused if they are more than `maximum` triangles can take
     """
+    rule = f"at most {number_of(maximum, 'triangle', form=',')}"
     if count > maximum:
-        raise InputError(where, f"at most {maximum:,} triangles", f"{count:,}", MORE)
+        raise InputError(where, rule, f"{count:,}", MORE)
     if size > maximum * BYTES_A_TRIANGLE:  # few triangles among much else: textures, points
-        raise InputError(where, f"at most {maximum:,} triangles", f"{size:,} bytes", MORE)
+        raise InputError(where, rule, f"{size:,} bytes", MORE)
     if count <= 0:
         raise InputError(where, "a mesh with triangles", "none", NOTHING)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from learn.app.event_handling import QUIET, SessionOf, one_line
 from learn.app.offline_gradio import gr
+from manifests.wording import number_of
 
 
 class DownloadTab:
@@ -47,4 +48,8 @@ class DownloadTab:
         session.decomposed()
         yield gr.skip(), gr.skip(), "Rendering at the photograph's size …"
         paths, text = session.downloads()
-        yield [str(path) for path in paths], text, f"{len(paths)} files are ready."
+        yield (
+            [str(path) for path in paths],
+            text,
+            f"{number_of(len(paths), 'file')} {'is' if len(paths) == 1 else 'are'} ready.",
+        )

@@ -24,6 +24,7 @@ from learn.app.session import Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 FIRST, SECOND = "the material", "the material blended with it"
 QUICK_TEXT = "Quick view; the exact one follows."
@@ -97,7 +98,7 @@ class MaterialTab:
             show_label=False,
             elem_id="words",
         )
-        self.count = gr.Markdown(f"{len(gallery.search(''))} materials", elem_id="count")
+        self.count = gr.Markdown(number_of(len(gallery.search("")), "material"), elem_id="count")
         self.materials = gr.HTML(
             self._tiles(gallery.search("")), js_on_load=TILE_CLICKS, elem_id="materials"
         )
@@ -349,7 +350,7 @@ class MaterialTab:
     def searched(self, text: str) -> tuple[Any, ...]:
         """Show the materials that match words."""
         matching = gallery.search(text)
-        said = "1 material" if len(matching) == 1 else f"{len(matching)} materials"
+        said = number_of(len(matching), "material")
         if not matching:
             said = "No material has such a name. Try wood, metal, fabric, plastic, stone …"
         return self._tiles(matching), said

@@ -13,6 +13,7 @@ from learn.data.relit import DataSplit
 from learn.networks import tensor_file
 from learn.training import loop, processes
 from manifests.files import write_bytes
+from manifests.wording import number_of
 
 FILE_OF = {
     "lombardi": FILES["Lombardi-like"],
@@ -51,7 +52,8 @@ def make(
             {"materials": sorted(data_split.labels), "maps": len(data_split.maps)},
             fitted_to(data_split),
         )
-        return f"{target}: {len(data_split.labels)} materials, {len(data_split.maps)} light maps"
+        materials = number_of(len(data_split.labels), "material")
+        return f"{target}: {materials}, {number_of(len(data_split.maps), 'light map')}"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
     with processes.only_writer(folder):

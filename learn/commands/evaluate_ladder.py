@@ -8,6 +8,7 @@ from pathlib import Path
 from learn.commands import options
 from manifests.help_format import HelpFormatter
 from manifests.option_types import positive, whole
+from manifests.wording import number_of
 
 SIDES = ("development", "test", "second-test")
 RUNGS = ("direct", "shadow", "full", "square", "8-bit", "camera")
@@ -143,7 +144,7 @@ def _write_jobs(arguments: argparse.Namespace) -> None:
 
     count = MESHES if arguments.mesh_count is None else arguments.mesh_count
     paths = ladder.write_jobs(arguments.side, arguments.jobs, arguments.meshes, count)
-    print(f"{arguments.jobs}: {len(paths)} jobs. These commands render them:")
+    print(f"{arguments.jobs}: {number_of(len(paths), 'job')}. These commands render them:")
     if seeds := ladder_design.light_seeds(ladder_design.preset(arguments.side)):
         span = f"--first {seeds[0]} --count {len(seeds)}"
         print(f"python -m factory lights make {span} --library LIGHTS")

@@ -15,6 +15,7 @@ from manifests import archives
 from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError
 from manifests.inputs import require_file
+from manifests.wording import number_of
 from shaders import envmap
 from shaders.frames import camera_from_light
 
@@ -81,7 +82,7 @@ def _map(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) -> np.nd
     where, remedy = f"{path}: {member.filename.removesuffix('.npy')}", "average it to 64×128 first"
     rule = "finite radiance of shape (64, 128, 3)"
     if member.file_size > LARGEST_MAP:  # by the directory, before memory is taken
-        raise InputError(where, rule, f"{member.file_size} bytes", remedy)
+        raise InputError(where, rule, number_of(member.file_size, "byte"), remedy)
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise InputError(where, "an array as numpy compresses it", "another compression", remedy)
     with archive.open(member) as stored:

@@ -20,6 +20,7 @@ from manifests.inputs import require_file
 from manifests.progress import tqdm
 from manifests.schema import Record
 from manifests.store import inside
+from manifests.wording import number_of
 
 LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
 
@@ -91,7 +92,10 @@ def _check(records: Records, record: Record) -> None:
     if not np.isfinite(image).all():
         count = int((~np.isfinite(image)).sum())
         raise InputError(
-            where, "finite radiance", f"{count} values that are not", "render it again"
+            where,
+            "finite radiance",
+            number_of(count, "value that is not", "values that are not"),
+            "render it again",
         )
 
 

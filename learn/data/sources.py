@@ -24,6 +24,7 @@ from manifests import measured_lights, splits
 from manifests.errors import InputError, closest
 from manifests.materials import Material, load_catalogue
 from manifests.schema import Record
+from manifests.wording import number_of
 
 VALIDATION_SHAPES = 25  # one of this many training shapes is for validation instead
 VALIDATION_MATERIALS = 8  # at most, and one of LEAST_FOR_VALIDATION training materials
@@ -204,8 +205,8 @@ def _rendered_splits(
         remedy = "render some: python -m factory render JOB, or take another number of regions"
         raise InputError(
             folder,
-            f"pictures of {data.regions} material{'s' * (data.regions > 1)}",
-            f"none in {len(records)} records",
+            f"pictures of {number_of(data.regions, 'material')}",
+            f"none in {number_of(len(records), 'record')}",
             remedy,
         )
     good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)

@@ -14,6 +14,7 @@ import numpy as np
 from learn.data import lights, photographs
 from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError, closest
+from manifests.wording import number_of
 from shaders import envmap
 
 COMPUTED = "computed:"
@@ -57,7 +58,7 @@ def _of_collection(text: str) -> np.ndarray:
     if not name and len(maps) == 1:
         return next(iter(maps.values()))
     if name not in maps:
-        result = f"'{name}'" if name else f"no name, and {len(maps)} maps"
+        result = f"'{name}'" if name else f"no name, and {number_of(len(maps), 'map')}"
         raise InputError(f"--light {text}", "a map's name after '#'", result, closest(name, maps))
     return maps[name]
 

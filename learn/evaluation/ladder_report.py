@@ -21,6 +21,7 @@ from learn.evaluation.page import text_of
 from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
 from learn.metrics import bootstrap
 from manifests import files
+from manifests.wording import number_of
 
 TITLE = "The ladder: from direct light to a photograph"
 COLUMNS = (
@@ -294,12 +295,14 @@ def origin(about: Mapping) -> list[str]:
     made, job, measured = about["made"], about["job"], about["measured"]
     lines = [
         (
-            f"Side: {about['side']}. Measured: {measured['scenes']} scenes of"
-            f" {measured['shapes']} shapes in {measured['targets']} target materials under"
-            f" {measured['lights']} lights. The design has {about['designed']} scenes beside those"
+            f"Side: {about['side']}. Measured: {number_of(measured['scenes'], 'scene')} of"
+            f" {number_of(measured['shapes'], 'shape')} in"
+            f" {number_of(measured['targets'], 'target material')} under"
+            f" {number_of(measured['lights'], 'light')}. The design has"
+            f" {number_of(about['designed'], 'scene')} beside those"
             f" of outside meshes: shapes {', '.join(job['shapes'])}; materials"
             f" {', '.join(job['materials'])}; lights {', '.join(job['lights'])};"
-            f" {job['samples']} samples."
+            f" {number_of(job['samples'], 'sample')}."
         ),
         (
             "Brackets: 95 % intervals; whole shapes, target materials and lights are drawn with"

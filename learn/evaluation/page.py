@@ -9,6 +9,7 @@ from learn.evaluation.gallery import FULL
 from learn.evaluation.methods import GIVEN_TRUTH
 from learn.evaluation.table import Cell, Column, Table, TableRow
 from learn.figures.html import bullets, encoded_picture, image, page, paragraph
+from manifests.wording import number_of
 
 TITLE = "Edits, their truth, and their parts"
 STYLE = """
@@ -76,7 +77,8 @@ def origin(about: Mapping) -> list[str]:
     made = about["made"]
     lines = [
         (
-            f"{about['edits']} edits of {about['pictures']} pictures, drawn with seed"
+            f"{number_of(about['edits'], 'edit')} of"
+            f" {number_of(about['pictures'], 'picture')}, drawn with seed"
             f" {about['asked']['seed']} from {about['data']} ({'; '.join(about['tiers'])}). An"
             " edit's truth is the picture of the same shape, view and light in the target"
             " material."

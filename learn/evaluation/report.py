@@ -17,6 +17,7 @@ from manifests import files
 from manifests.provenance import provenance
 from manifests.schema import Record
 from manifests.store import file_hash
+from manifests.wording import number_of
 
 if TYPE_CHECKING:
     from learn.evaluation.run import Options
@@ -61,11 +62,15 @@ def about(
             for key, value in asked.items()
         },
         "data": (
-            f"{len(used)} pictures, {len({r.shape for r in used})} shapes,"
-            f" {len({r.light for r in used})} lights; {held_out}"
+            f"{number_of(len(used), 'picture')},"
+            f" {number_of(len({r.shape for r in used}), 'shape')},"
+            f" {number_of(len({r.light for r in used}), 'light')}; {held_out}"
         ),
         "tiers": sorted(
-            {f"{r.tier}, light {r.light_resolution}, {r.samples} samples" for r in used}
+            {
+                f"{r.tier}, light {r.light_resolution}, {number_of(r.samples, 'sample')}"
+                for r in used
+            }
         ),
         "jobs": msgspec.to_builtins([order.job for order in records.dataset.orders]),
         "weights": file_hash(options.weights)[:12],
@@ -184,4 +189,6 @@ def _judged(results: Mapping[str, Table], mine: str) -> str:
 
 def line(report: Mapping) -> str:
     """Return one line for the terminal."""
-    return report["headline"][0] if report["headline"] else f"{report['about']['edits']} edits"
+    return (
+        report["headline"][0] if report["headline"] else number_of(report["about"]["edits"], "edit")
+    )

@@ -35,6 +35,7 @@ from manifests.line_files import Lines, encoded
 from manifests.progress import tqdm
 from manifests.schema import Record
 from manifests.store import file_hash
+from manifests.wording import number_of
 
 # counts up when lines gain figures, so that no table mixes lines with and without them
 FIGURES = 2
@@ -89,7 +90,7 @@ def make(options: Options) -> dict:
     records = Records(options.data)
     used = [record for record in records.records if record.split == "test"] or records.records
     if len(used) < len(records) and not pairs.edits_between(used):
-        result = f"none among its {len(used)} of {len(records)} pictures"
+        result = f"none among its {len(used)} of {number_of(len(records), 'picture')}"
         remedy = (
             "render the test side's shapes, views and lights in two of its materials or more, or a"
             " dataset without a test side"

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from statistics import fmean
 
 from manifests.schema import Estimator, Record
+from manifests.wording import number_of
 
 # {estimator: (what it is, its bias)}; factory.render.estimators has a card for each
 ESTIMATORS: dict[Estimator, tuple[str, str]] = {
@@ -111,6 +112,6 @@ def limits(errors: Errors) -> Iterator[str]:
     )
     if left := errors.pictures - errors.limited:
         yield (
-            f"Noise of path tracing is in the {left} pictures without a limit on their error:"
-            f" {SAMPLES}"
+            f"Noise of path tracing is in {number_of(left, 'picture')} without a limit on the"
+            f" error: {SAMPLES}"
         )

@@ -17,6 +17,7 @@ from manifests.splits import split_of
 from manifests.store import geometry_path, image_path
 from manifests.verification.faults import Fault, Line
 from manifests.viewpoints import azimuths_deg
+from manifests.wording import number_of
 
 MOST_GROUPS = 20_000  # combinations whose hashes are remembered; one's records are neighbours
 
@@ -298,7 +299,7 @@ class Judge:
         if self._unfit and not self._fit and self._render not in self.dataset.settings:
             yield Fault(
                 "dataset.json: expected settings of the render version that made its pictures,"
-                f" found none that gives the ids of its {len(self._unfit)} lines,"
+                f" found none that gives the ids of its {number_of(len(self._unfit), 'line')},"
                 f" {self._unfit[0][0].record} first"
             )
         else:

@@ -149,7 +149,7 @@ def test_workers_too_find_the_right_packages_there(tmp_path, root):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert "1 pictures made" in done.stdout
+    assert "1 picture made" in done.stdout
 
 
 def test_the_entry_point_is_the_packages_main(root):

@@ -84,7 +84,7 @@ def test_not_finite(tmp_path):
     for word in ("nan", "inf", "-inf", "1e999"):
         refused(
             written(tmp_path / "a.obj", TRIANGLE.replace("v 1 0 0", f"v {word} 0 0")),
-            "expected finite coordinates, found 1 vertices",
+            "expected finite coordinates, found 1 vertex",
             "number 2",
         )
 
@@ -92,7 +92,7 @@ def test_not_finite(tmp_path):
 def test_no_area(tmp_path):
     refused(
         written(tmp_path / "line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
-        "expected a mesh with a surface, found 1 triangles of no area",
+        "expected a mesh with a surface, found 1 triangle of no area",
     )
     refused(
         written(tmp_path / "point.obj", "v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n"),
@@ -188,7 +188,7 @@ def test_ten_million_triangles_are_refused_before_memory_is_taken(tmp_path):
 
 def test_the_bound_can_be_raised_and_lowered(tmp_path):
     path = written(tmp_path / "two.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 .2\nf 1 2 3 4\n")
-    refused(path, "expected at most 1 triangles, found 2", maximum_triangles=1)
+    refused(path, "expected at most 1 triangle, found 2", maximum_triangles=1)
     assert open_mesh(path, maximum_triangles=2).report.triangles == 2
 
 

@@ -427,7 +427,7 @@ def test_sets_and_names_of_materials_can_be_mixed(small_job, catalogue):
 
 def test_a_plan_says_what_it_means(plan_of, small_job):
     text = "\n".join(described(plan_of(small_job)))
-    assert "12 pictures of 16×16, 1 samples, orthographic" in text
+    assert "12 pictures of 16×16, 1 sample, orthographic" in text
     assert "materials  3: 1 test, 2 train" in text
     assert re.search(r"split +.*(train|mixed)", text)
 

@@ -38,11 +38,11 @@ def test_list_reports_each_mesh_of_a_folder_its_twins_and_what_is_refused(kettle
     (kettle.parent / "broken.obj").write_text("v 0 0 nan\n" + TETRAHEDRON.split("\n", 1)[1])
     assert shapes("list", kettle.parent) == 1
     said = capsys.readouterr().out
-    assert "4 triangles, 1 components, watertight" in said and "the same as kettle" in said
+    assert "4 triangles, 1 component, watertight" in said and "the same as kettle" in said
     assert (
         "broken: " in said
         and "finite coordinates" in said
-        and "3 meshes, 1 refused, 1 duplicates" in said
+        and "3 meshes, 1 refused, 1 duplicate" in said
     )
 
 

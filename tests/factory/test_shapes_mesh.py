@@ -162,7 +162,7 @@ def test_edges_of_more_than_two_faces_are_counted():
 
 def test_points_of_no_area_are_refused():
     with pytest.raises(
-        InputError, match="expected a mesh with a surface, found 1 triangles of no area"
+        InputError, match="expected a mesh with a surface, found 1 triangle of no area"
     ):
         finish("line", "x", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
 

@@ -296,7 +296,7 @@ def test_a_run_and_its_continuation(options, monkeypatch):
     assert cells["edit_l2_three_factors_mean"] == direct["predicted"]["edit_l2_three_factors"]
     assert "refined_alignment" not in report["tables"]
     text = (options.out / "report.md").read_text()
-    assert "the layer itself can compute" in text and "![" in text and "1 lights" in text
+    assert "the layer itself can compute" in text and "![" in text and "1 light." in text
     assert (options.out / "chart.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((options.out / "report.json").read_text())["about"]["designed"] == 1
 

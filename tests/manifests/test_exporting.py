@@ -371,7 +371,7 @@ def test_views_beside_pictures_are_left_out_and_counted(whole, tmp_path, capsys)
     assert run([*words, str(tmp_path / "after")]) == 0
     said = capsys.readouterr()
     assert "8 samples" in said.out
-    assert "4 views without pictures are left out, because there are pictures" in said.err
+    assert "left out 4 views without pictures, because there are pictures" in said.err
 
 
 def test_a_half_made_export_continues_to_the_same_bytes(whole, form, tmp_path, monkeypatch):
