@@ -66,8 +66,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         metavar="DIR",
         help=(
-            "the data set's folder, which is made if it does not exist and added to if it does; or"
-            " the URL of a folder on an object store, such as s3://bucket/mine (extra stores)"
+            "the data set's folder, which is made if it does not exist and added to if it does."
+            " Other files in it stay; files of something else that a data set would overwrite are"
+            " refused. Or the URL of a folder on an object store, such as s3://bucket/mine (extra stores)"
         ),
     )
     job_options.add(parser)

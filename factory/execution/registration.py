@@ -16,7 +16,57 @@ from manifests.light_files import encode_light, read_light
 from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
 from manifests.schema import Dataset, Job, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
-from manifests.store import Store, light_path, readable_hash
+from manifests.store import LINES, Store, light_path, readable_hash
+from manifests.wording import number_of
+
+TITLE = "The materials of this dataset"
+# what a data set's folder holds besides
+OWN = (*LINES, "images", "geometry", "lights", "shape-facts", "partial", "materials.json")
+
+
+def require_no_strangers(store: Store) -> str | None:
+    """Refuse a folder in which the names of a data set belong to files of something else.
+
+    A run takes away unfinished drafts and lines, and writes materials.json, so that such files
+    would be lost.
+
+    Returns a line about other files beside a new data set, None if there are none
+    Raises  InputError; nothing was written before
+    """
+    if (store.folder / "dataset.json").exists():
+        store.dataset()  # raises for one of another program
+        return None
+    try:
+        names = sorted(path.name for path in store.folder.iterdir())
+    except OSError:  # there is none yet, or making it will say what is wrong
+        return None
+    kept = [path for kind in LINES for path in store.record_files(kind)]
+    drafts = store.folder / "partial"
+    kept += sorted(drafts.iterdir()) if drafts.is_dir() else []
+    foreign = [path for path in kept if not path.name.startswith(("worker-", "main-"))]
+    materials = store.folder / "materials.json"
+    if materials.exists() and not kept and not _is_ours(materials):
+        foreign.append(materials)
+    if foreign:
+        raise InputError(
+            store.folder,
+            "a data set, a new folder, or one without such a file",
+            f"{foreign[0].relative_to(store.folder)} of something else",
+            "give another --out: it would be overwritten here",
+        )
+    others = [name for name in names if name not in OWN and not name.startswith((".", "failures"))]
+    if not others:
+        return None
+    more = f" and {number_of(len(others) - 1, 'other')}" if len(others) > 1 else ""
+    return f"{store.folder}: {others[0]}{more} in this folder will stay as they are"
+
+
+def _is_ours(materials: Path) -> bool:
+    """Return whether materials.json is a data set's."""
+    try:
+        return read_catalogue(materials).title == TITLE
+    except (InputError, OSError):
+        return False
 
 
 def register(store: Store, plan: Plan, shots: int) -> None:
@@ -208,7 +258,7 @@ def _write_materials(
         if entries == held:
             return
     catalogue = Catalogue(
-        title="The materials of this dataset",
+        title=TITLE,
         credit="each entry names its source and licence",
         materials=tuple(entries.values()),
     )

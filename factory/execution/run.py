@@ -23,7 +23,7 @@ from factory.execution.parts import (
     shares,
 )
 from factory.execution.pool import Pool
-from factory.execution.registration import note_settings
+from factory.execution.registration import note_settings, require_no_strangers
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
 from factory.planning.assets import Assets
@@ -123,6 +123,8 @@ def _carried_out(
     """
     # workers on other nodes are given absolute paths
     store = Store(folder if run_options.ray is None else Path(folder).absolute())
+    if (note := require_no_strangers(store)) is not None:
+        watch("note", note)
     prefix = "worker-" if run_options.ray is None else "worker-ray-"
     if run_options.shard is not None:
         prefix += f"{run_options.shard[0]}of{run_options.shard[1]}-"

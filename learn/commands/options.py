@@ -21,7 +21,9 @@ def add_data(parser: argparse.ArgumentParser, what: str = DATA) -> None:
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help=what)
 
 
-def add_out(parser: argparse.ArgumentParser, what: str = "folder for the results") -> None:
+def add_out(
+    parser: argparse.ArgumentParser, what: str = "folder for the results; other files in it stay"
+) -> None:
     """Add --out DIR, the folder that the command writes into."""
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help=what)
 
@@ -32,8 +34,9 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
         "--overwrite",
         action="store_true",
         help=(
-            "replace earlier results in the folder; results of an earlier run that this one does"
-            " not make are removed, unless they were changed since"
+            "replace earlier results in the folder, that is, every file that has the name of one;"
+            " results of an earlier run that this one does not make are removed, unless they were"
+            " changed since"
         ),
     )
 

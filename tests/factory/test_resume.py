@@ -51,6 +51,34 @@ def test_a_folder_whose_name_is_no_text_is_refused_before_a_worker_starts(
         render(small_job, tmp_path / "out\udcff")
 
 
+@pytest.mark.parametrize(
+    "name", ["materials.json", "partial/thesis.txt", "records/mine.jsonl", "dataset.json"]
+)
+def test_files_of_something_else_are_not_overwritten(name, render, small_job, tmp_path):
+    mine = tmp_path / "project" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine, without a line break at its end")
+    with pytest.raises(InputError, match=r"project.*give another --out|dataset\.json"):
+        render(small_job, tmp_path / "project")
+    assert mine.read_text() == "mine, without a line break at its end"
+    assert [path for path in (tmp_path / "project").rglob("*") if path.is_file()] == [mine]
+
+
+def test_other_files_of_a_folder_stay_and_one_line_says_so(render, small_job, tmp_path):
+    for name in ("notes.txt", "photograph.jpg"):
+        (tmp_path / name).write_text("mine")
+    notes = []
+
+    def watch(event, value):
+        if event == "note":
+            notes.append(value)
+
+    assert render(small_job, tmp_path, watch=watch).made == 12
+    assert render(small_job, tmp_path, watch=watch).made == 0
+    assert notes == [f"{tmp_path}: notes.txt and 1 other in this folder will stay as they are"]
+    assert {path.read_text() for path in tmp_path.glob("*.*g")} == {"mine"}
+
+
 def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(
     render, small_job, tmp_path
 ):

@@ -1,6 +1,7 @@
 """The figures of adaptive sampling before the denoiser, on pictures of known truth and noise."""
 
 import contextlib
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,6 +121,21 @@ def test_one_number_of_equal_samples_is_refused(monkeypatch, capsys, tmp_path):
     with pytest.raises(SystemExit):
         measured.main()
     assert "--equal: a gain is read between two numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("peer", [[], [{"family": "BlenderProc", "setting": "16 samples"}]])
+def test_charts_without_rows_of_the_other_programs_defaults_are_refused(
+    peer, monkeypatch, capsys, tmp_path
+):
+    rows = [{"scene": 0, "family": "denoised", "setting": "", **row} for row in EQUAL]
+    (tmp_path / "chart.json").write_text(json.dumps({"rows": rows + peer}))
+    words = ["x", "--charts", str(tmp_path / "chart.json"), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit):
+        measured.main()
+    said = capsys.readouterr().err
+    assert "chart.json has no rows of BlenderProc: make the chart with --blenderproc" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_charts_say_what_equal_samples_take_for_the_error_of_the_other_programs_defaults():
