@@ -68,7 +68,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help=(
             "the data set's folder, which is made if it does not exist and added to if it does."
             " Other files in it stay; files of something else that a data set would overwrite are"
-            " refused. Or the URL of a folder on an object store, such as s3://bucket/mine (extra stores)"
+            " refused. Or the URL of a folder on an object store, such as s3://bucket/mine (extra"
+            " stores)"
         ),
     )
     job_options.add(parser)

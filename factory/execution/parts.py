@@ -29,9 +29,11 @@ from factory.planning.job_shapes import (
 from factory.planning.plan import Plan, Shot, require_shots
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source
+from factory.shapes.mesh_import import has_own_materials
 from manifests import lock
 from manifests.schema import Job
 from manifests.store import Store
+from manifests.wording import number_of
 
 # A part of a job array that needed t seconds to register shapes, its wait for other parts included,
 # registers the next ones PAUSE * t seconds later, so that parts seldom wait for each other.
@@ -200,6 +202,16 @@ def _reserved(
         for shape in left_out
         if (note := duplicate_note(shape, *first.get(shape.hash, (shape.name, shape.role))))
     ]
+
+
+def note_on_materials(shapes: Sequence[Shape]) -> str | None:
+    """Return a line about shapes whose files have materials of their own, None without such."""
+    names = [shape.name for shape in shapes if has_own_materials(shape.report)]
+    if not names:
+        return None
+    others = f" and {number_of(len(names) - 1, 'other shape')}" if len(names) > 1 else ""
+    have = "has materials of its own" if len(names) == 1 else "have materials of their own"
+    return f"{names[0]}{others} {have}, which are not read; those of the job replace them"
 
 
 def _share_of(plan: Plan, shape: Shape, share: Share) -> tuple[int, Iterator[Shot]]:

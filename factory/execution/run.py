@@ -18,6 +18,7 @@ from factory.execution.parts import (
     Part,
     Watch,
     is_by_shapes,
+    note_on_materials,
     parts_by_shapes,
     parts_by_shots,
     shares,
@@ -182,13 +183,20 @@ def _made(
     sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
 
+    is_noted = False
+
     def missing() -> Iterator[Shot | None]:
+        nonlocal is_noted
         given = 0
         for part in parts:
             if part is None:
                 yield None
                 continue
             sources.update(shape_sources(part.shapes))
+            note = None if is_noted else note_on_materials(part.shapes)
+            if note is not None:
+                is_noted = True
+                watch("note", note)
             for shot in part.shots:
                 if shot.id in done:
                     counts["already_there"] += 1

@@ -65,7 +65,12 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
             vertices.append(_moved(points, world_from_node))
             faces.append(triangles + start)
             start += len(points)
-    return Raw(np.concatenate(vertices), np.concatenate(faces), notes=meshes.notes())
+    return Raw(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        notes=meshes.notes(),
+        own_materials=len(document.materials),
+    )
 
 
 def _moved(points, world_from_node):

@@ -110,6 +110,7 @@ class Document(Struct):
     nodes: list[Node] = field(default_factory=list)
     meshes: list[Mesh] = field(default_factory=list)
     accessors: list[Accessor] = field(default_factory=list)
+    materials: list[Any] = field(default_factory=list)
     bufferViews: list[View] = field(default_factory=list)
     buffers: list[Buffer] = field(default_factory=list)
     extensionsRequired: list[str] = field(default_factory=list)

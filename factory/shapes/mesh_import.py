@@ -15,8 +15,9 @@ from factory.shapes.creases import CREASE_DEG
 from factory.shapes.files import check_format, from_bytes, read
 from factory.shapes.libraries import category_of, member
 from factory.shapes.mesh import Mesh, finish
-from factory.shapes.raw import MAXIMUM_TRIANGLES
+from factory.shapes.raw import MAXIMUM_TRIANGLES, Raw
 from manifests.errors import InputError, closest
+from manifests.wording import number_of
 
 AXES = {
     sign + axis: (1.0 if sign == "+" else -1.0) * np.eye(3)[k]
@@ -26,6 +27,7 @@ AXES = {
 # these come y up, front +z; the others as our world: z up, front +x
 Y_UP = (".obj", ".glb", ".sh3f")
 OPTIONS = ("up", "front", "segments", "crease", "category")
+OWN_MATERIALS = "of the file not read"
 OWN_SEGMENT = "segment-"  # material names that `shapes add` writes: they always become segments
 
 
@@ -80,8 +82,20 @@ def open_mesh(
         part=part,
         crease_deg=crease_deg,
         back_faces=inner_share,
-        cleaned=(*raw.notes, *cleaned, *turned),
+        cleaned=(*raw.notes, *_note_on_materials(raw), *cleaned, *turned),
     )
+
+
+def has_own_materials(report: str) -> bool:
+    """Return whether the line of a mesh's report says that its file has materials of its own."""
+    return OWN_MATERIALS in report
+
+
+def _note_on_materials(raw: Raw) -> tuple[str, ...]:
+    """Return a note on materials of the file. Those of `shapes add` are names of segments."""
+    names = [name for name in raw.materials if name and not name.startswith(OWN_SEGMENT)]
+    count = raw.own_materials or len(names)
+    return (f"{number_of(count, 'material')} {OWN_MATERIALS}",) if count else ()
 
 
 def split_place(place: str | Path) -> tuple[str, str | None, dict[str, str]]:

@@ -37,13 +37,17 @@ NOTHING = "check that the file holds a surface, not points or curves"
 
 @dataclass(frozen=True)
 class Raw:
-    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes the OBJ's materials."""
+    """vertices (V, 3) and faces (F, 3) of a file; material (F,) indexes the OBJ's materials.
+
+    own_materials  number of materials of a file in which they are not read, not even their names
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
     materials: tuple[str, ...] = ()
     material: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    own_materials: int = 0
 
 
 def require_count(count: int, maximum: int, where: str | Path, size: int = 0) -> None:

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from factory.commands.render import outcome_line
@@ -21,6 +22,7 @@ from manifests import lock
 from manifests.errors import InputError
 from manifests.store import Store
 from manifests.verification import faults_of
+from tests.support.mesh_files import Glb, obj_text
 from tests.support.tetrahedron import FAKE, ROOT
 
 SLOW = {"FAKE_STUDIO": "slow", "PYTHONPATH": str(ROOT)}
@@ -77,6 +79,43 @@ def test_other_files_of_a_folder_stay_and_one_line_says_so(render, small_job, tm
     assert render(small_job, tmp_path, watch=watch).made == 0
     assert notes == [f"{tmp_path}: notes.txt and 1 other in this folder will stay as they are"]
     assert {path.read_text() for path in tmp_path.glob("*.*g")} == {"mine"}
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb"])
+def test_a_line_says_once_that_the_materials_of_files_are_replaced(
+    kind, render, stream, small_job, tmp_path
+):
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    for number in (1, 2):
+        corners = np.float32([[0, 0, 0], [number, 0, 0], [0, 1, 0], [0, 0, 1]])
+        if kind == "obj":
+            data = f"mtllib oak.mtl\nusemtl oak\n{obj_text(corners, faces)}".encode()
+        else:
+            made = Glb()
+            places, indices = made.accessor(corners), made.accessor(np.uint16(faces).ravel())
+            made.node(mesh=made.mesh({"attributes": {"POSITION": places}, "indices": indices}))
+            data = made.bytes(materials=[{"name": "oak"}, {}])
+        (tmp_path / f"{number}.{kind}").write_bytes(data)
+    shapes = tuple(str(tmp_path / f"{number}.{kind}") for number in (1, 2))
+    job = msgspec.structs.replace(small_job, shapes=shapes)
+    for run in (render, stream):
+        notes = []
+
+        def watch(event, value, notes=notes):
+            if event == "note":
+                notes.append(value)
+
+        run(job, tmp_path / run.__qualname__.split(".")[0], watch=watch)
+        assert len(notes) == 1
+        assert re.fullmatch(
+            "[12]( and 1 other shape)? ha(s|ve) materials of (its|their) own, which are not read;"
+            " those of the job replace them",
+            notes[0],
+        )
+    notes.clear()
+    plain = msgspec.structs.replace(small_job, shapes=("cube",))
+    render(plain, tmp_path / "plain", watch=watch)
+    assert notes == []
 
 
 def test_a_second_run_makes_nothing_and_a_larger_job_adds_only_what_is_new(
