@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from manifests.errors import InputError, closest, missing_package, printable
+from manifests.errors import InputError, closest, missing_package, of_system, printable
 from manifests.notices import line_of, set_program
 
 OUTPUT = "standard output"
@@ -110,7 +110,7 @@ def main(
         if isinstance(error, BrokenPipeError) and (error.filename == OUTPUT or _reader_has_gone()):
             _drop_output()
             return READER_GONE  # `| head` has read enough: nothing to report
-        return _failed(error, debug)
+        return _failed(error, debug, of_system(error))
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise
@@ -200,8 +200,10 @@ def _reader_has_gone() -> bool:
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _failed(error: Exception, debug: bool) -> int:
+def _failed(error: Exception, debug: bool, shown: Exception | None = None) -> int:
     """Print an error as one line, with `debug` after the whole trace; return the exit status 1.
+
+    shown   what the line says, if not the error's own text
 
     The frames that the error passed through are cleared first. This closes their progress bars, so
     that the line is printed below them.
@@ -209,5 +211,5 @@ def _failed(error: Exception, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
     traceback.clear_frames(error.__traceback__)
-    print(line_of(error), file=sys.stderr)
+    print(line_of(shown or error), file=sys.stderr)
     return 1

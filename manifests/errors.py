@@ -1,6 +1,7 @@
 """Errors in what a user gave, as one line: where, what was expected, what was found, the remedy."""
 
 import difflib
+import errno
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -22,6 +23,19 @@ EXTRAS = {
     "fsspec": "stores",
     "obstore": "stores",
     "paramiko": "sftp",
+}
+
+
+# errors of the system about a path: what is expected there, what is found (None: the system's own
+# words), and the remedy
+SYSTEM = {
+    errno.EEXIST: ("a folder, or a name for a new one", "a file", "give another name"),
+    errno.ENOTDIR: ("a folder on the way to it", "a file", "check the path"),
+    errno.EISDIR: ("a file", "a folder", "name a file in it"),
+    errno.ENOENT: ("a file or folder of this name", "none", "check the path"),
+    errno.EACCES: ("a place that may be used", None, "change its permissions, or name another"),
+    errno.EPERM: ("a place that may be used", None, "change its permissions, or name another"),
+    errno.EROFS: ("a place that can be written", None, "name another"),
 }
 
 
@@ -53,6 +67,15 @@ def _shown(where: object) -> str:
         return text
     text = re.sub(r"^file:/(?=[^/])", "file:///", text)
     return re.sub(r"^(\w[\w+.-]+):/(?=[^/])", r"\1://", text)
+
+
+def of_system(error: OSError) -> InputError | None:
+    """Return an error of the system about a path as an InputError; None for others."""
+    if error.filename is None or error.errno not in SYSTEM:
+        return None
+    expected, found, remedy = SYSTEM[error.errno]
+    where = f"{error.filename!r}"[1:-1]  # bytes or text
+    return InputError(where, expected, found or str(error.strerror), remedy)
 
 
 def missing_package(error: ModuleNotFoundError) -> InputError | None:

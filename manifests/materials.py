@@ -242,7 +242,8 @@ def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
     """
     materials = {}
     for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
-        materials.update(_loaded(path, path.stat().st_mtime_ns))
+        stamp = path.stat().st_mtime_ns if path.exists() else 0  # a missing one is refused there
+        materials.update(_loaded(path, stamp))
     return materials
 
 

@@ -138,6 +138,7 @@ def run_make(options: argparse.Namespace) -> None:
         f"interior-{seed}": seed for seed in range(options.first, options.first + options.count)
     }
     known = library.read_list(options.library)
+    options.library.mkdir(parents=True, exist_ok=True)  # before the maps are rendered
     missing = {name: seed for name, seed in names.items() if name not in known}
     # in processes of their own: Blender's memory and its exit stay away from this one
     total = 0.0

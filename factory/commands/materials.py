@@ -211,7 +211,7 @@ def run_preview(options: argparse.Namespace) -> None:
     from factory.lights import load
     from factory.materials.preview import contact_sheet
     from manifests.errors import InputError
-    from manifests.files import write_image
+    from manifests.files import require_place_for_file, write_image
     from manifests.materials import find, load_catalogue
     from manifests.progress import tqdm
 
@@ -222,6 +222,7 @@ def run_preview(options: argparse.Namespace) -> None:
             f"{options.size}, {options.columns}",
             "96 pixels and 13 columns suit most",
         )
+    require_place_for_file(options.out)  # before the spheres are shaded
     materials = load_catalogue(*(options.catalogue or ()))
     chosen = [find(name, materials) for name in options.materials] or sorted(
         materials.values(), key=lambda m: (m.family, m.name)

@@ -140,11 +140,52 @@ def test_what_is_wrong_stands_on_a_line_of_its_own_below_the_progress_bar(fail, 
 
 def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
     assert fail(OSError(2, "No such file or directory", "a\nb")).endswith(
-        "\nfactory: [Errno 2] No such file or directory: 'a\\nb'\n"
+        "\nfactory: a\\nb: expected a file or folder of this name, found none (check the path)\n"
     )
     assert fail(InputError("a\nb", "x", "y", "z")).endswith(
         "\nfactory: a\\nb: expected x, found y (z)\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (
+            FileExistsError(17, "File exists", "out"),
+            "out: expected a folder, or a name for a new one, found a file (give another name)",
+        ),
+        (
+            PermissionError(13, "Permission denied", b"out"),
+            "out: expected a place that may be used, found Permission denied (change its"
+            " permissions, or name another)",
+        ),
+        (OSError(30, "Read-only file system", "out"), "a place that can be written, found Read-on"),
+        (OSError(5, "Input/output error", "out"), "[Errno 5] Input/output error: 'out'"),
+        (OSError(2, "No such file or directory"), "[Errno 2] No such file or directory"),
+    ],
+)
+def test_errors_of_the_system_say_what_was_expected_and_what_helps(fail, error, says):
+    assert says in fail(error).splitlines()[-1]
+
+
+def test_what_takes_long_is_not_begun_for_a_place_that_cannot_be_written(
+    tmp_path, capsys, monkeypatch
+):
+    for place in (
+        "manifests.subprocesses.results_of",
+        "factory.materials.preview.contact_sheet",
+    ):
+        monkeypatch.setattr(place, lambda *values, **options: pytest.fail("it begins"))
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for words, says in (
+        (["lights", "make", "--library", str(tmp_path / "file"), "--count", "1"], "found a file"),
+        (["materials", "preview", "--out", str(tmp_path / "folder")], "found a folder"),
+        (["materials", "list", "--catalogue", str(tmp_path / "no.json")], "found no such file"),
+    ):
+        assert cli.main("factory", "", (words[0],), words) == 1
+        said = capsys.readouterr().err
+        assert said.startswith("factory: ") and says in said
 
 
 @pytest.mark.parametrize(
