@@ -73,9 +73,9 @@ def of_system(error: OSError) -> InputError | None:
     """Return an error of the system about a path as an InputError; None for others."""
     if error.filename is None or error.errno not in SYSTEM:
         return None
-    expected, found, remedy = SYSTEM[error.errno]
+    expected, result, remedy = SYSTEM[error.errno]
     where = f"{error.filename!r}"[1:-1]  # bytes or text
-    return InputError(where, expected, found or str(error.strerror), remedy)
+    return InputError(where, expected, result or str(error.strerror), remedy)
 
 
 def missing_package(error: ModuleNotFoundError) -> InputError | None:

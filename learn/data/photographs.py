@@ -229,6 +229,13 @@ def _display_values(picture):
     return np.asarray(picture if picture.mode.startswith("I") else picture.convert("RGBA"))
 
 
+def _is_heic(path: str | Path) -> bool:
+    """Return whether a file is a picture as telephones take it, by its first bytes."""
+    with open(path, "rb") as file:
+        head = file.read(12)
+    return head[4:8] == b"ftyp" and head[8:] in (b"heic", b"heix", b"mif1", b"msf1", b"hevc")
+
+
 def _decoded(path, values_of, most_pixels=None):
     """What `values_of` takes from the Pillow image of a file, which is whole and upright. Raises
     InputError.
@@ -248,7 +255,8 @@ def _decoded(path, values_of, most_pixels=None):
             f"a picture in one of the formats {FORMATS_TEXT}",
             "save it as PNG, JPEG or EXR",
         )
-        raise InputError(path, rule, "another format, or a damaged file", remedy) from None
+        result = "HEIC" if _is_heic(path) else "another format, or a damaged file"
+        raise InputError(path, rule, result, remedy) from None
     except (OSError, *DAMAGED) as error:
         result = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
         raise InputError(

@@ -249,6 +249,14 @@ def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, 
     assert not ghostscript.exists()
 
 
+def test_a_picture_of_a_telephone_is_named(tmp_path):
+    """Without pillow-heif no HEIC file is read; the line names the format and what to save."""
+    path = tmp_path / "IMG_0001.HEIC"
+    path.write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
+    with pytest.raises(InputError, match=r"found HEIC \(save it as PNG, JPEG or EXR\)"):
+        photographs.read_pixels(path)
+
+
 @pytest.mark.parametrize("format_", ["ICO", "ICNS", "PCX", "PPM", "TGA", "DDS", "JPEG2000", "PDF"])
 def test_formats_that_are_not_on_the_list_are_refused_with_the_list(
     tmp_path, ball, mask_file, format_
