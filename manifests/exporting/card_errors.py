@@ -111,7 +111,8 @@ def limits(errors: Errors) -> Iterator[str]:
         " of the pictures."
     )
     if left := errors.pictures - errors.limited:
+        whose = "its" if left == 1 else "their"
         yield (
-            f"Noise of path tracing is in {number_of(left, 'picture')} without a limit on the"
-            f" error: {SAMPLES}"
+            f"Noise of path tracing is in the {number_of(left, 'picture')} without a limit on"
+            f" {whose} error: {SAMPLES}"
         )
