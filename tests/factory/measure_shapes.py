@@ -60,12 +60,12 @@ def main():
     heads = (
         "family",
         "seeds",
-        "hashes",
+        "different hashes",
         "watertight",
-        "triangles min / median / max",
-        "seconds mean / max",
-        "largest overlap",
-        "median of nearest",
+        "triangles: least / median / most",
+        "seconds: mean / most",
+        "overlap of the two most similar",
+        "overlap with the most similar, median",
     )
     print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
     for family in FAMILIES:
