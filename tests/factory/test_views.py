@@ -63,7 +63,7 @@ def test_materials_and_lights_come_along_with_their_sides(render, views_job, tmp
         "metal": "test",
         "grey": "train",
     }
-    # a fifth of all hashes, the least, are for testing: docs/conventions.md
+    # a fifth of all hashes, the least, are for testing: docs/dataset.md
     (light,) = dataset.lights.values()
     assert light.side == ("test" if int(light.hash, 16) < 0.2 * 2**256 else "train")
 
