@@ -92,7 +92,7 @@ def commands(root):
 def test_the_pages_with_python_blocks_are_those_whose_blocks_are_run(root):
     written = [
         page
-        for page in (*pages(root), "CHANGELOG.md", "docs/log.md")
+        for page in (*pages(root), "CHANGELOG.md", *log_pages(root))
         if blocks(root, page, "python")
     ]
     assert sorted(written) == sorted((*WITH_CODE, *RUN_ELSEWHERE))
@@ -194,7 +194,7 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
 
 def test_every_file_that_a_document_names_exists(root):
     missing = []
-    for document in (*pages(root), "CHANGELOG.md", "docs/log.md"):
+    for document in (*pages(root), "CHANGELOG.md", *log_pages(root)):
         text = re.sub(
             r"^```.*?^```", "", (root / document).read_text(encoding="utf-8"), flags=re.M | re.S
         )
@@ -221,6 +221,14 @@ def pages(root):
             for path in (root / "docs").glob("*.md")
             if path.name not in ("log.md", "conventions.md")
         ),
+    ]
+
+
+def log_pages(root):
+    """Names of the log's pages, which tell of the past."""
+    return [
+        "docs/log.md",
+        *sorted(f"docs/log/{path.name}" for path in (root / "docs/log").glob("*.md")),
     ]
 
 
