@@ -3,8 +3,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
@@ -16,6 +14,7 @@ from manifests.errors import InputError
 
 REGIONS_OFFERED = 4
 DONE = "Done."
+OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
 said => {
@@ -135,11 +134,9 @@ class ObjectTab:
         return str(path), text, gr.Button(interactive=bool(selection.labels().any()))
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
-        canvas = {
-            "background": session.opened().display,
-            "layers": [],
-            "composite": session.opened().display,
-        }
+        # the size at which it is shown: a browser would receive a large photograph for a minute
+        shown = session.reduced()
+        canvas = {"background": shown, "layers": [], "composite": shown}
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
         return (*self._marks_of(session, text), canvas, "", *others)
 
@@ -179,25 +176,20 @@ class ObjectTab:
     def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush, which say that they cover region `number`."""
         session = self.session_of(request)
-        selection = session.opened()
         layers = [] if drawn is None else drawn.get("layers") or []
-        covered = np.zeros(selection.size, bool)
-        for layer in layers:
-            if layer.shape[:2] != covered.shape:
-                selection.paint(np.zeros(layer.shape[:2], bool), int(number))
-            covered |= layer[..., 3] > 127
-        if not covered.any():
+        if not any((layer[..., 3] > OPAQUE).any() for layer in layers):
             rule = ("the brush", "strokes over the object", "none", "paint on the picture")
             raise InputError(*rule)
-        selection.paint(covered, int(number))
+        session.paint([layer[..., 3] > OPAQUE for layer in layers], int(number))
         return self._marks_of(session, covered_text(session))
 
     @one_line
     def take_back(self, request: gr.Request) -> tuple[Any, ...]:
         """Take back the last click or strokes."""
         session = self.session_of(request)
-        session.opened().undo()
-        return self._marks_of(session, covered_text(session))
+        undone = session.opened().undo()
+        text = covered_text(session)
+        return self._marks_of(session, text if undone else f"Nothing is left to undo. {text}")
 
     @one_line
     def take_back_all(self, request: gr.Request) -> tuple[Any, ...]:

@@ -24,14 +24,19 @@ REGION_COLORS = np.array(
 DISC, RIM = 5, 8  # radii in pixels of a click: in its region's colour, and with the white rim
 
 
+def size_of(selection: Selection, scale: float) -> tuple[int, int]:
+    """Return width and height of the photograph when it is scaled."""
+    height, width = (max(1, round(scale * side)) for side in selection.size)
+    return width, height
+
+
 def draw(selection: Selection, scale: float) -> np.ndarray:
     """Return the photograph (h, w, 3) uint8, scaled, with its regions in colour."""
-    height, width = (max(1, round(scale * side)) for side in selection.size)
+    width, height = size_of(selection, scale)
     labels = np.asarray(
         Image.fromarray(selection.labels()).resize((width, height), Image.Resampling.NEAREST)
     )
-    display = Image.fromarray(selection.display).resize((width, height), Image.Resampling.BICUBIC)
-    shown = np.asarray(display, np.float64)
+    shown = selection.reduced((width, height)).astype(np.float64)
     colors = np.concatenate([np.zeros((1, 3)), REGION_COLORS])[labels]
     inside = (labels > 0)[..., None]
     shown = np.where(inside, 0.55 * shown + 0.45 * colors, 0.8 * shown)

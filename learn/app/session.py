@@ -8,12 +8,13 @@ import secrets
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from learn.app import background_decomposition, choices, overlay
 from learn.app.background_decomposition import Network, Progress, Stopped
@@ -29,7 +30,9 @@ from manifests.errors import InputError
 from shaders import tone
 
 MOST_BYTES = 64 << 20  # of a file that is sent to the page
-MOST_PIXELS = 24_000_000  # of a photograph: a user's session then takes up to 2 GB while it renders
+# of a photograph: cameras and telephones of 24 megapixels make up to 24.5 million. A user's session
+# then takes up to 2 GB while it renders
+MOST_PIXELS = 25_000_000
 SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
 NO_PHOTOGRAPH = ("the page", "a photograph", "none", "choose a file, or the example")
@@ -149,6 +152,23 @@ class Session:
     def click(self, column: float, row: float, region: int) -> None:
         """Add a click on the picture of `overlay`. Raises InputError."""
         self.opened().click(column / self.scale, row / self.scale, region)
+
+    def paint(self, strokes: Sequence[np.ndarray], region: int) -> None:
+        """Add strokes, each (h, w) bool, on the picture of `reduced`. Raises InputError."""
+        selection, size = self.opened(), self.reduced().shape[:2]
+        for covered in strokes:
+            if covered.shape != size:
+                rule = f"strokes of the picture's size {size[1]} × {size[0]}"
+                result = " × ".join(map(str, covered.shape[::-1]))
+                raise InputError("the brush", rule, result, "load the photograph again")
+        covered = np.logical_or.reduce(list(strokes))
+        rows, columns = selection.size
+        whole = Image.fromarray(covered).resize((columns, rows), Image.Resampling.NEAREST)
+        selection.paint(np.asarray(whole), region)
+
+    def reduced(self) -> np.ndarray:
+        """Return the photograph (h, w, 3) uint8, scaled."""
+        return self.opened().reduced(overlay.size_of(self.opened(), self.scale))
 
     def overlay(self) -> np.ndarray:
         """Return the photograph (h, w, 3) uint8, scaled, with its regions in colour."""

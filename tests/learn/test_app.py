@@ -70,7 +70,6 @@ def test_clicks_select_an_object_and_divide_it_into_regions() -> None:
     selection.click(80, 45, 0)
     selection.clicks.pop(1)
     assert overlap(selection.labels() > 0, disk() & ~disk(half=True)) > 0.9
-    selection.undo()
     selection.clear()
     assert not selection.labels().any()
 
@@ -105,6 +104,51 @@ def test_strokes_end_at_a_number_and_go_on_after_one_is_undone() -> None:
     assert len(selection.strokes) == MOST_STROKES
     selection.undo()
     selection.paint(covered, 1)
+
+
+def test_undo_takes_back_what_came_last_whether_click_or_strokes() -> None:
+    selection = Selection(scene())
+    covered = np.zeros((80, 120), bool)
+    covered[:10, :10] = True
+    selection.click(45, 40, 1)
+    selection.paint(covered, 1)
+    selection.click(75, 40, 2)
+    with_both = selection.labels()
+    assert selection.undo() and selection.labels().max() == 1
+    assert selection.undo() and not selection.labels()[:10, :10].any()
+    assert with_both[0, 0] == 1 and with_both.max() == 2  # an earlier result is not written into
+    assert selection.undo() and not selection.labels().any()
+    assert not selection.undo()
+
+
+def test_labels_are_made_once_for_the_same_marks() -> None:
+    """A click on a large photograph otherwise makes them three times, each in seconds."""
+    selection = Selection(scene())
+    selection.click(45, 40, 1)
+    labels = selection.labels()
+    assert selection.labels() is labels
+    selection.given = disk().astype(np.uint8)
+    assert selection.labels() is not labels
+    with pytest.raises(ValueError, match="read-only"):
+        labels[0, 0] = 1
+
+
+def test_strokes_on_the_picture_that_is_shown_cover_the_photograph(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    """The brush paints on a picture of another size than the photograph's."""
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    height, width = session.reduced().shape[:2]
+    assert (width, height) == (800, 533)
+    upper = np.zeros((height, width), bool)
+    upper[: height // 2, : width // 2] = True
+    session.paint([upper, ~upper & False], 1)
+    labels = session.opened().labels()
+    assert labels.shape == (80, 120)
+    assert labels[:40, :60].all() and not labels[41:].any() and not labels[:, 61:].any()
+    with pytest.raises(InputError, match="strokes of the picture's size 800 × 533"):
+        session.paint([np.ones((80, 120), bool)], 1)
 
 
 @pytest.mark.parametrize("place", [(-1, 0, 1), (120, 0, 1), (0, 80, 1), (0, 0, 9)])
@@ -521,7 +565,7 @@ def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_pat
     Image.new("L", (6000, 5000)).save(path)
     # pixels that are cut off would be noticed if they were decoded
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match="at most 24 megapixels"):
+    with pytest.raises(InputError, match="at most 25 megapixels"):
         sessions.of("one").load(path)
 
 
