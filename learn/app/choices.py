@@ -22,6 +22,7 @@ from shaders.dsbrdf import SIZE
 
 OWN_LIGHT = "the photograph's own"
 LARGEST_RECIPE = 1 << 20  # bytes of an edit.json
+MOST_STOPS = 3.0  # by which an edit is made brighter or darker; a stop is a factor of 2
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,15 @@ class LightChoice:
     rotation_deg: float = 0.0
     map: np.ndarray | None = None
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LightChoice) and (
+            (self.name, self.rotation_deg) == (other.name, other.rotation_deg)
+            and np.array_equal(self.map, other.map)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.rotation_deg))
+
     @property
     def columns(self) -> int:
         """By how many columns of a map it is turned."""
@@ -113,13 +123,26 @@ class LightChoice:
 class Edit:
     """All that a user chose.
 
-    regions          of each region, in order
-    hide_background  whether the result is the object alone, cut out
+    regions           of each region, in order
+    hide_background   whether the result is the object alone, cut out
+    brightness_stops  by which all that is rendered is made brighter, MOST_STOPS at most: how bright
+                      an edit is, the program can only guess
     """
 
     regions: tuple[Painted, ...]
     light: LightChoice = LightChoice()
     hide_background: bool = False
+    brightness_stops: float = 0.0
+
+    @property
+    def gain(self) -> np.float32:
+        """The factor of the radiance of all that is rendered."""
+        return np.float32(2.0**self.brightness_stops)
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether nothing is rendered, since all regions and the light stay as they are."""
+        return all(painted.unchanged for painted in self.regions) and self.light.unchanged
 
     def with_region(self, number: int, painted: Painted) -> "Edit":
         """Return the edit with another material of region `number`, 0 the first."""
@@ -129,15 +152,17 @@ class Edit:
 
     @property
     def caption(self) -> str:
-        """Materials and light in words, on one line."""
+        """Materials, light and brightness in words, on one line."""
         several = len(self.regions) > 1
         each = [
-            (f"region {k}: " if several else "") + painted.caption
+            (f"part {k}: " if several else "") + painted.caption
             for k, painted in enumerate(self.regions, 1)
         ]
         turned = f", turned by {self.light.rotation_deg:g}°" if self.light.columns else ""
         lit = "" if self.light.unchanged else f"; light: {self.light.name}{turned}"
-        return "; ".join(each) + lit
+        stops = self.brightness_stops
+        brightness = f"; brightness {stops:+g}".replace("-", "−") if stops else ""
+        return "; ".join(each) + lit + brightness
 
 
 def catalogue_material(name: str) -> Chosen:
@@ -223,7 +248,8 @@ def command_line(
         painted.second is None and (painted.first is None or painted.first.named)
         for painted in edit.regions
     )
-    if plain and edit.light.unchanged and not edit.hide_background:
+    plain = plain and edit.light.unchanged and not edit.brightness_stops
+    if plain and not edit.hide_background:
         texts = ["keep" if p.first is None else p.first.text for p in edit.regions]
         words += ["edit", photograph, *kept, "--material", "+".join(texts), "--out", "edited"]
     else:
@@ -233,6 +259,7 @@ def command_line(
 
 Numbers = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Stops = Annotated[float, msgspec.Meta(ge=-MOST_STOPS, le=MOST_STOPS)]
 
 
 class MaterialEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -265,6 +292,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotation_deg: float = 0.0
     map: str | None = None
     hide_background: bool = False
+    brightness_stops: Stops = 0.0
 
 
 def write(path: Path, edit: Edit) -> None:
@@ -286,6 +314,7 @@ def write(path: Path, edit: Edit) -> None:
         edit.light.rotation_deg,
         "light.exr" if own_map else None,
         edit.hide_background,
+        edit.brightness_stops,
     )
     files.write_json(path, msgspec.to_builtins(recipe))
 
@@ -318,4 +347,5 @@ def read(path: Path) -> Edit:
         tuple(Painted(chosen(r.first), chosen(r.second), r.share) for r in recipe.regions),
         light,
         recipe.hide_background,
+        recipe.brightness_stops,
     )

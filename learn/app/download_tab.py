@@ -5,7 +5,6 @@ from typing import Any
 
 from learn.app.event_handling import QUIET, SessionOf, one_line
 from learn.app.offline_gradio import gr
-from manifests.wording import number_of
 
 
 class DownloadTab:
@@ -14,28 +13,29 @@ class DownloadTab:
     outputs  files, command and a line about them; EMPTY: their values for another photograph
     """
 
-    EMPTY = (None, "", "")
+    EMPTY = (None, None, None, "", "")
 
     def __init__(self, session_of: SessionOf):
         self.session_of = session_of
         with gr.Tab("3  Download", id="download"):
             gr.Markdown(
-                "The edit at the photograph's size, rendered without shortcuts. This takes some"
-                " seconds."
+                "The picture, and all that you kept to compare, at the photograph's full size. This"
+                " takes some seconds for each."
             )
-            self.make = gr.Button("Make the files", variant="primary", elem_id="make")
+            self.make = gr.Button("Make the pictures", variant="primary", elem_id="make")
             made = gr.Markdown(elem_id="made")
-            downloads = gr.File(
-                label="Files", file_count="multiple", interactive=False, elem_id="downloads"
-            )
-            command = gr.Textbox(
-                label="The command that repeats it, in a folder with these files and the"
-                " photograph",
-                interactive=False,
-                buttons=["copy"],
-                elem_id="command",
-            )
-        self.outputs = [downloads, command, made]
+            pictures = files("Pictures", "pictures")
+            work = files("Your work: open it in step 1 to go on another day", "saved-work")
+            with gr.Accordion("For programs: linear radiance, materials, mask", open=False):
+                others = files("Files", "downloads")
+                command = gr.Textbox(
+                    label="The command that repeats the edit, in a folder with these files and the"
+                    " photograph",
+                    interactive=False,
+                    buttons=["copy"],
+                    elem_id="command",
+                )
+        self.outputs = [pictures, work, others, command, made]
 
     def connect(self) -> None:
         """Connect the button."""
@@ -46,10 +46,20 @@ class DownloadTab:
         """Write the files."""
         session = self.session_of(request)
         session.decomposed()
-        yield gr.skip(), gr.skip(), "Rendering at the photograph's size …"
-        paths, text = session.downloads()
+        nothing = (gr.skip(),) * (len(self.outputs) - 1)
+        yield (*nothing, "Rendering at the photograph's size …")
+        made = session.downloads()
+        count = len(made.pictures)
+        said = "The picture is ready." if count == 1 else f"{count} pictures are ready."
         yield (
-            [str(path) for path in paths],
-            text,
-            f"{number_of(len(paths), 'file')} {'is' if len(paths) == 1 else 'are'} ready.",
+            [str(path) for path in made.pictures],
+            str(made.work),
+            [str(path) for path in made.others],
+            made.command,
+            f"{said} Click on a size to download a file.",
         )
+
+
+def files(label: str, name: str) -> gr.File:
+    """Return a list of files to download; name: its element's id."""
+    return gr.File(label=label, file_count="multiple", interactive=False, elem_id=name)

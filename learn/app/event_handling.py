@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from learn.app.offline_gradio import gr
-from learn.app.session import Session
+from learn.app.session import THE_PAGE, Session
 from manifests.errors import InputError
 
 SessionOf = Callable[[gr.Request], Session]  # the session of the page that sent a request
@@ -22,11 +22,19 @@ def progress_on(component: gr.components.Component) -> dict[str, Any]:
     return {"api_visibility": "private", "show_progress_on": [component]}
 
 
+def for_people(error: InputError) -> str:
+    """Return an error as HTML: what to do, then the line that the command line prints."""
+    remedy = f"{error.remedy[:1].upper()}{error.remedy[1:]}.".replace("?.", "?")
+    if error.where == THE_PAGE:  # nothing that was sent is at fault
+        return html.escape(remedy)
+    return f"<b>{html.escape(remedy)}</b><br>{html.escape(str(error))}"
+
+
 def one_line(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Show an InputError as the line that the command line prints."""
+    """Show an InputError as `for_people` words it, in place of a trace."""
 
     def shown(error: InputError) -> gr.Error:
-        text = html.escape(str(error))
+        text = for_people(error)
         return gr.Error(text, duration=20, title="This did not work", print_exception=False)
 
     if inspect.isgeneratorfunction(function):

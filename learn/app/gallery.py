@@ -48,7 +48,7 @@ def words() -> dict[str, str]:
 
 
 def page_tiles(names: list[str], address: str) -> str:
-    """Return HTML with a button for each of the named materials, with its picture and its name.
+    """Return HTML with a button for each of the named materials: its picture, name and family.
 
     address  of PICTURES on the page. All buttons show parts of that one file.
     """
@@ -58,10 +58,10 @@ def page_tiles(names: list[str], address: str) -> str:
         row, column = divmod(places[name], COLUMNS)
         place = f"{-TILE * column}px {-TILE * row}px"
         style = f"background: url('{address}') {place}"
-        text = html.escape(name)
+        text, family = html.escape(name), html.escape(load_catalogue()[name].family)
         buttons.append(
             f'<button data-name="{text}"><span class="picture" style="{html.escape(style)}"></span>'
-            f'<span class="caption">{text}</span></button>'
+            f'<span class="caption">{text}</span><span class="note">{family}</span></button>'
         )
     return f'<div class="tiles">{"".join(buttons)}</div>'
 
@@ -71,21 +71,53 @@ def search(text: str) -> list[str]:
 
     Materials that a word names, or is known to look like, come before those of its family.
     """
-    asked = [word.rstrip("s") or word for word in re.split(r"[\s,_-]+", text.lower()) if word]
-    if not asked:
-        return list(words())
-    matching = [
-        name
-        for name, own in words().items()
-        if all(any(each.startswith(word) for each in own.split()) for word in asked)
-    ]
+    asked = asked_words(text)
+    matching = [name for name in words() if all(begins_word(name, word) for word in asked)]
+    return ordered(matching, asked) if asked else matching
+
+
+def close_to(text: str) -> list[str]:
+    """Return names of the materials that come near a text that `search` finds nothing for.
+
+    A word that no material has, but that some look like, stands for the families of those: blue
+    velvet for fabrics that are blue. Where that has no result either, materials of the most words
+    come first.
+    """
+    asked = asked_words(text)
+    families = {
+        word: {load_catalogue()[name].family for name in ALIKE.get(word, ())} for word in asked
+    }
+
+    def matches(name: str, word: str) -> bool:
+        return begins_word(name, word) or load_catalogue()[name].family in families[word]
+
+    all_of_them = [name for name in words() if all(matches(name, word) for word in asked)]
+    if all_of_them:
+        return ordered(all_of_them, asked)
+    counts = {name: sum(begins_word(name, word) for word in asked) for name in words()}
+    some = ordered([name for name, count in counts.items() if count], asked)
+    return sorted(some, key=lambda name: -counts[name])
+
+
+def asked_words(text: str) -> list[str]:
+    """Return the words of a text in lower case, without a plural's s."""
+    return [word.rstrip("s") or word for word in re.split(r"[\s,_-]+", text.lower()) if word]
+
+
+def begins_word(name: str, word: str) -> bool:
+    """Return whether a word begins one of the words by which a material is looked for."""
+    return any(each.startswith(word) for each in words()[name].split())
+
+
+def ordered(names: list[str], asked: list[str]) -> list[str]:
+    """Return names with those first that have all words, or look like one of them."""
     alike = [name for word in asked for name in ALIKE.get(word, ())]
 
     def order(name: str) -> tuple[bool, int]:
         named = all(word in name.lower() for word in asked)
         return not named, alike.index(name) if name in alike else len(alike)
 
-    return sorted(matching, key=order)
+    return sorted(names, key=order)
 
 
 def draw() -> Path:

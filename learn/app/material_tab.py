@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from learn.app import choices, gallery
-from learn.app.choices import OWN_LIGHT, Chosen, Edit, LightChoice, Painted
+from learn.app.choices import MOST_STOPS, OWN_LIGHT, Chosen, Edit, LightChoice, Painted
 from learn.app.event_handling import (
     QUIET,
     SessionOf,
@@ -19,14 +19,13 @@ from learn.app.event_handling import (
     read_and_delete,
 )
 from learn.app.offline_gradio import gr
-from learn.app.page_html import address_of, figures
-from learn.app.session import Session
+from learn.app.page_html import address_of, figures, kept_tiles
+from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
-from manifests.wording import number_of
 
-FIRST, SECOND = "the material", "the material blended with it"
+FIRST, SECOND = "the material", "a second one to mix with it"
 QUICK_TEXT = "Quick view; the exact one follows."
 EXACT_TEXT = "Exact view."
 SLIDERS = (  # of a material of one's own: id, label, first value
@@ -39,7 +38,7 @@ SLIDERS = (  # of a material of one's own: id, label, first value
 TILE_CLICKS = """
 element.addEventListener('click', event => {
   const tile = event.target.closest('button');
-  if (tile) trigger('click', {name: tile.dataset.name});
+  if (tile) trigger('click', {...tile.dataset});
 });
 """
 
@@ -48,18 +47,19 @@ class MaterialTab:
     """Lays the tab out when it is made, inside gr.Tabs; `connect` then says what its parts do.
 
     pictures  the file of the materials' pictures, where the page's server has it
-    views     the edit, a line about it and the decomposition's parts; EMPTY: their values before
-              there is a decomposition
+    views     the edit, a line about it, the decomposition's parts and the kept pictures; EMPTY:
+              their values before there is a decomposition
     filled    all components that a decomposition gives new values, which `fill` returns
 
     The methods after `fill` handle one event each, and return the new values of what is shown.
     """
 
-    EMPTY = (None, "Decompose the photograph first (tab 1).", None)
+    NOTHING_YET = "Choose a photograph first, in step 1, and click on its object."
+    EMPTY = (None, NOTHING_YET, None, "")
 
     def __init__(self, session_of: SessionOf, pictures: Path):
         self.session_of, self.pictures = session_of, pictures
-        with gr.Tab("2  Material and light", id="edit"), gr.Row():
+        with gr.Tab("2  Material", id="edit"), gr.Row(elem_id="step-2"):
             with gr.Column(scale=3, min_width=320):
                 self.slider = gr.ImageSlider(
                     show_label=False,
@@ -70,35 +70,32 @@ class MaterialTab:
                     slider_position=50,
                     max_height=560,
                 )
-                shown = gr.Markdown("Decompose a photograph first (tab 1).", elem_id="shown")
-                gr.Markdown("**What was read from the photograph**")
-                parts = gr.HTML(elem_id="decomposition")
+                shown = gr.Markdown(self.NOTHING_YET, elem_id="shown")
+                self.keep = gr.Button("Keep this picture to compare", elem_id="keep-it", size="sm")
+                self.kept = gr.HTML("", js_on_load=TILE_CLICKS, elem_id="kept")
+                with gr.Accordion("What was read from the photograph", open=False):
+                    parts = gr.HTML(elem_id="decomposition")
             with gr.Column(scale=2, min_width=320):
                 self._lay_out_gallery()
                 self._lay_out_own_materials()
                 self._lay_out_light()
         self.view = [self.slider, shown]
-        self.views = [*self.view, parts]
-        self.filled = [
-            *self.views,
-            self.region,
-            self.share,
-            self.rotation,
-            self.light,
-            self.hide,
-        ]
+        self.views = [*self.view, parts, self.kept]
+        self.controls = [self.share, self.rotation, self.light, self.hide, self.brightness]
+        self.filled = [*self.views, self.region, *self.controls]
 
     def _lay_out_gallery(self) -> None:
         self.region = gr.Radio(
-            region_choices(1), value=1, label="Region", elem_id="region", visible=False
+            region_choices(1), value=1, label="Part of the object", elem_id="region", visible=False
         )
         self.slot = gr.Radio([FIRST, SECOND], value=FIRST, label="Choose", elem_id="slot")
         self.words = gr.Textbox(
             placeholder="Search: wood, leather, gold, red plastic …",
+            label="Search materials",
             show_label=False,
             elem_id="words",
         )
-        self.count = gr.Markdown(number_of(len(gallery.search("")), "material"), elem_id="count")
+        self.count = gr.Markdown(f"{len(gallery.search(''))} materials", elem_id="count")
         self.materials = gr.HTML(
             self._tiles(gallery.search("")), js_on_load=TILE_CLICKS, elem_id="materials"
         )
@@ -107,11 +104,11 @@ class MaterialTab:
             100,
             0,
             step=1,
-            label="Blend: per cent of the second material",
+            label="Mix: per cent of the second material",
             elem_id="share",
             buttons=[],
         )
-        self.back = gr.Button("Leave this region as it is", elem_id="keep", size="sm")
+        self.back = gr.Button("As in the photograph", elem_id="keep", size="sm")
 
     def _tiles(self, names: list[str]) -> str:
         return gallery.page_tiles(names, address_of(self.pictures))
@@ -152,6 +149,16 @@ class MaterialTab:
                 elem_id="rotation",
                 buttons=[],
             )
+            self.brightness = gr.Slider(
+                -MOST_STOPS,
+                MOST_STOPS,
+                0,
+                step=0.1,
+                label="Brightness of the new material",
+                info="How bright it is can only be guessed. Each 1 doubles it, each −1 halves it.",
+                elem_id="brightness",
+                buttons=[],
+            )
             self.hide = gr.Checkbox(False, label="Hide the background", elem_id="hide")
 
     def connect(self) -> None:
@@ -163,6 +170,14 @@ class MaterialTab:
         self._show_live(self.light.input, self.lit, [self.light, self.rotation])
         self._show_live(self.rotation.input, self.lit, [self.light, self.rotation])
         self._show_live(self.hide.input, self.hidden, [self.hide])
+        self._show_live(self.brightness.input, self.brightened, [self.brightness])
+        self.keep.click(self.keep_picture, None, self.kept, trigger_mode="once", **QUIET)
+        self._show_live(
+            self.kept.click,
+            self.kept_clicked,
+            [self.region],
+            [*self.view, self.kept, *self.controls],
+        )
         controls: list[Any] = [self.color, *self.numbers]
         for control in controls:
             self._show_live(control.input, self.sliders, [*place, *controls])
@@ -211,17 +226,18 @@ class MaterialTab:
             (session.write_view(montage.eight_bit(picture), f"part{k}"), caption)
             for k, (caption, picture) in enumerate(viewer.parts())
         ]
-        several = len(edit.regions) > 1
         session.before = before
+        result = (before, before), "Now choose a material."
+        if not edit.unchanged:  # of saved work
+            path = str(session.write_view(viewer.view(edit, True)))
+            result = (before, path), said(session, EXACT_TEXT)
+        several = len(edit.regions) > 1
         return (
-            (before, before),
-            "Choose a material on the right.",
+            *result,
             figures(tiles),
+            self._kept_of(session),
             gr.Radio(region_choices(len(edit.regions)), value=1, visible=several),
-            0,
-            0,
-            OWN_LIGHT,
-            False,
+            *controls_of(session, 1),
         )
 
     def _quick(self, session: Session, change: Callable[[Edit], Edit]) -> tuple[Any, ...]:
@@ -230,7 +246,11 @@ class MaterialTab:
         viewer, edit = session.decomposed()
         path = str(session.write_view(viewer.view(edit)))
         note = EXACT_TEXT if viewer.is_exact(edit) else QUICK_TEXT
-        return (session.before, path), f"{note} {edit.caption}"
+        return (session.left, path), said(session, note)
+
+    def _kept_of(self, session: Session) -> str:
+        beside = None if session.beside is None else session.kept.index(session.beside)
+        return kept_tiles([(each.picture, each.edit.caption) for each in session.kept], beside)
 
     def exact(self, request: gr.Request) -> tuple[Any, ...]:
         """Show the exact view of the latest choice, unless there is a later one."""
@@ -248,7 +268,7 @@ class MaterialTab:
         if session.number != number:
             return gr.skip(), gr.skip()
         path = str(session.write_view(picture))
-        return (session.before, path), f"{EXACT_TEXT} {edit.caption}"
+        return (session.left, path), said(session, EXACT_TEXT)
 
     def from_gallery(
         self, number: int, place: str, event: gr.EventData, request: gr.Request
@@ -303,8 +323,8 @@ class MaterialTab:
         def change(edit: Edit) -> Edit:
             painted = edit.regions[int(number) - 1]
             if painted.second is None:
-                rule = ("the blend", "a second material", "none")
-                raise InputError(*rule, f"set Choose to “{SECOND}” and click on one")
+                rule = (THE_PAGE, "a second material", "none")
+                raise InputError(*rule, f"first set Choose to “{SECOND}”, and click on a material")
             return edit.with_region(int(number) - 1, replace(painted, share=per_cent / 100))
 
         return self._quick(self.session_of(request), change)
@@ -343,6 +363,32 @@ class MaterialTab:
             self.session_of(request), lambda e: replace(e, hide_background=bool(value))
         )
 
+    def brightened(self, stops: float, request: gr.Request) -> tuple[Any, ...]:
+        """Make all that is rendered brighter or darker."""
+        return self._quick(
+            self.session_of(request), lambda e: replace(e, brightness_stops=float(stops))
+        )
+
+    @one_line
+    def keep_picture(self, request: gr.Request) -> str:
+        """Keep the edit to compare it with others."""
+        session = self.session_of(request)
+        session.keep()
+        return self._kept_of(session)
+
+    def kept_clicked(
+        self, region: int, event: gr.EventData, request: gr.Request
+    ) -> tuple[Any, ...]:
+        """Show a kept edit again, show it on the left of the view, or keep it no longer."""
+        session = self.session_of(request)
+        kept = session.kept_edit(int(event.number))
+        if event.act == "remove":
+            session.forget(int(event.number))
+        elif event.act == "beside":
+            session.beside = None if session.beside is kept else kept
+        result = self._quick(session, lambda edit: kept.edit if event.act == "show" else edit)
+        return (*result, self._kept_of(session), *controls_of(session, int(region)))
+
     def share_shown(self, number: int, request: gr.Request) -> float:
         """Return the second material's share in the region that was chosen, in per cent."""
         return share_of(self.session_of(request), number)
@@ -350,15 +396,22 @@ class MaterialTab:
     def searched(self, text: str) -> tuple[Any, ...]:
         """Show the materials that match words."""
         matching = gallery.search(text)
-        said = number_of(len(matching), "material")
+        line = "1 material" if len(matching) == 1 else f"{len(matching)} materials"
         if not matching:
-            said = "No material has such a name. Try wood, metal, fabric, plastic, stone …"
-        return self._tiles(matching), said
+            matching = gallery.close_to(text)
+            line = f"No material is called “{text.strip()[:40]}”. "
+            line += (
+                "These come near:"
+                if matching
+                else "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A"
+                " material of your own”."
+            )
+        return self._tiles(matching), line
 
 
 def region_choices(count: int) -> list[tuple[str, int]]:
-    """Return the choices (label, number) of `count` regions."""
-    return [(f"Region {number}", number) for number in range(1, count + 1)]
+    """Return the choices (label, number) of `count` regions, which the page calls parts."""
+    return [(f"Part {number}", number) for number in range(1, count + 1)]
 
 
 def painting(number: int, place: str, chosen: Chosen) -> Callable[[Edit], Edit]:
@@ -381,3 +434,25 @@ def share_of(session: Session, number: int) -> float:
         return 0
     painted = session.edit.regions[int(number) - 1]
     return 0 if painted.second is None else 100 * painted.share
+
+
+def controls_of(session: Session, number: int) -> tuple[Any, ...]:
+    """Return the values of MaterialTab.controls that show the edit; number: of the region."""
+    _, edit = session.decomposed()
+    names = [OWN_LIGHT, *choices.light_names()]
+    if edit.light.name not in names:  # a map of the user's own
+        names.append(edit.light.name)
+    return (
+        share_of(session, number),
+        edit.light.rotation_deg,
+        gr.Dropdown(names, value=edit.light.name),
+        edit.hide_background,
+        edit.brightness_stops,
+    )
+
+
+def said(session: Session, note: str) -> str:
+    """Return the line below the view: a note, what the edit is, and what is on the left."""
+    _, edit = session.decomposed()
+    left = "the photograph" if session.beside is None else session.beside.edit.caption
+    return f"{note} {edit.caption}. Left of the line: {left}."

@@ -9,17 +9,20 @@ from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, re
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
-from learn.app.session import Session
+from learn.app.selection import BACKGROUND
+from learn.app.session import NEXT, Session
 from manifests.errors import InputError
 
-REGIONS_OFFERED = 4
+FURTHER_PARTS = ("second", "third", "fourth")
 DONE = "Done."
 OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
 said => {
   const tabs = [...document.querySelectorAll('[role=tab]')];
-  if (said === 'DONE') tabs.find(tab => tab.innerText.includes('Material and light')).click();
+  if (said !== 'DONE') return;
+  tabs.find(tab => tab.innerText.includes('Material')).click();
+  scrollTo(0, 0);
 }
 """.replace("DONE", DONE)
 
@@ -34,7 +37,7 @@ class ObjectTab:
 
     def __init__(self, session_of: SessionOf):
         self.session_of = session_of
-        with gr.Tab("1  Photograph and object", id="object"), gr.Row():
+        with gr.Tab("1  Photograph", id="object"), gr.Row(elem_id="step-1"):
             with gr.Column(scale=1, min_width=280):
                 self._lay_out_controls()
             with gr.Column(scale=3, min_width=320):
@@ -45,43 +48,50 @@ class ObjectTab:
         self.photo = gr.UploadButton(
             "Choose a photograph", variant="primary", elem_id="photo", size="md"
         )
-        self.example = gr.Button("Or take the example, a cup", elem_id="example", size="md")
-        gr.Markdown("**What is the object?** Click on it in the picture, or:")
-        with gr.Row():
-            self.mask = gr.UploadButton("Mask file", elem_id="mask", size="sm", min_width=90)
-            self.regions_file = gr.UploadButton(
-                "Regions file", elem_id="regions-file", size="sm", min_width=90
-            )
+        self.example = gr.Button("Or try the example, a cup", elem_id="example", size="md")
+        self.work = gr.UploadButton("Or open saved work (.zip)", elem_id="work", size="sm")
         self.marked = gr.Radio(
-            [("The object", 1)]
-            + [(f"Region {k}", k) for k in range(2, REGIONS_OFFERED + 1)]
-            + [("Background", 0)],
+            [("The object", 1), ("Not the object", BACKGROUND)]
+            + [(f"Its {which} part", k) for k, which in enumerate(FURTHER_PARTS, 2)],
             value=1,
-            label="A click says: this is …",
-            info="Regions can have different materials.",
+            label="What I click on is …",
+            info="Parts of an object can have different materials, such as a seat and its legs.",
             elem_id="marked",
         )
-        with gr.Row():
+        with gr.Row(elem_id="undoing"):
             self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
-            self.clear = gr.Button("Clear", elem_id="clear", size="sm", min_width=80)
+            self.clear = gr.Button("Start again", elem_id="clear", size="sm", min_width=80)
+        with gr.Accordion("I have a mask already", open=False, elem_id="own-mask"):
+            gr.Markdown(
+                "A mask is a picture of the same size that is white where the object is. One with"
+                " a grey or a colour for each part divides the object."
+            )
+            with gr.Row():
+                self.mask = gr.UploadButton("Mask file", elem_id="mask", size="sm", min_width=90)
+                self.regions_file = gr.UploadButton(
+                    "File of parts", elem_id="regions-file", size="sm", min_width=90
+                )
         self.refine = gr.Checkbox(
             True,
-            label="Refine",
-            info="Closer to the photograph; takes about half a minute longer.",
+            label="Take more time",
+            info="Shape and light are fitted more closely to the photograph; about half a minute.",
             elem_id="refine",
         )
-        with gr.Row():
+        with gr.Row(elem_id="going-on"):
             self.decompose = gr.Button(
-                "Decompose", variant="primary", elem_id="decompose", interactive=False
+                NEXT, variant="primary", elem_id="decompose", interactive=False, scale=3
             )
-            self.stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False)
+            self.stop = gr.Button(
+                "Stop", variant="stop", elem_id="stop", interactive=False, min_width=80
+            )
         self.progress = gr.HTML("", elem_id="progress")
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of one object, or the example.", elem_id="status"
+            "Choose a photograph of an object, or try the example. Then click on the object.",
+            elem_id="status",
         )
-        with gr.Tabs():
+        with gr.Tabs(elem_id="picture"):
             with gr.Tab("Click", id="click"):
                 self.marking = gr.Image(
                     interactive=False,
@@ -94,7 +104,7 @@ class ObjectTab:
             with gr.Tab("Brush", id="brush"):
                 gr.Markdown(
                     "Paint over the object, then press the button. Strokes count for"
-                    " what is chosen on the left."
+                    " what is chosen beside “What I click on is”."
                 )
                 self.use_brush = gr.Button("Use the strokes", elem_id="use-brush", size="sm")
                 self.brush = gr.ImageEditor(
@@ -126,6 +136,9 @@ class ObjectTab:
         self.decompose.click(
             self.run, self.refine, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
         ).success(None, self.progress, js=OPEN_EDIT)
+        self.work.upload(self.take_work, self.work, [*on_load, self.refine], **waiting).success(
+            self.run, self.refine, decomposed_to, concurrency_limit=2, **QUIET
+        ).success(None, self.progress, js=OPEN_EDIT)
         self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
 
     def _marks_of(self, session: Session, text: str) -> tuple[Any, ...]:
@@ -151,6 +164,13 @@ class ObjectTab:
         """Open the program's example."""
         session = self.session_of(request)
         return self._loaded(session, session.load_example())
+
+    @one_line
+    def take_work(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
+        """Open saved work that was sent; `run` then decomposes its photograph."""
+        session = self.session_of(request)
+        text = read_and_delete(sent, session.load_work)
+        return (*self._loaded(session, text), session.refined)
 
     @one_line
     def take_mask(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -206,7 +226,7 @@ class ObjectTab:
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
             session.marked()  # what is wrong with the mask is said at once
-            yield progress_bar(0.01, "waiting for a free place"), halt, go, *rest
+            yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
             for report in session.decompose(refined):
                 yield progress_bar(report.share, report.text), halt, go, *rest
         except Stopped:
@@ -228,10 +248,10 @@ def covered_text(session: Session) -> str:
     labels = session.opened().labels()
     covered = f"{(labels > 0).mean():.0%} of the picture"
     if not labels.any():
-        return "Click on the object."
+        return "Click on the object, once on each of its surfaces."
     count = int(labels.max())
-    several = f", {count} regions" if count > 1 else ""
+    several = f", in {count} parts" if count > 1 else ""
     return (
-        f"The object covers {covered}{several}. Click where it is missing, or choose"
-        " Background and click where it is too much. Then press Decompose."
+        f"The coloured object covers {covered}{several}. Click where it is missing. Where it is too"
+        f" much, choose “Not the object” and click there. Then press “{NEXT}”."
     )

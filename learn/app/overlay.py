@@ -39,7 +39,8 @@ def draw(selection: Selection, scale: float) -> np.ndarray:
     shown = selection.reduced((width, height)).astype(np.float64)
     colors = np.concatenate([np.zeros((1, 3)), REGION_COLORS])[labels]
     inside = (labels > 0)[..., None]
-    shown = np.where(inside, 0.55 * shown + 0.45 * colors, 0.8 * shown)
+    outside = 0.8 * shown if inside.any() else shown  # nothing is darker before the first click
+    shown = np.where(inside, 0.55 * shown + 0.45 * colors, outside)
     edge = np.zeros(labels.shape, bool)
     edge[1:] |= labels[1:] != labels[:-1]
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]

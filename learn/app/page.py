@@ -24,6 +24,8 @@ from manifests.errors import InputError
 TITLE = "Edit a photograph"
 DELETE_AFTER = (300, 1800)  # seconds: how often to look for files of pages long closed, their age
 CSS = """
+:root {--block-info-text-color: #595959; --body-text-color-subdued: #595959}
+.dark {--block-info-text-color: #b4b4b4; --body-text-color-subdued: #b4b4b4}
 .gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important}
 .gradio-container main {width: 100%; max-width: 100% !important}
 #marking button {cursor: crosshair}
@@ -33,12 +35,64 @@ CSS = """
   border: 2px solid transparent; border-radius: 4px; background: none; cursor: pointer}
 #materials button:hover, #materials button:focus-visible {border-color: var(--color-accent)}
 #materials .picture {width: 80px; height: 80px}
-.tiles .caption {font-size: 10px; line-height: 1.15; text-align: center; overflow-wrap: anywhere}
+#materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
+  overflow-wrap: anywhere}
+#materials .note {font-weight: normal}
+#kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));
+  gap: 8px; max-height: none}
+#kept figure {margin: 0}
+#kept img {width: 100%; border-radius: 4px}
+#kept button {cursor: pointer; font-size: 12px; text-decoration: underline; padding: 4px 8px 4px 0}
+#kept button[aria-pressed=true] {font-weight: bold}
+#kept .caption {font-size: 12px; overflow-wrap: anywhere}
+#kept :focus-visible {outline: 2px solid var(--color-accent)}
 #decomposition .tiles {display: flex; flex-wrap: wrap; gap: 8px}
 #decomposition figure {margin: 0; width: 110px; text-align: center}
 #decomposition img {width: 110px; height: 110px; object-fit: contain}
 #progress progress {width: 100%; height: 14px}
 footer {display: none !important}
+@media (max-width: 640px) {
+  /* the picture comes after the buttons that choose it, and before what is done with it */
+  .gradio-container {padding: 8px !important}
+  [role=tab] {padding-inline: 8px !important}
+  #step-1, #step-2 {flex-direction: column; flex-wrap: nowrap}
+  #step-1 > .column, #step-2 > .column {display: contents}
+  #step-1 > .column > * {order: 4}
+  #photo, #example, #work {order: 1 !important}
+  #status {order: 2 !important}
+  #marked {order: 3 !important}
+  #picture {order: 3 !important}
+  #marking, #marking img, #brush {height: auto !important; max-height: 46vh}
+  #step-2 > .column > * {order: 3}
+  #editor, #shown {order: 1 !important}
+  #editor {position: sticky; top: 0; z-index: 5; background: var(--body-background-fill)}
+  #editor img {max-height: 40vh; object-fit: contain}
+}
+"""
+# Asks before a page with a photograph is left, since it cannot be brought back; says aloud what
+# changes; names pictures.
+SCRIPT = """
+() => {
+  addEventListener('beforeunload', event => {
+    if (document.querySelector('#marking img')) event.preventDefault();
+  });
+  const live = '#status, #shown, #progress, #made, #count';
+  const names = {
+    '#marking img': 'The photograph. A click on it marks the object.',
+    '#editor img': 'The photograph and its edit, divided by a line',
+  };
+  const label = () => {
+    document.querySelectorAll(live).forEach(e => {
+      if (!e.ariaLive) e.ariaLive = 'polite';
+    });
+    for (const [place, text] of Object.entries(names))
+      document.querySelectorAll(place).forEach(e => {
+        if (e.alt !== text) e.alt = text;
+      });
+  };
+  label();
+  new MutationObserver(label).observe(document.body, {childList: true, subtree: true});
+}
 """
 
 
@@ -82,10 +136,9 @@ def serve(
             ssr_mode=False,
             mcp_server=False,
             footer_links=[],
-            theme=gr.themes.Default(
-                font=["system-ui", "sans-serif"], font_mono=["ui-monospace", "monospace"]
-            ),
+            theme=theme(),
             css=CSS,
+            js=SCRIPT,
         )
     except OSError as error:
         end()
@@ -99,6 +152,18 @@ def serve(
     return address, end
 
 
+def theme() -> gr.themes.Default:
+    """Return the page's colours and fonts; white on a button has a contrast of 5 to 1 or more."""
+    fonts = {"font": ["system-ui", "sans-serif"], "font_mono": ["ui-monospace", "monospace"]}
+    return gr.themes.Default(primary_hue="blue", **fonts).set(
+        button_primary_background_fill="*primary_600",
+        button_primary_background_fill_hover="*primary_700",
+        button_primary_background_fill_dark="*primary_700",
+        button_cancel_background_fill="*neutral_600",
+        button_cancel_background_fill_hover="*neutral_700",
+    )
+
+
 def page(sessions: Sessions) -> gr.Blocks:
     """Return the page. Its users' files are in the folder of `sessions`."""
     pictures = sessions.folder / "materials.jpg"
@@ -108,6 +173,9 @@ def page(sessions: Sessions) -> gr.Blocks:
     def session_of(request: gr.Request) -> Session:
         return sessions.of(str(request.session_hash))
 
+    def begun(request: gr.Request) -> None:
+        sessions.begin(str(request.session_hash))
+
     def closed(request: gr.Request) -> None:
         sessions.close(str(request.session_hash))
 
@@ -115,8 +183,9 @@ def page(sessions: Sessions) -> gr.Blocks:
         title=TITLE, analytics_enabled=False, delete_cache=DELETE_AFTER, fill_width=True
     ) as blocks:
         gr.Markdown(
-            f"# {TITLE}\nGive an object of your photograph another material. The photograph stays"
-            " on the computer that serves this page, and is deleted when you close it."
+            f"# {TITLE}\nSee an object of your photograph in leather, wood, metal, paint or cloth."
+            " The photograph stays on the computer that serves this page, and is deleted when you"
+            " close it."
         )
         with gr.Tabs(selected="object"):
             objects = ObjectTab(session_of)
@@ -125,6 +194,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         objects.connect(materials, download)
         materials.connect()
         download.connect()
+        blocks.load(begun, None, None, api_visibility="private")
         blocks.unload(closed)
     blocks.queue(default_concurrency_limit=4, max_size=64, api_open=False)
     return blocks

@@ -1,6 +1,7 @@
 """HTML that the page shows where Gradio has no component: progress, and pictures in a row."""
 
 import html
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -22,3 +23,24 @@ def figures(pictures: list[tuple[Path, str]]) -> str:
         for path, caption in pictures
     )
     return f'<div class="tiles">{"".join(each)}</div>'
+
+
+def kept_tiles(pictures: Sequence[tuple[Path, str]], beside: int | None) -> str:
+    """Return pictures, (file, caption), side by side, each with buttons for what it can do.
+
+    beside  number of the one that the view shows on its left, 0 the first, or None
+    """
+    each = []
+    for number, (path, caption) in enumerate(pictures):
+        text = html.escape(caption)
+        chosen = "true" if number == beside else "false"
+        each.append(
+            f'<figure><button data-act="show" data-number="{number}" aria-label="Show {text}">'
+            f'<img src="{html.escape(address_of(path))}" alt=""></button>'
+            f'<figcaption class="caption">{text}</figcaption>'
+            f'<button data-act="beside" data-number="{number}" aria-pressed="{chosen}"'
+            f' aria-label="Show {text} on the left">On the left</button>'
+            f'<button data-act="remove" data-number="{number}" aria-label="Remove {text}">'
+            "Remove</button></figure>"
+        )
+    return f'<div class="tiles">{"".join(each)}</div>' if each else ""

@@ -119,8 +119,7 @@ class Selection:
         self._order.append(self.strokes)
 
     def undo(self) -> bool:
-        """Take back the last click or strokes, whichever came later; return whether there was one.
-        """
+        """Take back the last click or strokes, whichever came later; return if there was one."""
         if not self._order:
             return False
         self._order.pop().pop()

@@ -4,6 +4,8 @@ Nothing is shared between two users, whose sessions learn.app.sessions begins an
 bounded before they are decoded (learn.data.photographs), and deleted with the session.
 """
 
+import math
+import re
 import secrets
 import shutil
 import threading
@@ -16,11 +18,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from learn.app import background_decomposition, choices, overlay
+from learn.app import background_decomposition, choices, overlay, work_file
 from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
 from learn.app.viewer import Viewer, opacity_of, read_labels
+from learn.app.work_file import MOST_KEPT, Saved
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
 from learn.figures import montage
@@ -35,8 +38,49 @@ MOST_BYTES = 64 << 20  # of a file that is sent to the page
 MOST_PIXELS = 25_000_000
 SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
-NO_PHOTOGRAPH = ("the page", "a photograph", "none", "choose a file, or the example")
-NOT_DECOMPOSED = ("the page", "a decomposed photograph", "none", "press Decompose first")
+EXAMPLE = "example:espresso-cup"
+SHEET_COLUMNS, SHEET_TILE = 3, 640  # of the picture that compares the kept edits; pixels
+LONGEST_NAME = 80  # letters of a file for download
+THE_PAGE = "the page"  # what an error is about that no file has caused
+NEXT = "Next: choose a material"  # the button that decomposes
+NO_PHOTOGRAPH = (THE_PAGE, "a photograph", "none", "choose a photograph first, in step 1")
+NOT_DECOMPOSED = (
+    THE_PAGE,
+    "a decomposed photograph",
+    "none",
+    f"mark the object in step 1 first, and press “{NEXT}”",
+)
+LOST = (
+    THE_PAGE,
+    "the photograph of this page",
+    "none",
+    "the photograph is no longer kept, because the page was not used for an hour or the program was"
+    " started again: choose it again, or open work that you saved",
+)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An edit that a user keeps to compare it with others, and the file of its picture."""
+
+    edit: Edit
+    picture: Path
+
+
+@dataclass(frozen=True)
+class Downloads:
+    """The files of an edit.
+
+    pictures  of the edit and of the kept ones, and one of all of them side by side
+    work      by which the page goes on another day
+    others    for programs, and to repeat the edit by the command
+    command   that repeats it
+    """
+
+    pictures: list[Path]
+    work: Path
+    others: list[Path]
+    command: str
 
 
 @dataclass
@@ -47,7 +91,10 @@ class Session:
     soft_mask  of what was decomposed: coverage (H, W) from a file, before it is softened, or None
     by_hand    whether clicks or strokes had a part in what was decomposed
     before     the file of the photograph as the view shows it
+    kept       edits to compare, in the order in which they were kept
+    beside     the kept one that the view shows on its left, None: the photograph
     number     counts choices: a picture of an earlier one is not shown any more
+    is_lost    whether the page had a session that ended, so that it shows what is no longer there
     """
 
     folder: Path
@@ -64,10 +111,15 @@ class Session:
     viewer: Viewer | None = None
     edit: Edit | None = None
     before: str = ""
+    kept: list[Kept] = field(default_factory=list)
+    beside: Kept | None = None
     number: int = 0
+    is_lost: bool = False
     stop: threading.Event = field(default_factory=threading.Event)
     used: float = field(default_factory=time.monotonic)
     _views: list[Path] = field(default_factory=list)
+    _example_mask: np.ndarray | None = None
+    _saved: work_file.Work | None = None  # whose edits follow its photograph's decomposition
 
     def close(self) -> None:
         """Stop what runs, and delete the session's files."""
@@ -94,20 +146,56 @@ class Session:
             self.coverage = alpha
             assert self.selection is not None
             self.selection.given = (alpha >= 0.5).astype(np.uint8)
-            return "The object is what is not transparent. Clicks can divide it into regions."
-        return "Now mark the object: click on it, give a mask file, or paint it with the brush."
+            return "The object is what is not transparent. Clicks can divide it into parts."
+        return "Now click on the object, once on each of its surfaces, or paint it with the brush."
 
     def load_example(self) -> str:
         """Take the program's example, a cup on a saucer, with its two regions."""
-        path, regions = photograph.example("example:espresso-cup", [], None)
+        path, regions = photograph.example(EXAMPLE, [], None)
         assert regions is not None
         radiance, _ = photographs.read_pixels(path)
-        self._take(path, "example:espresso-cup", radiance)
+        self._take(path, EXAMPLE, radiance)
         assert self.selection is not None
-        self.selection.given = photographs.read_labels(regions, radiance.shape[:2])
-        return "The example comes with a mask of two regions, cup and saucer. Press Decompose."
+        self._example_mask = photographs.read_labels(regions, radiance.shape[:2])
+        self.selection.given = self._example_mask
+        return f"The example is marked already, in two parts: cup and saucer. Press “{NEXT}”."
+
+    def load_work(self, sent: Path) -> str:
+        """Take saved work: its photograph and mask now, its edits once it is decomposed.
+
+        Raises  InputError: no saved work, a damaged or too large file
+        """
+        folder = self.folder / f"work-{secrets.token_hex(6)}"
+        folder.mkdir()
+        try:
+            work = work_file.read(sent, folder)
+            try:
+                self._open_work(work)
+            except InputError as error:
+                where = f"{sent.name}: {Path(error.where).name}"
+                raise InputError(where, error.expected, error.found, error.remedy) from None
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        return "Your saved work is open. Its edits follow in step 2 as soon as the object is read."
+
+    def _open_work(self, work: work_file.Work) -> None:
+        if work.photograph is None:
+            if work.name != EXAMPLE:
+                raise InputError(work.name, EXAMPLE, "another example", work_file.REMEDY)
+            self.load_example()
+        else:
+            self.load(work.photograph)
+            self.name = work.name
+        if work.mask is not None:
+            self.give_mask(work.mask)
+        if work.regions is not None:
+            selection = self.opened()
+            selection.given = photographs.read_labels(work.regions, selection.size)
+        self._saved, self.refined = work, work.refined
 
     def _take(self, path: Path, name: str, radiance: np.ndarray) -> None:
+        self.is_lost, self._saved, self._example_mask = False, None, None
+        self.kept, self.beside = [], None
         self.number += 1
         self.stop.set()
         self.path, self.name, self.linear = path, name, photographs.holds_radiance(path)
@@ -127,7 +215,7 @@ class Session:
         selection.given = (coverage >= 0.5).astype(np.uint8)
         selection.clear()
         self.coverage, self.has_mask = coverage, True
-        return "The mask is taken from the file. Clicks can divide it into regions."
+        return "The mask is taken from the file. Clicks can divide it into parts."
 
     def give_regions(self, sent: Path) -> str:
         """Take a file with one grey or colour for each region. Raises InputError."""
@@ -140,7 +228,7 @@ class Session:
     def opened(self) -> Selection:
         """Return the selection of the photograph. Raises InputError before there is one."""
         if self.selection is None:
-            raise InputError(*NO_PHOTOGRAPH)
+            raise InputError(*(LOST if self.is_lost else NO_PHOTOGRAPH))
         return self.selection
 
     @property
@@ -181,7 +269,7 @@ class Session:
         labels = selection.labels()
         if not labels.any():
             rule = "an object: a click on it, a mask file, strokes of the brush, or transparency"
-            raise InputError("the mask", rule, "none", "click on the object in the picture")
+            raise InputError(THE_PAGE, rule, "none", "click on the object in the picture first")
         covered, changed = self._soft_mask(labels)
         cut_out = covered is not None and not self.has_mask and labels.max() == 1
         if cut_out and not changed:
@@ -210,7 +298,8 @@ class Session:
         """
         opened, selection = self.marked(), self.opened()
         soft_mask, _ = self._soft_mask(selection.labels())
-        by_hand = bool(selection.clicks or selection.strokes)
+        marked = selection.clicks or selection.strokes
+        by_hand = bool(marked) or selection.given is not self._example_mask
         self.stop = stop = threading.Event()
         self.number += 1
         decomposed = yield from background_decomposition.decompose(
@@ -222,12 +311,27 @@ class Session:
             raise Stopped
         self.viewer, self.refined = viewer, refine
         self.soft_mask, self.by_hand = soft_mask, by_hand
-        self.edit = Edit(tuple(Painted() for _ in range(opened.count)))
+        edits, kept = self._edits_of(opened.count)
+        self.edit = edits
+        self.beside = None
+        self.kept = [Kept(e, self.write_view(viewer.view(e), "kept")) for e in kept]
+
+    def _edits_of(self, count: int) -> tuple[Edit, list[Edit]]:
+        """Return the edit of a new decomposition with `count` regions, and those kept.
+
+        They are saved work's. Kept ones of the decomposition before stay.
+        """
+        saved, self._saved = self._saved, None
+        kept = [each.edit for each in self.kept] if saved is None else list(saved.kept)
+        edit = Edit(tuple(Painted() for _ in range(count)))
+        if saved is not None and len(saved.edit.regions) == count:
+            edit = saved.edit
+        return edit, [each for each in kept if len(each.regions) == count]
 
     def decomposed(self) -> tuple[Viewer, Edit]:
         """Return the viewer and the edit. Raises InputError before there is a decomposition."""
         if self.viewer is None or self.edit is None:
-            raise InputError(*NOT_DECOMPOSED)
+            raise InputError(*(LOST if self.is_lost else NOT_DECOMPOSED))
         return self.viewer, self.edit
 
     def choose(self, change: Callable[[Edit], Edit]) -> int:
@@ -236,6 +340,37 @@ class Session:
         self.edit = change(edit)
         self.number += 1
         return self.number
+
+    def keep(self) -> None:
+        """Keep the edit to compare it with others. Raises InputError for too many."""
+        viewer, edit = self.decomposed()
+        if any(each.edit == edit for each in self.kept):
+            return
+        if len(self.kept) >= MOST_KEPT:
+            rule = f"at most {MOST_KEPT} kept pictures"
+            raise InputError(
+                THE_PAGE, rule, "one more", f"{rule} can be compared: remove one first"
+            )
+        self.kept.append(Kept(edit, self.write_view(viewer.view(edit, True), "kept")))
+
+    def forget(self, number: int) -> None:
+        """Keep the kept edit `number`, 0 the first, no longer. Raises InputError."""
+        kept = self.kept_edit(number)
+        self.kept.remove(kept)
+        if self.beside is kept:
+            self.beside = None
+        kept.picture.unlink(missing_ok=True)
+
+    def kept_edit(self, number: int) -> Kept:
+        """Return a kept edit, 0 the first. Raises InputError."""
+        if not 0 <= number < len(self.kept):
+            raise InputError(THE_PAGE, "a kept picture", "none", "the picture is no longer kept")
+        return self.kept[number]
+
+    @property
+    def left(self) -> str:
+        """The file that the view shows on its left: the photograph, or a kept edit's picture."""
+        return self.before if self.beside is None else str(self.beside.picture)
 
     def materials_of(self, sent: Path, name: str, number: int) -> dict[int, Chosen]:
         """Return {region: material} of another picture's object, or of a material.json.
@@ -280,44 +415,95 @@ class Session:
             del self._views[:-KEPT_VIEWS]
         return path
 
-    def downloads(self) -> tuple[list[Path], str]:
-        """Write the edit at the photograph's size with all that repeats it.
+    def downloads(self) -> Downloads:
+        """Write the edit and the kept ones at the photograph's size, with all that repeats it.
 
-        The result is the files and the command. Raises InputError.
+        Raises  InputError
         """
         viewer, edit = self.decomposed()
-        linear, display = viewer.full(edit)
         folder = self.folder / "download"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        result = folder / "edited.png"
-        photographs.require_finite(result, linear)
-        files.write_image(result, display, "PNG")
+        linear, display = viewer.full(edit)
         opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
+        pictures = [self._write_picture(folder, edit, linear, display)]
         photographs.write_picture(folder / "edited.exr", linear, opacity)
-        network = self.network
-        _, metadata = network.loaded()
+        shown = [(edit.caption, display)]
+        for each in self.kept:
+            if each.edit != edit:
+                linear, display = viewer.full(each.edit)
+                pictures.append(self._write_picture(folder, each.edit, linear, display))
+                shown.append((each.edit.caption, display))
+        if len(shown) > 1:
+            pictures.append(
+                self._write_comparison(folder, [("photograph", viewer.before()), *shown])
+            )
+        _, metadata = self.network.loaded()
         decomposed = viewer.decomposition
         parts = [p.parts(own) for p, own in zip(edit.regions, decomposed.label, strict=True)]
         first, second = ([each[k][1] for each in parts] for k in (0, -1))
         read = [label.tobytes() for label in (*decomposed.label, *read_labels(edit.regions))]
         for name, labels in (("material.json", first), ("material-blended.json", second)):
             if labels is first or any(len(p.parts(first[0])) > 1 for p in edit.regions):
-                each = np.stack(labels)
+                stacked = np.stack(labels)
                 framed = decomposed.framed
-                were = [label.tobytes() in read for label in each]
-                material_file.write(folder / name, each, framed, metadata, network.weights, were)
+                were = [label.tobytes() in read for label in stacked]
+                path, weights = folder / name, self.network.weights
+                material_file.write(path, stacked, framed, metadata, weights, were)
         masks = self._write_masks(folder, decomposed.photograph)
         choices.write(folder / "edit.json", edit)
-        command = choices.command_line(edit, self.name, masks, self.refined, network.weights)
+        weights = self.network.weights
+        command = choices.command_line(edit, self.name, masks, self.refined, weights)
         files.write_text(folder / "command.txt", command + "\n")
-        main = [result, folder / "edited.exr", folder / "material.json", folder / "command.txt"]
-        others = sorted(path for path in folder.iterdir() if path not in main)
-        return [*main, *others], command
+        others = sorted(path for path in folder.iterdir() if path not in pictures)
+        return Downloads(pictures, self._write_work(folder, masks), others, command)
+
+    def _write_picture(
+        self, folder: Path, edit: Edit, linear: np.ndarray, display: np.ndarray
+    ) -> Path:
+        """Write an edit's picture, named after the photograph and the materials."""
+        words = re.sub(r"\W+", "-", edit.caption.replace("%", " per cent")).strip("-")
+        stem = f"{self.stem}-{words}"[:LONGEST_NAME]
+        path, number = folder / f"{stem}.png", 2
+        while path.exists():
+            path, number = folder / f"{stem}-{number}.png", number + 1
+        photographs.require_finite(path, linear)
+        files.write_image(path, display, "PNG")
+        return path
+
+    @property
+    def stem(self) -> str:
+        """The photograph's name without its ending, of letters that every file's name may have."""
+        name = self.name.partition(":")[2] if self.name == EXAMPLE else Path(self.name).stem
+        return re.sub(r"\W+", "-", name).strip("-")[: LONGEST_NAME // 2] or "photograph"
+
+    def _write_comparison(self, folder: Path, shown: list[tuple[str, np.ndarray]]) -> Path:
+        """Write one picture of captioned pictures, side by side."""
+        tiles = [(caption, picture[..., :3]) for caption, picture in shown]
+        columns = min(SHEET_COLUMNS, math.ceil(math.sqrt(len(tiles))))
+        rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
+        path = folder / f"{self.stem}-compared.jpg"
+        files.write_image(path, montage.contact_sheet(rows, SHEET_TILE), quality=90)
+        return path
+
+    def _write_work(self, folder: Path, masks: list[str]) -> Path:
+        """Write the file by which the page goes on another day."""
+        assert self.path is not None and self.edit is not None
+        own = self.name != EXAMPLE
+        parts = [*([self.path] if own else []), *(folder / name for name in masks)]
+        path, made = folder / f"{self.stem}-work.zip", self.folder / f"work-{secrets.token_hex(6)}"
+        made.mkdir()
+        saved = Saved(self.name, self.refined, len(self.kept))
+        try:
+            kept = [each.edit for each in self.kept]
+            work_file.write(path, made, saved, parts, self.edit, kept)
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+        return path
 
     def _write_masks(self, folder: Path, opened: photograph.Photograph) -> list[str]:
         """Write what the command line needs of the mask; return the files' names."""
-        if self.name.startswith("example:") and not self.by_hand:
+        if self.name == EXAMPLE and not self.by_hand:
             return []
         names = []
         if not opened.cut_out and (self.soft_mask is not None or opened.count == 1):

@@ -26,8 +26,16 @@ class Sessions:
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._lock = threading.Lock()
 
+    def begin(self, name: str) -> None:
+        """Begin the session of a page that was opened just now."""
+        self.of(name).is_lost = False
+
     def of(self, name: str) -> Session:
-        """Return the session of a page, a new one for a new page."""
+        """Return the session of a page.
+
+        A page whose session ended, or that an earlier server served, has a new one, which knows
+        that what the page shows is lost.
+        """
         now = time.monotonic()
         with self._lock:
             session = self._sessions.get(name)
@@ -36,7 +44,8 @@ class Sessions:
                     16
                 )  # so that its address cannot be guessed
                 folder.mkdir(mode=0o700)
-                session = self._sessions[name] = Session(folder, self.network)
+                session = Session(folder, self.network, is_lost=True)
+                self._sessions[name] = session
             session.used = now
             self._sessions.move_to_end(name)
             old = [k for k, each in self._sessions.items() if now - each.used > IDLE_SECONDS]

@@ -72,7 +72,7 @@ class Viewer:
         is_current  asked before each exact map
         Raises      Superseded as soon as is_current says no
         """
-        if all(p.unchanged for p in edit.regions) and edit.light.unchanged:
+        if edit.unchanged:
             return self._shown(self.small.decomposition.photograph.radiance, edit)
         radiance = np.zeros((self.small.grid**2, 3), np.float32)
         for painted, own, at, n in zip(
@@ -81,6 +81,7 @@ class Viewer:
             if len(at) and not (painted.unchanged and edit.light.unchanged):
                 values = self.map_of(painted, own, edit.light, exact, is_current)
                 radiance[at] = reflectance_store.interpolated(values, n)
+        radiance *= edit.gain
         object_ = self.small.upsampled(radiance.reshape(self.small.grid, self.small.grid, 3))
         return self._composed(object_, edit)
 
@@ -172,7 +173,7 @@ class Viewer:
             rendered = self._rendered(compositor, label, edit)
             share = np.array([0.0, *weights], np.float32)[compositor.filled]
             object_ = object_ + share[..., None] * rendered
-        linear = composed(compositor, np.asarray(object_), edit)
+        linear = composed(compositor, edit.gain * np.asarray(object_), edit)
         photograph = self.decomposition.photograph
         return linear, displayed(linear, self.exposure, photograph, edit.hide_background)
 

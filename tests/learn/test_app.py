@@ -4,6 +4,7 @@ import json
 import shlex
 import sys
 import types
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, gallery
+from learn.app import choices, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import MOST_STROKES, Selection
@@ -172,6 +173,17 @@ def test_an_everyday_word_finds_what_looks_like_it_first(word: str) -> None:
     assert gallery.search("no such material") == []
 
 
+def test_words_that_no_material_has_together_find_what_comes_near() -> None:
+    catalogue = load_catalogue()
+    assert gallery.search("blue velvet") == gallery.search("green leather") == []
+    near = gallery.close_to("blue velvet")
+    assert near and all("blue" in name for name in near)
+    assert {catalogue[name].family for name in near} == {"fabric"}
+    # only one of the words is known
+    assert gallery.close_to("shiny unobtainium")[0] in gallery.search("shiny")
+    assert gallery.close_to("unobtainium") == []
+
+
 def decomposed(count: int = 2) -> decomposition.Decomposition:
     """A ball of two regions before a ground, decomposed by a network that knows it."""
     _, inside = ball(SIDE, RADIUS)
@@ -289,6 +301,26 @@ def test_a_positive_rotation_turns_the_light_as_rotations_of_jobs_do() -> None:
     assert not np.array_equal(turned, envmap.roll(own, -32))
 
 
+def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
+    """In the view and at full size: a stop doubles radiance, and the background stays."""
+    result = decomposed()
+    viewer = Viewer(result)
+    plain = Edit((Painted(chosen("green-fabric")), Painted()))
+    darker = replace(plain, brightness_stops=-1.0)
+    shown = [viewer.view(edit, exact=True).astype(float) for edit in (plain, darker)]
+    linear = [viewer.full(edit)[0] for edit in (plain, darker)]
+    inside = binary_erosion(result.photograph.regions == 1, iterations=4)
+    others = ~binary_dilation(result.photograph.regions == 1, iterations=4)
+    np.testing.assert_allclose(linear[1][inside], 0.5 * linear[0][inside], rtol=1e-4)
+    assert (shown[1][inside] < shown[0][inside] - 5).all()
+    for one, two in (shown, linear):
+        np.testing.assert_array_equal(one[others], two[others])
+    untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
+    np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
+    command = choices.command_line(darker, "a.png", [], True, own_weights.EDITING)
+    assert "--repeat edit.json" in command
+
+
 def test_an_exact_view_gives_way_to_a_later_choice() -> None:
     viewer = Viewer(decomposed())
     edit = Edit((Painted(chosen("brass")), Painted()))
@@ -314,10 +346,11 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
     if map_of_own:
         light = choices.LightChoice("mine.exr", 45.0, light.map)
     own = choices.principled_material("#a03020", 0.35, 0.0)
-    edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True)
+    edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
     choices.write(tmp_path / "edit.json", edit)
     again = choices.read(tmp_path / "edit.json")
     assert again.regions == edit.regions and again.hide_background
+    assert again.brightness_stops == -1.5 and "brightness −1.5" in again.caption
     assert again.regions[0].second.read and not again.regions[0].first.read
     assert again.light.rotation_deg == 45.0
     assert again.light.map is not None and light.map is not None
@@ -386,6 +419,7 @@ def photo_in(folder: Path) -> Path:
 
 def test_sessions_do_not_mix_and_delete_their_files(sessions: Sessions, tmp_path: Path) -> None:
     path = photo_in(tmp_path)
+    sessions.begin("two")
     one, two = sessions.of("one"), sessions.of("two")
     one.load(path)
     one.click(45 * one.scale, 40 * one.scale, 1)
@@ -412,8 +446,9 @@ def decompose(session: Session, refine: bool) -> list[float]:
 def test_a_session_decomposes_chooses_and_writes_all_files(
     sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    sessions.begin("one")
     session = sessions.of("one")
-    with pytest.raises(InputError, match="Decompose"):
+    with pytest.raises(InputError, match="mark the object in step 1 first"):
         session.decomposed()
     session.load(photo_in(tmp_path))
     with pytest.raises(InputError, match="an object"):
@@ -428,18 +463,21 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
         "learn.editing.material_file.write",
         lambda path, *rest: path.write_text("{}"),
     )
-    paths, text = session.downloads()
-    names = [path.name for path in paths]
-    assert names[:4] == ["edited.png", "edited.exr", "material.json", "command.txt"]
-    assert {"edit.json", "mask.png"} <= set(names)
-    with Image.open(paths[0]) as picture:
+    made = session.downloads()
+    assert [path.name for path in made.pictures] == ["sent-green-fabric.png"]
+    assert made.work.name == "sent-work.zip"
+    others = {path.name: path for path in made.others}
+    names = {"edited.exr", "material.json", "command.txt", "edit.json", "mask.png"}
+    assert names <= set(others)
+    with Image.open(made.pictures[0]) as picture:
         assert picture.size == (120, 80)
-    linear, alpha = photographs.read_exr(paths[1])
+    linear, alpha = photographs.read_exr(others["edited.exr"])
     assert linear.shape == (80, 120, 3) and (alpha == 1).all()
     session.choose(lambda edit: replace(edit, hide_background=True))
-    hidden, _ = session.downloads()
-    _, alpha = photographs.read_exr(hidden[1])
+    session.downloads()
+    _, alpha = photographs.read_exr(others["edited.exr"])
     assert alpha[0, 0] == 0 and alpha[40, 45] == 1
+    text = made.command
     assert text.startswith("brdfactory edit sent.png --mask mask.png --no-refine --material green")
     assert text.endswith(f"--weights {Path('known.safetensors').resolve()}")
 
@@ -484,13 +522,14 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
         _, text = tab.take_material(region, FIRST, str(tmp_path / "material.json"), None)
         return str(text)
 
-    assert send(1).endswith("region 1: as it is; region 2: material.json")
+    assert "part 1: as it is; part 2: material.json. Left of the line: the photograph." in send(1)
     assert session.edit.regions == (Painted(), Painted(chosen("brass")))
-    assert send(2).endswith("material.json, region 1; region 2: material.json, region 2")
+    assert "material.json, region 1; part 2: material.json, region 2. Left" in send(2)
     assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))
     with pytest.raises(gr.Error) as caught:
         send(3)
     assert str(caught.value.message) == (
+        "<b>Give the photograph these regions, or keep one label in the file.</b><br>"
         "material.json: expected one material, or 2: one for each region, found 3 (give the"
         " photograph"
         " these regions, or keep one label in the file)"
@@ -499,6 +538,167 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
     session.viewer, session.edit = Viewer(decomposed(1)), Edit((Painted(),))
     with pytest.raises(gr.Error, match="expected one material, found 2"):
         send(2, region=1)
+
+
+def saved_by(sessions: Sessions, tmp_path: Path) -> Session:
+    """A session with two parts by clicks, an edit and two kept ones."""
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.click(75 * session.scale, 40 * session.scale, 2)
+    decompose(session, refine=False)
+    light = choices.light_of(next(iter(choices.light_names())), 45.0)
+    own = choices.LightChoice("mine.exr", 45.0, light.map)
+    for name, lit in (("brass", choices.LightChoice()), ("red-fabric", own)):
+        session.choose(
+            lambda e, n=name, lit=lit: replace(e.with_region(0, Painted(chosen(n))), light=lit)
+        )
+        session.keep()
+    session.choose(lambda e: replace(e, brightness_stops=0.5))
+    return session
+
+
+def test_kept_pictures_are_compared_brought_back_and_removed(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = saved_by(sessions, tmp_path)
+    session.keep()
+    session.keep()  # the same once more
+    assert len(session.kept) == 3
+    session.beside = session.kept[1]
+    assert session.left == str(session.kept[1].picture)
+    path = session.kept[1].picture
+    session.forget(1)
+    assert not path.exists() and session.left == session.before
+    assert [each.edit.brightness_stops for each in session.kept] == [0, 0.5]
+    with pytest.raises(InputError, match="a kept picture"):
+        session.kept_edit(2)
+    for number in range(10):
+        session.choose(lambda e, n=number: replace(e, brightness_stops=-n / 10))
+        session.keep()
+    assert len(session.kept) == 12
+    session.choose(lambda e: replace(e, brightness_stops=-2.0))
+    with pytest.raises(InputError, match="at most 12 kept pictures"):
+        session.keep()
+    # another decomposition of the same photograph keeps them
+    decompose(session, refine=False)
+    assert len(session.kept) == 12 and all(each.picture.exists() for each in session.kept)
+    session.load(tmp_path / "sent.png")
+    assert session.kept == []
+
+
+def test_pictures_for_download_are_named_after_photograph_and_material(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
+    session = saved_by(sessions, tmp_path)
+    made = session.downloads()
+    assert [path.name for path in made.pictures] == [
+        "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45-brightness-0-.png",
+        "sent-part-1-brass-part-2-as-it-is.png",
+        "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45.png",
+        "sent-compared.jpg",
+    ]
+    for path in made.pictures[:3]:
+        with Image.open(path) as picture:
+            assert picture.size == (120, 80)
+    session.name = "Stuhl für Frau Öz (2).JPG"
+    assert session.stem == "Stuhl-für-Frau-Öz-2"
+
+
+def test_saved_work_brings_photograph_mask_and_edits_back(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
+    session = saved_by(sessions, tmp_path)
+    work = tmp_path / "work.zip"
+    work.write_bytes(session.downloads().work.read_bytes())
+    other = sessions.of("two")
+    assert "Your saved work is open" in other.load_work(work)
+    assert other.name == "sent.png" and other.refined is False
+    np.testing.assert_array_equal(other.opened().labels(), session.opened().labels())
+    decompose(other, refine=False)
+    assert other.edit is not None and session.edit is not None
+    assert other.edit.caption == session.edit.caption
+    assert other.edit.regions == session.edit.regions
+    assert [k.edit.caption for k in other.kept] == [k.edit.caption for k in session.kept]
+    a, b = (each.decomposed()[0].view(each.edit, True) for each in (session, other))
+    np.testing.assert_array_equal(a, b)
+    assert not list(other.folder.glob("work-*"))  # nothing is left of what was unpacked
+
+
+def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path) -> None:
+    session = sessions.of("one")
+    path, edit = tmp_path / "work.zip", json.dumps({"regions": [{}]})
+    good = {"work.json": json.dumps({"photograph": "a.png", "refined": False}), "edit.json": edit}
+
+    def refused(match: str) -> None:
+        with pytest.raises(InputError, match=match):
+            session.load_work(path)
+        assert session.selection is None and not list(session.folder.iterdir())
+        assert not (tmp_path / "outside.json").exists()
+
+    def write(members: dict[str, str | bytes], method: int = zipfile.ZIP_DEFLATED) -> None:
+        with zipfile.ZipFile(path, "w", method) as archive:
+            for name, text in members.items():
+                archive.writestr(name, text)
+
+    path.write_bytes(b"no archive")
+    refused("saved work, a zip archive")
+    for name in ("../outside.json", "/outside.json", "kept-1/../../outside.json", "a.pkl"):
+        write({**good, name: "{}"})
+        refused("expected saved work, found")
+    write({**good, "photograph.png": b"\0" * 1000}, zipfile.ZIP_LZMA)
+    refused("expected saved work, found")
+    write({"edit.json": edit})
+    refused("saved work, with work.json")
+    write(good)
+    refused("one photograph, found 0")
+    write({**good, "work.json": '{"photograph": "a.png", "refined": false, "kept": 13}'})
+    refused("kept")
+    write({**good, "photograph.png": b"\0" * (130 << 20)})  # 130 KB as an archive
+    refused("at most 128 MiB")
+    write({**good, "photograph.png": b"no picture"})
+    refused("work.zip: photograph.png: expected a picture")
+    # a size in its table that is too small
+    write({**good, "photograph.png": b"\0" * 5000})
+    data = path.read_bytes()
+    path.write_bytes(data.replace((5000).to_bytes(4, "little"), (50).to_bytes(4, "little")))
+    refused("saved work, a zip archive")
+
+
+def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
+    sessions.begin("new")
+    with pytest.raises(InputError, match="choose a photograph first"):
+        sessions.of("new").opened()
+    with pytest.raises(InputError, match="is no longer kept"):
+        sessions.of("served before the program was started again").opened()
+
+
+def test_an_error_says_first_what_to_do() -> None:
+    pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
+    from learn.app.event_handling import for_people
+
+    error = InputError("a<b>.pdf", "a picture", "another format", "save it as PNG")
+    assert for_people(error) == (
+        "<b>Save it as PNG.</b><br>a&lt;b&gt;.pdf: expected a picture, found another format"
+        " (save it as PNG)"
+    )
+    error = InputError("the page", "a photograph", "none", "choose a photograph first")
+    assert for_people(error) == "Choose a photograph first."
+
+
+def test_nothing_is_darkened_before_the_first_click() -> None:
+    selection = Selection(scene())
+    np.testing.assert_array_equal(overlay.draw(selection, 1.0), scene())
+    selection.click(45, 40, 1)
+    assert (overlay.draw(selection, 1.0)[0] < scene()[0]).all()
 
 
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:

@@ -1,0 +1,151 @@
+"""Work that is saved to go on with another day: a zip archive of the photograph, mask and edits.
+
+    work.json               Saved
+    photograph.EXT          as it was sent; the program's example is named in work.json instead
+    mask.png, regions.png   where the mask is not the photograph's transparency
+    edit.json, light.exr    the edit, as learn.app.choices writes it
+    kept-K/…                the same of each edit that was kept to be compared, K from 1 on
+
+An archive comes from outside: it is read into memory member by member, each bounded before it is
+decompressed, and only members of these names are accepted, so that no path leaves the folder.
+"""
+
+import re
+import zipfile
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from learn.app import choices
+from learn.app.choices import Edit
+from manifests import files, reading
+from manifests.errors import InputError
+
+MOST_BYTES = 64 << 20  # of an archive, as of any file that is sent to the page
+MOST_UNPACKED = 128 << 20  # bytes of all members
+MOST_KEPT = 12
+LARGEST_MANIFEST = 1 << 16  # bytes of a work.json
+MEMBER = re.compile(
+    r"work\.json|photograph\.[a-z0-9]{2,5}|mask\.png|regions\.png"
+    r"|(kept-([1-9]|1[0-2])/)?(edit\.json|light\.exr)"
+)
+EXAMPLE = "example:"
+REMEDY = "choose a file that “Download” made, NAME-work.zip"
+
+
+class Saved(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What work.json holds.
+
+    photograph  the file's name as the user knows it, or example:NAME
+    refined     whether the photograph was refined
+    kept        number of kept edits
+    """
+
+    photograph: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
+    refined: bool
+    kept: Annotated[int, msgspec.Meta(ge=0, le=MOST_KEPT)] = 0
+
+
+@dataclass(frozen=True)
+class Work:
+    """Saved work. photograph, mask, regions: files, None where there is none."""
+
+    name: str
+    refined: bool
+    edit: Edit
+    kept: tuple[Edit, ...]
+    photograph: Path | None
+    mask: Path | None
+    regions: Path | None
+
+
+def write(
+    path: Path, folder: Path, saved: Saved, parts: Iterable[Path], edit: Edit, kept: Sequence[Edit]
+) -> None:
+    """Write an archive.
+
+    folder  an empty one, for files on the way
+    parts   files whose names MEMBER has: photograph, mask and regions
+    """
+    choices.write(folder / "edit.json", edit)
+    files.write_json(folder / "work.json", msgspec.to_builtins(saved))
+    for number, each in enumerate(kept, 1):
+        (folder / f"kept-{number}").mkdir()
+        choices.write(folder / f"kept-{number}" / "edit.json", each)
+    made = sorted(each for each in folder.rglob("*") if each.is_file())
+
+    def save(file) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for part in parts:
+                archive.write(part, part.name)
+            for each in made:
+                archive.write(each, each.relative_to(folder).as_posix())
+
+    files.write_with(path, save)
+
+
+def read(path: Path, folder: Path) -> Work:
+    """Return the Work of an archive, whose files are unpacked into an empty folder.
+
+    Raises  InputError: no such archive, a damaged or too large one, other members
+    """
+    names = _unpack(path, folder)
+    for name in ("work.json", "edit.json"):
+        if name not in names:
+            raise InputError(path, f"saved work, with {name}", "none in it", REMEDY)
+    saved = reading.read(folder / "work.json", Saved, LARGEST_MANIFEST)
+    # a name, never a path: files for download are named after it
+    is_example = saved.photograph.startswith(EXAMPLE)
+    name = saved.photograph if is_example else Path(saved.photograph).name
+    photographs = [folder / each for each in names if each.startswith("photograph.")]
+    if len(photographs) != (0 if is_example else 1) or not name:
+        rule = "one photograph"
+        raise InputError(path, rule, f"{len(photographs)}", REMEDY)
+    edits = [
+        choices.read(folder / f"kept-{number}" / "edit.json") for number in range(1, saved.kept + 1)
+    ]
+    mask, regions = (
+        folder / each if each in names else None for each in ("mask.png", "regions.png")
+    )
+    return Work(
+        name,
+        saved.refined,
+        choices.read(folder / "edit.json"),
+        tuple(edits),
+        photographs[0] if photographs else None,
+        mask,
+        regions,
+    )
+
+
+def _unpack(path: Path, folder: Path) -> set[str]:
+    """Write an archive's members into a folder; return their names. Raises InputError."""
+    if path.stat().st_size > MOST_BYTES:
+        raise InputError(path, f"at most {MOST_BYTES >> 20} MiB", "more", REMEDY)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            for member in members:
+                known = member.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+                if not MEMBER.fullmatch(member.filename) or member.flag_bits & 1 or not known:
+                    found = f"{member.filename[:80]!r} in it"
+                    raise InputError(path, "saved work", found, REMEDY)
+            total = sum(member.file_size for member in members)
+            if total > MOST_UNPACKED or len({m.filename for m in members}) < len(members):
+                rule = f"at most {MOST_UNPACKED >> 20} MiB, each file once"
+                raise InputError(path, rule, f"{total} bytes", REMEDY)
+            for member in members:
+                with archive.open(member) as opened:
+                    data = opened.read(member.file_size + 1)
+                if len(data) != member.file_size:
+                    raise zipfile.BadZipFile("another size than it says")
+                target = folder / member.filename
+                target.parent.mkdir(exist_ok=True)
+                target.write_bytes(data)
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, OSError) as error:
+        raise InputError(path, "saved work, a zip archive", f"{error}", REMEDY) from None
+    return {member.filename for member in members}
