@@ -36,7 +36,7 @@ def page_with_a_material() -> Image.Image:
             window.wait("!document.querySelector('#decompose').disabled")
             window.click("#decompose")
             window.wait("document.querySelector('#editor img')")
-            wait_for("#shown", "Choose a material")
+            wait_for("#shown", "choose a material")
             window.run(
                 "[...document.querySelectorAll('#materials button')]"
                 f".find(e => e.innerText.includes({MATERIAL!r})).click()"

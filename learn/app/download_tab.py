@@ -5,6 +5,7 @@ from typing import Any
 
 from learn.app.event_handling import QUIET, SessionOf, one_line
 from learn.app.offline_gradio import gr
+from learn.app.session import Downloads
 
 
 class DownloadTab:
@@ -45,10 +46,14 @@ class DownloadTab:
     def write_all(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
         """Write the files."""
         session = self.session_of(request)
-        session.decomposed()
         nothing = (gr.skip(),) * (len(self.outputs) - 1)
-        yield (*nothing, "Rendering at the photograph's size …")
-        made = session.downloads()
+        steps = session.downloads()
+        while True:
+            try:
+                yield (*nothing, next(steps))
+            except StopIteration as ended:
+                made: Downloads = ended.value
+                break
         count = len(made.pictures)
         said = "The picture is ready." if count == 1 else f"{count} pictures are ready."
         yield (

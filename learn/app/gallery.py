@@ -47,21 +47,26 @@ def words() -> dict[str, str]:
     return result
 
 
-def page_tiles(names: list[str], address: str) -> str:
+def page_tiles(names: list[str], address: str, text: str = "") -> str:
     """Return HTML with a button for each of the named materials: its picture, name and family.
 
     address  of PICTURES on the page. All buttons show parts of that one file.
+    text     that was looked for: where a material looks like a word of it, this word takes the
+             place of the family
     """
+    like = {name: word for word in asked_words(text) for name in ALIKE.get(word, ())}
     places = {name: number for number, name in enumerate(load_catalogue())}
     buttons = []
     for name in names:
         row, column = divmod(places[name], COLUMNS)
         place = f"{-TILE * column}px {-TILE * row}px"
         style = f"background: url('{address}') {place}"
-        text, family = html.escape(name), html.escape(load_catalogue()[name].family)
+        shown = html.escape(name)
+        note = f"looks like {like[name]}" if name in like else load_catalogue()[name].family
         buttons.append(
-            f'<button data-name="{text}"><span class="picture" style="{html.escape(style)}"></span>'
-            f'<span class="caption">{text}</span><span class="note">{family}</span></button>'
+            f'<button data-name="{shown}"><span class="picture" style="{html.escape(style)}">'
+            f'</span><span class="caption">{shown}</span>'
+            f'<span class="note">{html.escape(note)}</span></button>'
         )
     return f'<div class="tiles">{"".join(buttons)}</div>'
 

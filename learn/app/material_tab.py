@@ -110,8 +110,8 @@ class MaterialTab:
         )
         self.back = gr.Button("As in the photograph", elem_id="keep", size="sm")
 
-    def _tiles(self, names: list[str]) -> str:
-        return gallery.page_tiles(names, address_of(self.pictures))
+    def _tiles(self, names: list[str], text: str = "") -> str:
+        return gallery.page_tiles(names, address_of(self.pictures), text)
 
     def _lay_out_own_materials(self) -> None:
         with gr.Accordion("A material of your own", open=False, elem_id="own"):
@@ -406,7 +406,7 @@ class MaterialTab:
                 else "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A"
                 " material of your own”."
             )
-        return self._tiles(matching), line
+        return self._tiles(matching, text), line
 
 
 def region_choices(count: int) -> list[tuple[str, int]]:

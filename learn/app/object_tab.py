@@ -13,7 +13,7 @@ from learn.app.selection import BACKGROUND
 from learn.app.session import NEXT, Session
 from manifests.errors import InputError
 
-FURTHER_PARTS = ("second", "third", "fourth")
+PARTS_OFFERED = 4
 DONE = "Done."
 OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
@@ -52,7 +52,7 @@ class ObjectTab:
         self.work = gr.UploadButton("Or open saved work (.zip)", elem_id="work", size="sm")
         self.marked = gr.Radio(
             [("The object", 1), ("Not the object", BACKGROUND)]
-            + [(f"Its {which} part", k) for k, which in enumerate(FURTHER_PARTS, 2)],
+            + [(f"Part {number}", number) for number in range(2, PARTS_OFFERED + 1)],
             value=1,
             label="What I click on is …",
             info="Parts of an object can have different materials, such as a seat and its legs.",
@@ -61,6 +61,17 @@ class ObjectTab:
         with gr.Row(elem_id="undoing"):
             self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
             self.clear = gr.Button("Start again", elem_id="clear", size="sm", min_width=80)
+        self.refine = gr.Checkbox(
+            True,
+            label="Take more time",
+            info="Shape and light are fitted more closely to the photograph; about half a minute.",
+            elem_id="refine",
+        )
+        self.decompose = gr.Button(
+            NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
+        )
+        self.progress = gr.HTML("", elem_id="progress")
+        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False, size="sm")
         with gr.Accordion("I have a mask already", open=False, elem_id="own-mask"):
             gr.Markdown(
                 "A mask is a picture of the same size that is white where the object is. One with"
@@ -71,20 +82,6 @@ class ObjectTab:
                 self.regions_file = gr.UploadButton(
                     "File of parts", elem_id="regions-file", size="sm", min_width=90
                 )
-        self.refine = gr.Checkbox(
-            True,
-            label="Take more time",
-            info="Shape and light are fitted more closely to the photograph; about half a minute.",
-            elem_id="refine",
-        )
-        with gr.Row(elem_id="going-on"):
-            self.decompose = gr.Button(
-                NEXT, variant="primary", elem_id="decompose", interactive=False, scale=3
-            )
-            self.stop = gr.Button(
-                "Stop", variant="stop", elem_id="stop", interactive=False, min_width=80
-            )
-        self.progress = gr.HTML("", elem_id="progress")
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(

@@ -42,8 +42,10 @@ CSS = """
   gap: 8px; max-height: none}
 #kept figure {margin: 0}
 #kept img {width: 100%; border-radius: 4px}
-#kept button {cursor: pointer; font-size: 12px; text-decoration: underline; padding: 4px 8px 4px 0}
-#kept button[aria-pressed=true] {font-weight: bold}
+#kept button {cursor: pointer; font-size: 12px; padding: 4px 8px; margin: 2px 4px 2px 0;
+  border: 1px solid var(--border-color-primary); border-radius: 4px}
+#kept button:has(img) {padding: 0; border: none}
+#kept button[aria-pressed=true] {border-color: var(--color-accent); font-weight: bold}
 #kept .caption {font-size: 12px; overflow-wrap: anywhere}
 #kept :focus-visible {outline: 2px solid var(--color-accent)}
 #decomposition .tiles {display: flex; flex-wrap: wrap; gap: 8px}
@@ -183,9 +185,8 @@ def page(sessions: Sessions) -> gr.Blocks:
         title=TITLE, analytics_enabled=False, delete_cache=DELETE_AFTER, fill_width=True
     ) as blocks:
         gr.Markdown(
-            f"# {TITLE}\nSee an object of your photograph in leather, wood, metal, paint or cloth."
-            " The photograph stays on the computer that serves this page, and is deleted when you"
-            " close it."
+            f"# {TITLE}\nSee an object in leather, wood, metal, paint or cloth. The photograph"
+            " stays on the computer that serves this page, and is deleted when you close it."
         )
         with gr.Tabs(selected="object"):
             objects = ObjectTab(session_of)

@@ -109,11 +109,11 @@ def main() -> None:
                 cut = picture.crop((100, 0, 500, 400))
                 cut.resize((512, 512), Image.Resampling.NEAREST).save(mask)
             window.visit(address)
-            for label, file in (("Choose a photograph", photo), ("Regions file", mask)):
+            for label, file in (("Choose a photograph", photo), ("File of parts", mask)):
                 selector = f'input[data-testid="{label}-upload-button"]'
                 window.wait(f"document.querySelector('{selector}')")
                 window.type(selector, str(file))
-                said = "mark the object" if file == photo else "from the file"
+                said = "click on the object" if file == photo else "from the file"
                 window.wait(f"document.querySelector('#status').innerText.includes('{said}')")
             window.run("document.querySelector('#refine input').click()")
             window.click("#decompose")

@@ -18,7 +18,7 @@ from learn.app import choices, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import MOST_STROKES, Selection
-from learn.app.session import Session
+from learn.app.session import Downloads, Session, display_of
 from learn.app.sessions import Sessions
 from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
@@ -30,7 +30,7 @@ from learn.networks import own_weights
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
-from shaders import envmap
+from shaders import envmap, tone
 from tests.support.known_ball import Knowing, ball, label_of
 
 SIDE, RADIUS = 96, 36
@@ -182,6 +182,8 @@ def test_words_that_no_material_has_together_find_what_comes_near() -> None:
     # only one of the words is known
     assert gallery.close_to("shiny unobtainium")[0] in gallery.search("shiny")
     assert gallery.close_to("unobtainium") == []
+    tiles = gallery.page_tiles(gallery.search("leather"), "materials.jpg", "leather")
+    assert tiles.count("looks like leather") == 3
 
 
 def decomposed(count: int = 2) -> decomposition.Decomposition:
@@ -463,7 +465,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
         "learn.editing.material_file.write",
         lambda path, *rest: path.write_text("{}"),
     )
-    made = session.downloads()
+    made = downloads_of(session)
     assert [path.name for path in made.pictures] == ["sent-green-fabric.png"]
     assert made.work.name == "sent-work.zip"
     others = {path.name: path for path in made.others}
@@ -474,7 +476,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     linear, alpha = photographs.read_exr(others["edited.exr"])
     assert linear.shape == (80, 120, 3) and (alpha == 1).all()
     session.choose(lambda edit: replace(edit, hide_background=True))
-    session.downloads()
+    downloads_of(session)
     _, alpha = photographs.read_exr(others["edited.exr"])
     assert alpha[0, 0] == 0 and alpha[40, 45] == 1
     text = made.command
@@ -540,6 +542,18 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
         send(2, region=1)
 
 
+def downloads_of(session: Session, lines: list[str] | None = None) -> Downloads:
+    """The files for download; `lines` is given what is said meanwhile."""
+    steps = session.downloads()
+    while True:
+        try:
+            line = next(steps)
+        except StopIteration as ended:
+            return ended.value
+        if lines is not None:
+            lines.append(line)
+
+
 def saved_by(sessions: Sessions, tmp_path: Path) -> Session:
     """A session with two parts by clicks, an edit and two kept ones."""
     session = sessions.of("one")
@@ -595,7 +609,11 @@ def test_pictures_for_download_are_named_after_photograph_and_material(
         lambda path, *rest: path.write_text("{}"),
     )
     session = saved_by(sessions, tmp_path)
-    made = session.downloads()
+    lines: list[str] = []
+    made = downloads_of(session, lines)
+    assert [line.split("size")[1] for line in lines] == [
+        f", picture {number} of 3 …" for number in (1, 2, 3)
+    ]
     assert [path.name for path in made.pictures] == [
         "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45-brightness-0-.png",
         "sent-part-1-brass-part-2-as-it-is.png",
@@ -618,7 +636,7 @@ def test_saved_work_brings_photograph_mask_and_edits_back(
     )
     session = saved_by(sessions, tmp_path)
     work = tmp_path / "work.zip"
-    work.write_bytes(session.downloads().work.read_bytes())
+    work.write_bytes(downloads_of(session).work.read_bytes())
     other = sessions.of("two")
     assert "Your saved work is open" in other.load_work(work)
     assert other.name == "sent.png" and other.refined is False
@@ -692,6 +710,15 @@ def test_an_error_says_first_what_to_do() -> None:
     )
     error = InputError("the page", "a photograph", "none", "choose a photograph first")
     assert for_people(error) == "Choose a photograph first."
+
+
+def test_display_values_of_a_photograph_come_back_as_they_were() -> None:
+    grey = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, 2)
+    radiance = photograph.from_arrays(grey, np.ones((16, 16), bool)).radiance
+    np.testing.assert_array_equal(display_of(radiance, 1.0), grey)
+    linear = np.random.default_rng(0).uniform(-0.1, 3, (16, 16, 3)).astype(np.float32)
+    expected = tone.display(linear, 0.5)
+    np.testing.assert_allclose(display_of(linear, 0.5), expected, atol=0.52)
 
 
 def test_nothing_is_darkened_before_the_first_click() -> None:

@@ -133,9 +133,10 @@ class Walk:
         self.window.run(f"document.querySelectorAll('{selector} input')[{number}].click()")
 
     def search(self, words: str) -> list[str]:
-        self.enter("#words input, #words textarea", words)
         listed = "[...document.querySelectorAll('#materials .caption')].map(e => e.innerText)"
-        self.window.wait(f"({listed}).length < 100 || !{words!r}")
+        before = self.window.run(f"return {listed}.join()")
+        self.enter("#words input, #words textarea", words)
+        self.window.wait(f"({listed}).join() != {before!r}")
         time.sleep(0.3)
         return self.window.run(f"return {listed}")
 
@@ -144,6 +145,16 @@ class Walk:
             "[...document.querySelectorAll('#materials button')]"
             f".find(e => e.innerText.includes({name!r})).click()"
         )
+
+    def links(self) -> list[str]:
+        """The addresses of all files for download; those for programs are in a closed part."""
+        self.window.run(
+            "[...document.querySelectorAll('.label-wrap')].filter(e => e.offsetParent"
+            " && !e.classList.contains('open')).forEach(e => e.click())"
+        )
+        links = "[...document.querySelectorAll(':is(#pictures, #saved-work, #downloads) a')]"
+        self.window.wait(f"{links}.some(a => a.href.endsWith('edit.json'))")
+        return self.window.run(f"return {links}.map(a => a.href)")
 
     def errors(self, with_warnings: bool = True) -> list[str]:
         return [
@@ -186,25 +197,25 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
 
         send(walk, "Choose a photograph", photo)
         window.wait("document.querySelector('#marking img')")
-        walk.wait_for("#status", "mark the object")
+        walk.wait_for("#status", "click on the object")
         walk.shot("photograph")
 
         # object, background, and a second region by clicks
         for point in (CUP, SAUCER):
             walk.point(point)
         assert "covers" in walk.text("#status")
-        walk.choose("#marked", 4)
+        walk.choose("#marked", 1)  # not the object
         walk.point(TABLE)
-        walk.choose("#marked", 1)
+        walk.choose("#marked", 2)  # its second part
         walk.point(SAUCER)
         walk.point((120, 139))
-        walk.wait_for("#status", "2 regions")
+        walk.wait_for("#status", "2 parts")
         walk.shot("regions")
         walk.window.click("#undo")
         walk.window.click("#undo")
-        window.wait("!document.querySelector('#status').innerText.includes('2 regions')")
+        window.wait("!document.querySelector('#status').innerText.includes('2 parts')")
         walk.point(SAUCER)
-        walk.wait_for("#status", "2 regions")
+        walk.wait_for("#status", "2 parts")
 
         # stop, then decompose without refinement
         window.click("#decompose")
@@ -215,23 +226,22 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
-        walk.wait_for("#shown", "Choose a material")
+        walk.wait_for("#shown", "choose a material")
         time.sleep(0.5)
         walk.shot("decomposed")
-        assert window.run("return document.querySelectorAll('#decomposition img').length") == 5
         assert window.run("return document.querySelectorAll('#materials button').length") == 151
 
         # a material by an everyday word
         names = walk.search("leather")
         assert names[0] == "natural-209"
-        painted = "region 1: natural-209; region 2: as it is"
+        painted = "part 1: natural-209; part 2: as it is"
         first = walk.changed(lambda: walk.pick("natural-209"), painted)
         walk.shot("material")
 
         # the second region, then a blend
         walk.choose("#region", 1)
         names = walk.search("gold")
-        second = walk.changed(lambda: walk.pick(names[0]), f"region 2: {names[0]}")
+        second = walk.changed(lambda: walk.pick(names[0]), f"part 2: {names[0]}")
         assert abs(second - first).mean() > 1
         walk.choose("#slot", 1)
         names = walk.search("blue rubber")
@@ -263,13 +273,14 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
             ".find(e => e.innerText.includes('Download')).click()"
         )
         window.click("#make")
-        walk.wait_for("#made", "files are ready")
+        walk.wait_for("#made", "is ready")
         walk.shot("download")
-        links = window.run("return [...document.querySelectorAll('#downloads a')].map(a => a.href)")
+        links = walk.links()
         files = {link.rsplit("/", 1)[1]: link for link in links}
-        expected = {"edited.png", "edited.exr", "material.json", "edit.json", "command.txt"}
+        expected = {"edited.exr", "material.json", "edit.json", "command.txt", "cup-work.zip"}
         assert expected < set(files)
-        data = urllib.request.urlopen(files["edited.png"], timeout=60).read()
+        (picture,) = (link for name, link in files.items() if "natural-209" in name)
+        data = urllib.request.urlopen(picture, timeout=60).read()
         assert Image.open(io.BytesIO(data)).size == SIZE
         recipe = json.load(urllib.request.urlopen(files["edit.json"], timeout=60))
         assert recipe["regions"][0]["first"]["text"] == "natural-209"
@@ -321,12 +332,13 @@ def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixel
         window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
-        walk.wait_for("#shown", "Choose a material")
+        walk.wait_for("#shown", "choose a material")
 
         # a material by sliders
         open_all = "[...document.querySelectorAll('#own button, .label-wrap')]"
         window.run(f"{open_all}.filter(e => !e.classList.contains('open')).forEach(e => e.click())")
         window.wait("document.querySelector('#roughness input[type=range]')")
+        window.wait("document.querySelectorAll('#decomposition img').length == 4")
         rough = walk.changed(lambda: walk.slide("#roughness", 0.9), "principled(", "roughness=0.9")
         smooth = walk.changed(lambda: walk.slide("#roughness", 0.1), "roughness=0.1")
         metal = walk.changed(lambda: walk.slide("#metallic", 1.0), "metallic=1")
@@ -363,8 +375,8 @@ def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixel
         # the command repeats the files pixel by pixel
         open_tab(walk, "Download")
         window.click("#make")
-        walk.wait_for("#made", "files are ready")
-        links = window.run("return [...document.querySelectorAll('#downloads a')].map(a => a.href)")
+        walk.wait_for("#made", "is ready")
+        links = walk.links()
         command = window.run("return document.querySelector('#command textarea').value")
         walk.shot("files")
         assert walk.errors(with_warnings=False) == []  # Gradio's brush warns of its own library
@@ -375,12 +387,121 @@ def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixel
     assert program == "brdfactory" and "--repeat" in words
     files = {"cup.png": photo} | {n: tmp_path / n for n in ("edit.json", "mask.png", "regions.png")}
     assert run([str(files.get(word, word)) for word in words[:-1]] + [str(tmp_path / "again")]) == 0
+    (picture,) = tmp_path.glob("cup-other-png-*.png")
     made, again = (
-        np.asarray(Image.open(tmp_path / where / "edited.png"), int) for where in ("", "again")
+        np.asarray(Image.open(path), int) for path in (picture, tmp_path / "again/edited.png")
     )
     assert made.shape == again.shape and abs(made - again).max() == 0
     linear = [photographs.read_exr(tmp_path / where / "edited.exr")[0] for where in ("", "again")]
     np.testing.assert_allclose(*linear, rtol=1e-5, atol=1e-6)  # the light is stored as an EXR
+
+
+def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
+    served, photo, tmp_path
+):
+    folder = tmp_path / "screenshots"
+    folder.mkdir()
+    with Browser(1300, 1150) as window:
+        walk = opened(window, served, folder)
+        leaving = (
+            "const e = new Event('beforeunload', {cancelable: true}); dispatchEvent(e);"
+            "return e.defaultPrevented"
+        )
+        assert not window.run(leaving)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')")
+        assert window.run(leaving)  # the browser asks, as the photograph would be gone
+        for place in ("#status", "#progress"):
+            assert window.run(f"return document.querySelector('{place}').ariaLive") == "polite"
+        assert (
+            "click on it" in window.run("return document.querySelector('#marking img').alt").lower()
+        )
+        for point in (CUP, SAUCER):
+            walk.point(point)
+        window.run("document.querySelector('#refine input').click()")
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        walk.wait_for("#shown", "choose a material")
+
+        # nothing is called so: what comes near is shown, and said
+        names = walk.search("blue velvet")
+        walk.wait_for("#count", "No material is called “blue velvet”")
+        assert names[0] == "blue-fabric"
+        kept = "document.querySelectorAll('#kept figure').length"
+        pictures = []
+        for number, name in enumerate(("blue-fabric", "blue-metallic-paint", "brass"), 1):
+            walk.search(name)
+            pictures.append(walk.changed(lambda name=name: walk.pick(name), name))
+            window.click("#keep-it")
+            window.wait(f"{kept} == {number}")
+        walk.shot("kept")
+        darker = walk.changed(lambda: walk.slide("#brightness", -1), "brightness −1")
+        assert darker.mean() < pictures[2].mean() - 1
+
+        # one of them on the left of the line, one shown again, one removed
+        window.run("document.querySelector('#kept [data-act=beside][data-number=\"1\"]').click()")
+        walk.wait_for("#shown", "Left of the line: blue-metallic-paint.")
+        window.wait("document.querySelector('#kept [aria-pressed=true]').dataset.number == 1")
+        again = walk.changed(
+            lambda: window.run("document.querySelector('#kept [data-act=show]').click()"),
+            "blue-fabric. Left",
+        )
+        np.testing.assert_allclose(again, pictures[0], atol=4)
+        slider = "return document.querySelector('#brightness input[type=range]').value"
+        window.wait(f"(() => {{{slider}}})() == 0")
+        window.run("document.querySelector('#kept [data-act=remove]').click()")
+        window.wait(f"{kept} == 2")
+        walk.wait_for("#shown", "Left of the line: blue-metallic-paint.")
+
+        open_tab(walk, "Download")
+        window.click("#make")
+        walk.wait_for("#made", "4 pictures are ready")
+        names = [link.rsplit("/", 1)[1] for link in walk.links()]
+        assert names[:4] == [
+            "cup-blue-fabric.png",
+            "cup-blue-metallic-paint.png",
+            "cup-brass.png",
+            "cup-compared.jpg",
+        ]
+        (link,) = (link for link in walk.links() if link.endswith("cup-work.zip"))
+        work = tmp_path / "cup-work.zip"
+        work.write_bytes(urllib.request.urlopen(link, timeout=60).read())
+        walk.shot("download")
+
+    with Browser(1300, 1150) as window:
+        walk = opened(window, served, folder)
+        send(walk, "Or open saved work (.zip)", work)
+        window.wait(f"{kept} == 2")
+        walk.wait_for("#shown", "Exact view. blue-fabric. Left of the line: the photograph.")
+        window.wait(RESULT)
+        np.testing.assert_allclose(walk.result(), again, atol=1)
+        walk.shot("work-opened")
+        assert walk.errors() == []
+
+
+def test_on_a_telephone_the_picture_is_near_the_buttons_and_nothing_is_wider(served, tmp_path):
+    with Browser(390, 844) as window:
+        window.resize(390, 844)
+        walk = opened(window, served, tmp_path)
+        time.sleep(1)
+        place = "document.querySelector('{}').getBoundingClientRect()"
+        tabs = "[...document.querySelectorAll('[role=tab]')].filter(e => e.offsetParent)"
+        assert window.run(f"return {tabs}.map(e => e.innerText)")[:3] == [
+            "1 Photograph",
+            "2 Material",
+            "3 Download",
+        ]
+        walk.shot("telephone")
+        window.click("#example")
+        window.wait("document.querySelector('#marking img')")
+        time.sleep(1)
+        walk.shot("telephone-example")
+        tops = [
+            window.run(f"return {place.format(i)}.top")
+            for i in ("#photo", "#marking", "#decompose")
+        ]
+        assert tops == sorted(tops) and tops[1] < 844
+        assert window.run("return document.documentElement.scrollWidth") <= 390
 
 
 def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
