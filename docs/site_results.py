@@ -19,7 +19,9 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
     known = json.loads((folder / "sources.json").read_text())
     judged = json.loads((folder / "judged.json").read_text())
     rows = dict(
-        re.findall(r"<h2>([^<]+)</h2>\s*<img src=['\"]data:image/jpeg;base64,([^'\"]+)", text)
+        re.findall(
+            r"<h2>([^<]+)</h2>\s*(?:<div[^>]*>)?<img src=['\"]data:image/jpeg;base64,([^'\"]+)", text
+        )
     )
     if set(rows) != set(known["photographs"]):
         raise KeyError("docs/results/photographs: index.html and sources.json name other pictures")

@@ -101,30 +101,62 @@ def row(name, path, mask, network, size, settings):
     return tiles, time.perf_counter() - start
 
 
+STYLE = """
+h2{text-transform:capitalize}
+img{max-width:100%}
+.scroll:focus-visible{outline:3px solid var(--accent)}
+.hint{display:none}
+@media(max-width:820px){.scroll img{max-width:none}.hint{display:block}}
+"""
+VERDICTS = {"Works": "works", "Half works": "half works", "Fails": "fails"}
+
+
 def page(rows, credits, judged, about):
-    """The page's HTML; rows: {name: path of its JPEG}."""
+    """The page's HTML; rows: {name: path of its JPEG}.
+
+    A narrow screen shows a row at its own size, to be moved sideways: seven pictures across a
+    telephone could not be recognised.
+    """
     made = about["made"]
+    verdicts = [judged.get(name, "").partition(":")[0].partition(" for ")[0] for name in rows]
+    counts = [
+        f"{text} for {verdicts.count(verdict)}"
+        for verdict, text in VERDICTS.items()
+        if verdict in verdicts
+    ]
     body = [
         html.paragraph(
             f"{len(rows) * len(MATERIALS)} edits of {len(rows)} photographs by other people. Each"
-            " row: the photograph, the picture rendered again from its decomposition, normals,"
-            " light, and the edits. None is left out, failures included."
+            " row shows the photograph, the same picture rendered again from what was read from it,"
+            f" its shape (as colours), its light, and the object in {', '.join(MATERIALS[:-1])} and"
+            f" {MATERIALS[-1]}."
         ),
         html.paragraph(
-            f"{made['command']}, commit {made['commit']}, {made['date']}; {made['machine']};"
-            f" weights {about['weights']}, {'refined' if about['refined'] else 'not refined'}",
-            "soft",
-        ),
+            f"Judged by eye, by those who wrote the program, it {', '.join(counts)}. None is left"
+            " out."
+        )
+        if counts
+        else "",
+        html.paragraph("Move a row sideways to see all of it.", "hint"),
     ]
     for name, path in rows.items():
         source = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+        picture = html.image(source, f"{name}: photograph, rendered again, shape, light, 3 edits")
         body += [
             f"<h2>{name}</h2>",
-            html.image(source, f"{name}: photograph and edits"),
+            f"<div class=scroll tabindex=0 role=region aria-label='{name}'>{picture}</div>",
             html.paragraph(judged.get(name, "")),
             html.paragraph(credits[name], "soft"),
         ]
-    return html.page("Edited photographs", body, "img{max-width:100%}")
+    body.append(
+        html.paragraph(
+            f"Made by {made['command']}, commit {made['commit']}, {made['date']};"
+            f" {made['machine']}; weights {about['weights']},"
+            f" {'refined' if about['refined'] else 'not refined'}",
+            "soft",
+        )
+    )
+    return html.page("Edited photographs", body, STYLE)
 
 
 def hero(path, weights_path):
