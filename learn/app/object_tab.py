@@ -37,7 +37,7 @@ class ObjectTab:
 
     def __init__(self, session_of: SessionOf):
         self.session_of = session_of
-        with gr.Tab("1  Photograph", id="object"), gr.Row(elem_id="step-1"):
+        with gr.Tab("1  Photo", id="object"), gr.Row(elem_id="step-1"):
             with gr.Column(scale=1, min_width=280):
                 self._lay_out_controls()
             with gr.Column(scale=3, min_width=320):

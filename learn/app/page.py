@@ -26,7 +26,8 @@ DELETE_AFTER = (300, 1800)  # seconds: how often to look for files of pages long
 CSS = """
 :root {--block-info-text-color: #595959; --body-text-color-subdued: #595959}
 .dark {--block-info-text-color: #b4b4b4; --body-text-color-subdued: #b4b4b4}
-.gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important}
+.gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important;
+  overflow: clip !important}
 .gradio-container main {width: 100%; max-width: 100% !important}
 #marking button {cursor: crosshair}
 #materials .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(84px, 1fr));
@@ -55,8 +56,8 @@ CSS = """
 footer {display: none !important}
 @media (max-width: 640px) {
   /* the picture comes after the buttons that choose it, and before what is done with it */
-  .gradio-container {padding: 8px !important}
-  [role=tab] {padding-inline: 8px !important}
+  .main {padding: 8px !important}
+  .tab-container button {padding-inline: 8px !important}
   #step-1, #step-2 {flex-direction: column; flex-wrap: nowrap}
   #step-1 > .column, #step-2 > .column {display: contents}
   #step-1 > .column > * {order: 4}

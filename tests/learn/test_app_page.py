@@ -487,7 +487,7 @@ def test_on_a_telephone_the_picture_is_near_the_buttons_and_nothing_is_wider(ser
         place = "document.querySelector('{}').getBoundingClientRect()"
         tabs = "[...document.querySelectorAll('[role=tab]')].filter(e => e.offsetParent)"
         assert window.run(f"return {tabs}.map(e => e.innerText)")[:3] == [
-            "1 Photograph",
+            "1 Photo",
             "2 Material",
             "3 Download",
         ]
@@ -502,6 +502,14 @@ def test_on_a_telephone_the_picture_is_near_the_buttons_and_nothing_is_wider(ser
         ]
         assert tops == sorted(tops) and tops[1] < 844
         assert window.run("return document.documentElement.scrollWidth") <= 390
+        # the view stays in sight while a material is chosen further down
+        open_tab(walk, "Material")
+        window.wait("document.querySelector('#editor')?.getBoundingClientRect().height > 50")
+        window.run("scrollTo(0, 700)")
+        time.sleep(0.5)
+        walk.shot("telephone-materials")
+        assert window.run("return scrollY") > 300
+        assert window.run(f"return {place.format('#editor')}.top") == pytest.approx(0, abs=12)
 
 
 def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
