@@ -76,9 +76,12 @@ footer {display: none !important}
 # changes; names pictures.
 SCRIPT = """
 () => {
+  // before Gradio's own listener, which would end the session even of a user who then stays
   addEventListener('beforeunload', event => {
-    if (document.querySelector('#marking img')) event.preventDefault();
-  });
+    if (!document.querySelector('#marking img')) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+  }, {capture: true});
   const live = '#status, #shown, #progress, #made, #count';
   const names = {
     '#marking img': 'The photograph. A click on it marks the object.',

@@ -352,6 +352,11 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
             window.wait("document.documentElement.dataset.ready")
             shown = pixels(window, show, "RGBA")
             assert abs(shown[..., 3] - 255 * opened.coverage).max() < 1.01
+            darker = pixels(window, "editPage.state.stops = -1", "RGBA")
+            inside = opened.coverage > 0.99
+            half = tone.display(tone.linear_from_srgb(shown[inside][:, :3] / 255.0) / 2, 1.0)
+            assert abs(darker[inside][:, :3] - half).max() < 2.01
+            pixels(window, "editPage.state.stops = 0", "RGBA")
             assert distance(shown[..., :3], truth, opened.coverage > 0.9) < LIMIT
             ground = pixels(window, "editPage.state.ground = true", "RGBA")
             assert (ground[..., 3] == 255).all()
@@ -398,8 +403,18 @@ def test_the_page_is_used_by_mouse_and_keyboard(made):
         window.type("#search", "copper")
         shown = "[...document.querySelectorAll('.tiles button')].filter(b => b.offsetParent)"
         assert window.run(f"return {shown}.map(b => b.title)") == ["brass"]
+        # no material has both words: those that have one come near
+        window.run("document.getElementById('search').value = ''")
+        window.type("#search", "gold plastic")
+        note = "return document.getElementById('nothing').innerText"
+        assert "plastic" in " ".join(window.run(f"return {shown}.map(b => b.title)"))
+        assert window.run(note) == "No material is called so. These come near:"
+        window.run("document.getElementById('search').value = ''")
+        window.type("#search", "unobtainium")
+        assert window.run(f"return {shown}.length") == 0 and "Try a colour" in window.run(note)
         window.run("document.getElementById('search').value = ''")
         window.type("#search", " ")
+        assert window.run("return document.getElementById('nothing').hidden")
         window.click(".tiles button[title=green-fabric]")
         assert window.run("return editPage.state.regions[0].materials[0]") == 4
         window.run("document.activeElement.focus()")

@@ -145,7 +145,7 @@ function sphere(canvas, l, m, m2 = -1, share = 0) {
 
 // ---- what is chosen ---------------------------------------------------------------------------
 const state = {
-  light: 0, split: 1, detail: H.detail, ground: false, region: 0, slot: 0,
+  light: 0, split: 1, detail: H.detail, ground: false, stops: 0, region: 0, slot: 0,
   regions: Array.from({length: H.regions}, (_, r) => ({materials: [H.chosen[r], -2], blend: 0.5})),
 };
 const GROUND = [0.42, 0.43, 0.45];
@@ -178,7 +178,7 @@ function webgl() {
   gl.useProgram(program);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   const uniform = name => gl.getUniformLocation(program, name);
-  const where = Object.fromEntries(["region", "unchanged", "ground", "blend", "detail", "split", "contrast", "groundColor"].map(n => [n, uniform(n)]));
+  const where = Object.fromEntries(["region", "unchanged", "ground", "blend", "detail", "split", "contrast", "gain", "groundColor"].map(n => [n, uniform(n)]));
   const names = ["photo", "behind", "geometry", "fine", "first", "second"], textures = {};
   names.forEach((name, unit) => {
     gl.activeTexture(gl.TEXTURE0 + unit);
@@ -243,6 +243,7 @@ function webgl() {
     gl.uniform1f(where.detail, shownDetail());
     gl.uniform1f(where.split, state.split);
     gl.uniform1f(where.contrast, contrast);
+    gl.uniform1f(where.gain, 2 ** state.stops);
     gl.uniform1i(where.ground, state.ground ? 1 : 0);
     gl.uniform3fv(where.groundColor, GROUND);
     for (let r = background === wanted ? 1 : 0; r <= H.regions; r++) {
@@ -268,7 +269,7 @@ function plain() {
   return () => {
     const mixed = state.regions.map((_, r) => mixture(r));
     const maps = mixed.map(([a, b]) => a < 0 ? [] : [upsampled(state.light, a), upsampled(state.light, b)]);
-    const detail = shownDetail(), border = state.split * W;
+    const detail = shownDetail(), gain = 2 ** state.stops, border = state.split * W;
     for (let i = 0; i < W * HT; i++) {
       const r = region[i] - 1, before = (i % W) + 0.5 > border;
       const unchanged = r < 0 || mixed[r][0] < 0;
@@ -286,6 +287,7 @@ function plain() {
           object = look(maps[r][0], px, py, k);
           if (blend) object += blend * (look(maps[r][1], px, py, k) - object);
           if (detail) object *= Math.exp((fine[j] / 127.5 - 1) * contrast * detail);
+          object *= gain;
         }
         const covered = state.ground ? c : share[i] / 255;
         out[4 * i + k] = encoded(linear[back] + covered * (object - linear[back]));
@@ -412,18 +414,15 @@ $("gallery").addEventListener("keydown", event => {
 });
 $("search").addEventListener("input", () => {
   const wanted = $("search").value.toLowerCase().split(/[\s_-]+/).filter(Boolean);
-  let any = false;
-  for (const group of $("gallery").children) {
-    let some = false;
-    for (const button of group.querySelectorAll("button")) {
-      button.hidden = !wanted.every(word => button.words.includes(word));
-      some ||= !button.hidden;
-    }
-    group.hidden = !some;
-    any ||= some;
-  }
-  $("nothing").hidden = any;
-  const first = [...document.querySelectorAll(".tiles button")].find(b => !b.hidden);
+  const hits = button => wanted.filter(word => button.words.includes(word)).length;
+  const all = [...document.querySelectorAll(".tiles button")];
+  // where no material has all words, those that have the most of them come near
+  const most = Math.max(...all.map(hits));
+  all.forEach(button => { button.hidden = wanted.length > 0 && (!most || hits(button) < most); });
+  for (const group of $("gallery").children) group.hidden = [...group.querySelectorAll("button")].every(b => b.hidden);
+  $("nothing").hidden = most === wanted.length;
+  $("nothing").textContent = most ? "No material is called so. These come near:" : "No material of that name. Try a colour, or a class such as metal.";
+  const first = all.find(b => !b.hidden);
   if (first) focusable(first);
 });
 for (const slot of [0, 1]) {
@@ -442,6 +441,11 @@ $("blend").addEventListener("input", () => {
 });
 $("detail").value = state.detail;
 $("detail").addEventListener("input", () => { state.detail = +$("detail").value; refresh(); });
+$("brightness").addEventListener("input", () => {
+  state.stops = +$("brightness").value;
+  $("brightness-value").textContent = state.stops ? `${state.stops > 0 ? "+" : "−"}${Math.abs(state.stops)}` : "";
+  refresh();
+});
 $("split").addEventListener("input", () => { state.split = +$("split").value; refresh(); });
 const drag = event => {
   const box = canvas.getBoundingClientRect();

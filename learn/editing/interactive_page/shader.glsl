@@ -4,7 +4,7 @@ precision highp float;
 precision highp sampler2D;
 uniform sampler2D photo, behind, geometry, fine, first, second;
 uniform int region, unchanged, ground;
-uniform float blend, detail, split, contrast;
+uniform float blend, detail, split, contrast, gain;
 uniform vec3 groundColor;
 out vec4 color;
 
@@ -37,6 +37,7 @@ void main() {
     if (blend > 0.0) object = mix(object, lookUp(second, place.xy), blend);
     if (detail > 0.0 && unchanged == 0)
       object *= exp((texelFetch(fine, at, 0).rgb * 2.0 - 1.0) * contrast * detail);
+    if (unchanged == 0) object *= gain;
   }
   float share = ground == 1 ? coverage : around.a;
   if (share < 1.0) object = mix(linear(back), object, share);
