@@ -18,11 +18,8 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
     report = json.loads((folder / "report.json").read_text())
     known = json.loads((folder / "sources.json").read_text())
     judged = json.loads((folder / "judged.json").read_text())
-    rows = dict(
-        re.findall(
-            r"<h2>([^<]+)</h2>\s*(?:<div[^>]*>)?<img src=['\"]data:image/jpeg;base64,([^'\"]+)", text
-        )
-    )
+    picture = r"<img src=['\"]data:image/jpeg;base64,([^'\"]+)"
+    rows = dict(re.findall(rf"<h2>([^<]+)</h2>\s*(?:<div[^>]*>)?{picture}", text))
     if set(rows) != set(known["photographs"]):
         raise KeyError("docs/results/photographs: index.html and sources.json name other pictures")
     materials, made = report["materials"], report["made"]

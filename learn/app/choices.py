@@ -98,7 +98,8 @@ class LightChoice:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LightChoice) and (
             (self.name, self.rotation_deg) == (other.name, other.rotation_deg)
-            and np.array_equal(self.map, other.map)
+            and (self.map is None) == (other.map is None)
+            and (self.map is None or np.array_equal(self.map, np.asarray(other.map)))
         )
 
     def __hash__(self) -> int:

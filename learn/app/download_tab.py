@@ -36,7 +36,7 @@ class DownloadTab:
                     buttons=["copy"],
                     elem_id="command",
                 )
-        self.outputs = [pictures, work, others, command, made]
+        self.outputs: list[Any] = [pictures, work, others, command, made]
 
     def connect(self) -> None:
         """Connect the button."""

@@ -72,7 +72,7 @@ class MaterialTab:
                 )
                 shown = gr.Markdown(self.NOTHING_YET, elem_id="shown")
                 self.keep = gr.Button("Keep this picture to compare", elem_id="keep-it", size="sm")
-                self.kept = gr.HTML("", js_on_load=TILE_CLICKS, elem_id="kept")
+                self.kept_row = gr.HTML("", js_on_load=TILE_CLICKS, elem_id="kept")
                 with gr.Accordion("What was read from the photograph", open=False):
                     parts = gr.HTML(elem_id="decomposition")
             with gr.Column(scale=2, min_width=320):
@@ -80,9 +80,15 @@ class MaterialTab:
                 self._lay_out_own_materials()
                 self._lay_out_light()
         self.view = [self.slider, shown]
-        self.views = [*self.view, parts, self.kept]
-        self.controls = [self.share, self.rotation, self.light, self.hide, self.brightness]
-        self.filled = [*self.views, self.region, *self.controls]
+        self.views: list[Any] = [*self.view, parts, self.kept_row]
+        self.controls: list[Any] = [
+            self.share,
+            self.rotation,
+            self.light,
+            self.hide,
+            self.brightness,
+        ]
+        self.filled: list[Any] = [*self.views, self.region, *self.controls]
 
     def _lay_out_gallery(self) -> None:
         self.region = gr.Radio(
@@ -171,12 +177,12 @@ class MaterialTab:
         self._show_live(self.rotation.input, self.lit, [self.light, self.rotation])
         self._show_live(self.hide.input, self.hidden, [self.hide])
         self._show_live(self.brightness.input, self.brightened, [self.brightness])
-        self.keep.click(self.keep_picture, None, self.kept, trigger_mode="once", **QUIET)
+        self.keep.click(self.keep_picture, None, self.kept_row, trigger_mode="once", **QUIET)
         self._show_live(
-            self.kept.click,
+            self.kept_row.click,
             self.kept_clicked,
             [self.region],
-            [*self.view, self.kept, *self.controls],
+            [*self.view, self.kept_row, *self.controls],
         )
         controls: list[Any] = [self.color, *self.numbers]
         for control in controls:

@@ -76,12 +76,9 @@ footer {display: none !important}
 # changes; names pictures.
 SCRIPT = """
 () => {
-  // before Gradio's own listener, which would end the session even of a user who then stays
   addEventListener('beforeunload', event => {
-    if (!document.querySelector('#marking img')) return;
-    event.preventDefault();
-    event.stopImmediatePropagation();
-  }, {capture: true});
+    if (document.querySelector('#marking img')) event.preventDefault();
+  });
   const live = '#status, #shown, #progress, #made, #count';
   const names = {
     '#marking img': 'The photograph. A click on it marks the object.',
@@ -158,10 +155,10 @@ def serve(
     return address, end
 
 
-def theme() -> gr.themes.Default:
+def theme() -> gr.themes.Base:
     """Return the page's colours and fonts; white on a button has a contrast of 5 to 1 or more."""
-    fonts = {"font": ["system-ui", "sans-serif"], "font_mono": ["ui-monospace", "monospace"]}
-    return gr.themes.Default(primary_hue="blue", **fonts).set(
+    fonts, of_code = ["system-ui", "sans-serif"], ["ui-monospace", "monospace"]
+    return gr.themes.Default(primary_hue="blue", font=fonts, font_mono=of_code).set(
         button_primary_background_fill="*primary_600",
         button_primary_background_fill_hover="*primary_700",
         button_primary_background_fill_dark="*primary_700",
@@ -183,7 +180,8 @@ def page(sessions: Sessions) -> gr.Blocks:
         sessions.begin(str(request.session_hash))
 
     def closed(request: gr.Request) -> None:
-        sessions.close(str(request.session_hash))
+        # Gradio says so as soon as the browser asks whether to leave the page; the user may stay
+        sessions.close_later(str(request.session_hash))
 
     with gr.Blocks(
         title=TITLE, analytics_enabled=False, delete_cache=DELETE_AFTER, fill_width=True

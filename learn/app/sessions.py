@@ -1,8 +1,8 @@
 """The sessions of all users of the page: which belongs to whom, and when each ends.
 
 A user is one open page, by the random name that the page has. A session ends, and its files are
-deleted, when the page is closed, after IDLE_SECONDS without a request, when MOST_SESSIONS newer
-ones are open, or when the server ends.
+deleted, some seconds after the page is closed, after IDLE_SECONDS without a request, when
+MOST_SESSIONS newer ones are open, or when the server ends.
 """
 
 import secrets
@@ -16,6 +16,7 @@ from learn.app.session import Session
 
 MOST_SESSIONS = 16
 IDLE_SECONDS = 3600.0
+LEAVING_SECONDS = 20.0  # for which the session of a page that is being left waits for its return
 
 
 class Sessions:
@@ -61,6 +62,22 @@ class Sessions:
             session = self._sessions.pop(name, None)
         if session is not None:
             session.close()
+
+    def close_later(self, name: str, seconds: float = LEAVING_SECONDS) -> None:
+        """End the session of a page after some seconds, unless it is used meanwhile."""
+        with self._lock:
+            session = self._sessions.get(name)
+        if session is None:
+            return
+        used = session.used
+
+        def close() -> None:
+            if session.used == used:
+                self.close(name)
+
+        timer = threading.Timer(seconds, close)
+        timer.daemon = True
+        timer.start()
 
     def close_all(self) -> None:
         """End all sessions."""

@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+import time
 import types
 import zipfile
 from dataclasses import replace
@@ -697,6 +698,17 @@ def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
         sessions.of("new").opened()
     with pytest.raises(InputError, match="is no longer kept"):
         sessions.of("served before the program was started again").opened()
+
+
+def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
+    """A browser that asks whether to leave a page has told Gradio already that it is left."""
+    folders = [sessions.of(name).folder for name in ("left", "stayed")]
+    for name in ("left", "stayed", "unknown"):
+        sessions.close_later(name, 0.2)
+    time.sleep(0.05)
+    sessions.of("stayed")
+    time.sleep(0.5)
+    assert [folder.exists() for folder in folders] == [False, True]
 
 
 def test_an_error_says_first_what_to_do() -> None:

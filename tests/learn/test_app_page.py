@@ -537,7 +537,7 @@ def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
         assert urllib.request.urlopen(address, timeout=60).status == 200
         assert first.errors() == second.errors() == []
     # both pages are closed: their files are deleted
-    for _ in range(150):
+    for _ in range(400):
         try:
             urllib.request.urlopen(address, timeout=60)
         except urllib.error.HTTPError:

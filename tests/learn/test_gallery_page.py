@@ -1,4 +1,4 @@
-"""The page of edited photographs, docs/results/photographs/index.html, as it is and on a telephone."""
+"""The page of edited photographs, docs/results/photographs, on a desk and on a telephone."""
 
 import base64
 import json
