@@ -132,8 +132,8 @@ def _unpack(path: Path, folder: Path) -> set[str]:
             for member in members:
                 known = member.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
                 if not MEMBER.fullmatch(member.filename) or member.flag_bits & 1 or not known:
-                    found = f"{member.filename[:80]!r} in it"
-                    raise InputError(path, "saved work", found, REMEDY)
+                    other = f"{member.filename[:80]!r} in it"
+                    raise InputError(path, "saved work", other, REMEDY)
             total = sum(member.file_size for member in members)
             if total > MOST_UNPACKED or len({m.filename for m in members}) < len(members):
                 rule = f"at most {MOST_UNPACKED >> 20} MiB, each file once"
@@ -145,7 +145,7 @@ def _unpack(path: Path, folder: Path) -> set[str]:
                     raise zipfile.BadZipFile("another size than it says")
                 target = folder / member.filename
                 target.parent.mkdir(exist_ok=True)
-                target.write_bytes(data)
+                files.write_bytes(target, data)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, OSError) as error:
         raise InputError(path, "saved work, a zip archive", f"{error}", REMEDY) from None
     return {member.filename for member in members}
