@@ -24,6 +24,7 @@ from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
+from manifests.wording import number_of
 
 FIRST, SECOND = "the material", "a second one to mix with it"
 QUICK_TEXT = "Quick view; the exact one follows."
@@ -402,7 +403,7 @@ class MaterialTab:
     def searched(self, text: str) -> tuple[Any, ...]:
         """Show the materials that match words."""
         matching = gallery.search(text)
-        line = "1 material" if len(matching) == 1 else f"{len(matching)} materials"
+        line = number_of(len(matching), "material")
         if not matching:
             matching = gallery.close_to(text)
             line = f"No material is called “{text.strip()[:40]}”. "
