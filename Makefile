@@ -69,7 +69,7 @@ demo:
 	$(VENV)/bin/python -m learn predict $(OUT)/prediction/picture.png --mask $(OUT)/prediction/mask.png --out $(OUT)/photograph --overwrite
 	$(VENV)/bin/python -m factory render --mesh chair:29 --material brass --material green-latex --material gray-plastic --light interior --views 3 --rotations 37 --size 128 --tier direct --out $(OUT)/held-out
 	$(VENV)/bin/python -m learn edit $(OUT)/held-out --weights joint-compact --material green-latex gray-plastic --out $(OUT)/edit --overwrite
-	$(VENV)/bin/python -m learn.agreement.demo_page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --prediction $(OUT)/prediction/sheet.png --prediction $(OUT)/photograph/sheet.png --edit $(OUT)/edit/sheet.png --edit $(OUT)/cup/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
+	$(VENV)/bin/python -m learn.agreement.demo_page --title "brdfactory: $(JOB)" --sheet $(OUT)/preview/sheet.png --prediction $(OUT)/prediction/sheet.png --prediction $(OUT)/photograph/sheet.png --edit $(OUT)/cup/sheet.png --edit $(OUT)/edit/sheet.png --agreement $(OUT)/agreement --out $(OUT)/index.html
 	@echo "Done: open $(OUT)/index.html"
 
 demo-full:

@@ -30,13 +30,13 @@ COLUMNS = {
     "node_fit": ("node fit L2", "{:.3g}"),
 }
 CAUSES = {
-    "edges": "edges: a pixel there is a mean over two surfaces in Cycles, one of them in the layer",
-    "noise": "Cycles' noise",
-    "node_fit": "label and nodes are two forms of a material",
-    "footprint": "a pixel is an area in Cycles, its centre in the layer",
-    "look_up": "a turn of the light against its look-up",
+    "edges": "edges: in Cycles a pixel there is a mean over two surfaces, in the layer one of them",
+    "noise": "noise of Cycles' samples",
+    "node_fit": "the two descriptions of a material, label and nodes, differ",
+    "footprint": "in Cycles a pixel is an area, in the layer its centre",
+    "look_up": "Cycles looks the light up slightly turned",
     "rest": "what none of these explains",
-    "texel_sum": "beside them: what the paper's sum over texels would cost",
+    "texel_sum": "for comparison: the error of the paper's sum over texels",
 }
 # breakdowns on this page; the report itself has them all
 SHOWN = ("tier and light resolution", "material", "light", "category")
@@ -93,21 +93,21 @@ def verdict(direct: Mapping) -> str:
         None if fit is None else direct["limit"] * fit,
     )
     report = (
-        "In the direct tier, the light transport that the layer models, the two renderers'"
-        " pictures differ inside silhouettes and creases by a display L2 of"
-        f" {like} once noise is taken off (black and white differ by 65,025);"
-        f" edges included, by {direct['net']:.2f}."
+        "In direct light, which is what the layer models, the pictures of the two renderers differ"
+        f" by a display L2 of {like} inside silhouettes and creases, once noise is subtracted."
+        f" With edges it is {direct['net']:.2f}; black and white differ by 65,025."
     )
     if fit is None:
         return (
             report
-            + " The catalogue does not say how far its materials' two forms, label and nodes, are"
-            " apart, so there is no limit."
+            + " The catalogue does not say how much its two descriptions of a material, one for"
+            " each renderer, differ, so there is no limit."
         )
     judged = "within" if direct.get("holds") else "beyond"
     return (
-        f"{report} The materials' two forms, label and nodes, differ by {fit:.2f}; the limit"
-        f" inside is {direct['limit']:g} times that: {judged} it."
+        f"{report} The two descriptions of the materials, one for each renderer, differ by"
+        f" {fit:.2f}. The limit is {direct['limit']:g} times that, and the difference is {judged}"
+        " it."
         f"{uncertainty.advice(direct.get('noise_may_decide'))}"
     )
 
@@ -119,7 +119,7 @@ def causes(summary: Mapping[str, float | None]) -> str:
         for key, text in CAUSES.items()
         if (value := summary.get(key)) is not None
     ]
-    return table(["cause, direct tier", "L2"], rows) if rows else ""
+    return table(["cause, in direct light", "display L2"], rows) if rows else ""
 
 
 def demo_page(
@@ -147,44 +147,53 @@ def demo_page(
     def shown(paths: Sequence[Path], description: str) -> list[str]:
         return [f"<p class=sheets>{linked(path, description)}</p>" for path in paths]
 
-    body = [
-        paragraph(in_one_line(about), "soft"),
-        f"<p>{html.escape(verdict(summary['direct']))}"
-        f" <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>",
-        "<h2>What was rendered</h2>",
-        *shown(sheets, "contact sheet"),
-    ]
-    if predictions:
-        body += [
-            "<h2>What a network reads from one picture</h2>",
-            paragraph(
-                "Picture, predicted normals, light and material, and their rendering by the layer;"
-                " above from the record's radiance, below from a picture file, whose exposure is"
-                " not known."
-            ),
-            *shown(predictions, "prediction"),
-        ]
+    body = []
     if edits:
         body += [
-            "<h2>The same object in another material</h2>",
+            "<h2>Edits: the same object in another material</h2>",
             paragraph(
-                "The decomposition of one picture, refined until it explains that picture, and"
-                " rendered in other materials: first a record, beside Cycles' rendering of the"
-                " same edit where there is one; then a photograph, whose truth is not known."
+                "Normals, light and material are read from one picture and refined until their"
+                " rendering looks like it; then the object is rendered in other materials."
+                " What a photographed object would look like in them is not known. A rendered one"
+                " is shown beside Blender's picture of it in the new material, the truth."
             ),
             *shown(edits, "edit"),
         ]
-    body += ["<h2>How far Cycles and the layer are apart</h2>"]
+    if predictions:
+        body += [
+            "<h2>What the network reads from one picture, before refinement</h2>",
+            paragraph(
+                "From left: the picture, predicted normals, light and material, and what the layer"
+                " renders from them. In the first sheet the network saw the radiance that Blender"
+                " rendered; in the second a picture file, whose exposure is not known."
+            ),
+            *shown(predictions, "prediction"),
+        ]
+    if sheets:
+        body += [
+            "<h2>The data set that Blender rendered</h2>",
+            paragraph(
+                "Each row is one record: picture, normals, segments, a mirror sphere under its"
+                " light, what the layer renders, and four times the difference between the two."
+            ),
+            *shown(sheets, "contact sheet"),
+        ]
+    body += [
+        "<h2>Do Blender's pictures agree with the layer's?</h2>",
+        f"<p>{html.escape(verdict(summary['direct']))}"
+        f" <a href='{link(agreement / 'index.html')}'>The whole report</a>.</p>",
+    ]
     body += [
         breakdown(name, summary["breakdowns"][name])
         for name in SHOWN
         if summary["breakdowns"].get(name)
     ]
-    body += ["<h2>Why</h2>", causes(summary.get("causes") or {})]
+    body += ["<h3>Where the difference comes from</h3>", causes(summary.get("causes") or {})]
     charts = sorted(agreement.glob("*.png"))
     if charts:
         linked_charts = [linked(chart, chart.stem) for chart in charts]
         body += ["<div class=charts>", *linked_charts, "</div>"]
+    body += ["<h2>How this page was made</h2>", paragraph(in_one_line(about), "soft")]
     return page(title, body, STYLE)
 
 

@@ -90,8 +90,8 @@ def test_every_link_of_the_page_leads_from_its_own_folder_to_a_file(tmp_path, ag
 @pytest.mark.parametrize(
     ("direct", "word"),
     [
-        (MISSED, "of 0.70 ± 0.10 (limit 0.60) once noise is taken off"),
-        (MISSED, "beyond it. Noise may have decided this"),
+        (MISSED, "of 0.70 ± 0.10 (limit 0.60) inside silhouettes"),
+        (MISSED, "the difference is beyond it. Noise may have decided this"),
         # a report that an earlier version wrote
         ({key: MISSED[key] for key in ("net", "like_net", "node_fit", "limit")}, "of 0.7 (limit"),
         ({"net": None, "node_fit": 0.4}, "cannot be judged"),
@@ -128,9 +128,9 @@ def test_predictions_stand_on_the_page_with_what_they_are_and_without_any_nothin
     sheet.parent.mkdir()
     sheet.write_bytes(b"")
     shown = demo_page.demo_page(tmp_path / "index.html", [], agreement, "t", [sheet])
-    assert "What a network reads" in shown
+    assert "What the network reads" in shown
     assert "href='parts/sheet.png'" in shown
-    assert "What a network reads" not in demo_page.demo_page(
+    assert "What the network reads" not in demo_page.demo_page(
         tmp_path / "index.html", [], agreement, "t"
     )
 
@@ -147,6 +147,15 @@ def test_a_prediction_that_is_not_there_is_told(tmp_path, agreement, capsys):
     assert demo_page.main(arguments) == 1
     assert "gone.png" in capsys.readouterr().err
     assert not (tmp_path / "index.html").exists()
+
+
+def test_what_a_user_came_for_stands_first_and_how_the_page_was_made_last(tmp_path, agreement):
+    sheet = tmp_path / "sheet.png"
+    sheet.write_bytes(b"")
+    text = demo_page.demo_page(tmp_path / "index.html", [sheet], agreement, "t", [sheet], [sheet])
+    headings = re.findall("<h2>(.*?)</h2>", text)
+    assert [heading.split()[0] for heading in headings] == ["Edits:", "What", "The", "Do", "How"]
+    assert text.index("a &amp; b") > text.index(headings[-1])
 
 
 def test_edits_stand_on_the_page_only_where_there_are_some(tmp_path, agreement, capsys):
