@@ -63,7 +63,7 @@ def test_the_command_makes_what_the_library_lacks_and_nothing_twice(tmp_path, ro
         subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         for _ in range(2)
     )
-    assert "1 maps made, 0 were there" in first.stdout
+    assert "1 map made, 0 were there" in first.stdout
     assert "seconds of processor time per map" in first.stdout
     assert "0 maps made, 1 were there" in second.stdout
     light = load("interior-7", tmp_path / "lights")

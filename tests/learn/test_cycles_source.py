@@ -225,7 +225,7 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
         L[3, 3, 1] = np.nan
         np.savez(path, L=L, scale=scale)
         report, bad = (
-            rf"{path.name}: expected finite radiance ≥ 0, found 1 values",
+            rf"{path.name}: expected finite radiance ≥ 0, found 1 value that is not",
             {r.id for r in store.records()},
         )
     else:
