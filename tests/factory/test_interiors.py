@@ -65,7 +65,7 @@ def test_the_command_makes_what_the_library_lacks_and_nothing_twice(tmp_path, ro
     )
     assert "1 map made, 0 were there" in first.stdout
     assert "seconds of processor time per map" in first.stdout
-    assert "0 maps made, 1 were there" in second.stdout
+    assert "0 maps made, 1 was there" in second.stdout
     light = load("interior-7", tmp_path / "lights")
     assert light.L64.shape == (64, 128, 3) and light.licence == "Apache-2.0"
 
