@@ -22,6 +22,7 @@ from shaders.dsbrdf import SIZE
 
 OWN_LIGHT = "the photograph's own"
 LARGEST_RECIPE = 1 << 20  # bytes of an edit.json
+LONGEST_TEXT = 300  # letters of a material's or a light's name
 MOST_STOPS = 3.0  # by which an edit is made brighter or darker; a stop is a factor of 2
 
 
@@ -270,7 +271,7 @@ class MaterialEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     read   whether such a label was read from a picture
     """
 
-    text: str
+    text: Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
     label: Numbers | None = None
     read: bool = True
 
@@ -289,9 +290,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     regions: Annotated[
         list[RegionEntry], msgspec.Meta(min_length=1, max_length=photographs.MOST_REGIONS)
     ]
-    light: str = OWN_LIGHT
+    light: Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)] = OWN_LIGHT
     rotation_deg: float = 0.0
-    map: str | None = None
+    map: Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)] | None = None
     hide_background: bool = False
     brightness_stops: Stops = 0.0
 

@@ -26,7 +26,7 @@ class DownloadTab:
             self.make = gr.Button("Make the pictures", variant="primary", elem_id="make")
             made = gr.Markdown(elem_id="made")
             pictures = files("Pictures", "pictures")
-            work = files("Your work: open it in step 1 to go on another day", "saved-work")
+            work = files("Your work: open it in step 1 to continue later", "saved-work")
             with gr.Accordion("For programs: linear radiance, materials, mask", open=False):
                 others = files("Files", "downloads")
                 command = gr.Textbox(

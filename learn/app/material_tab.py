@@ -19,7 +19,7 @@ from learn.app.event_handling import (
     read_and_delete,
 )
 from learn.app.offline_gradio import gr
-from learn.app.page_html import address_of, figures, kept_tiles
+from learn.app.page_html import address_of, figures, kept_tiles, without_markup
 from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
@@ -162,7 +162,7 @@ class MaterialTab:
                 0,
                 step=0.1,
                 label="Brightness of the new material",
-                info="How bright it is can only be guessed. Each 1 doubles it, each −1 halves it.",
+                info="How bright it is can only be guessed. +1 doubles it, −1 halves it.",
                 elem_id="brightness",
                 buttons=[],
             )
@@ -408,7 +408,7 @@ class MaterialTab:
             matching = gallery.close_to(text)
             line = f"No material is called “{text.strip()[:40]}”. "
             line += (
-                "These come near:"
+                "These are close:"
                 if matching
                 else "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A"
                 " material of your own”."
@@ -462,4 +462,4 @@ def said(session: Session, note: str) -> str:
     """Return the line below the view: a note, what the edit is, and what is on the left."""
     _, edit = session.decomposed()
     left = "the photograph" if session.beside is None else session.beside.edit.caption
-    return f"{note} {edit.caption}. Left of the line: {left}."
+    return f"{note} {without_markup(edit.caption)}. Left of the line: {without_markup(left)}."

@@ -13,6 +13,7 @@ from pathlib import Path
 from learn.app import gallery
 from learn.app.background_decomposition import Network
 from learn.app.download_tab import DownloadTab
+from learn.app.event_handling import QUIET
 from learn.app.material_tab import MaterialTab
 from learn.app.object_tab import ObjectTab
 from learn.app.offline_gradio import gr
@@ -39,6 +40,7 @@ CSS = """
 #materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
+#stayed {display: none}
 #kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));
   gap: 8px; max-height: none}
 #kept figure {margin: 0}
@@ -72,12 +74,14 @@ footer {display: none !important}
   #editor img {max-height: 40vh; object-fit: contain}
 }
 """
-# Asks before a page with a photograph is left, since it cannot be brought back; says aloud what
-# changes; names pictures.
+# Asks before a page with a photograph is left, since it cannot be brought back, and tells the
+# server if the user stays (a timer runs only then); says aloud what changes; names pictures.
 SCRIPT = """
 () => {
   addEventListener('beforeunload', event => {
-    if (document.querySelector('#marking img')) event.preventDefault();
+    if (!document.querySelector('#marking img')) return;
+    event.preventDefault();
+    setTimeout(() => document.querySelector('#stayed').click(), 500);
   });
   const live = '#status, #shown, #progress, #made, #count';
   const names = {
@@ -179,6 +183,9 @@ def page(sessions: Sessions) -> gr.Blocks:
     def begun(request: gr.Request) -> None:
         sessions.begin(str(request.session_hash))
 
+    def stayed(request: gr.Request) -> None:
+        session_of(request)
+
     def closed(request: gr.Request) -> None:
         # Gradio says so as soon as the browser asks whether to leave the page; the user may stay
         sessions.close_later(str(request.session_hash))
@@ -198,6 +205,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         materials.connect()
         download.connect()
         blocks.load(begun, None, None, api_visibility="private")
+        gr.Button("I stay", elem_id="stayed").click(stayed, None, None, queue=False, **QUIET)
         blocks.unload(closed)
     blocks.queue(default_concurrency_limit=4, max_size=64, api_open=False)
     return blocks

@@ -1,6 +1,7 @@
 """HTML that the page shows where Gradio has no component: progress, and pictures in a row."""
 
 import html
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +9,11 @@ from pathlib import Path
 def progress_bar(share: float, text: str) -> str:
     """Return a progress bar with what is being done; share: 0 to 1."""
     return f'<progress max="1" value="{share:.3f}"></progress><div>{html.escape(text)}</div>'
+
+
+def without_markup(text: str) -> str:
+    """Return Markdown that shows a text as it is: names come from files that users are sent."""
+    return re.sub(r"([\\`*_{}\[\]()<>#!|~&])", r"\\\1", " ".join(text.split()))
 
 
 def address_of(path: Path) -> str:

@@ -4,6 +4,7 @@ Nothing is shared between two users, whose sessions learn.app.sessions begins an
 bounded before they are decoded (learn.data.photographs), and deleted with the session.
 """
 
+import copy
 import functools
 import math
 import re
@@ -39,6 +40,7 @@ MOST_BYTES = 64 << 20  # of a file that is sent to the page
 MOST_PIXELS = 25_000_000
 SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
+ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
 EXAMPLE = "example:espresso-cup"
 SHEET_COLUMNS, SHEET_TILE = 3, 640  # of the picture that compares the kept edits; pixels
 LONGEST_NAME = 80  # letters of a file for download
@@ -55,8 +57,8 @@ LOST = (
     THE_PAGE,
     "the photograph of this page",
     "none",
-    "the photograph is no longer kept, because the page was not used for an hour or the program was"
-    " started again: choose it again, or open work that you saved",
+    "the photograph is no longer kept, because the page was left or not used for an hour, or the"
+    " program was started again: choose it again, or open work that you saved",
 )
 
 
@@ -73,7 +75,7 @@ class Downloads:
     """The files of an edit.
 
     pictures  of the edit and of the kept ones, and one of all of them side by side
-    work      by which the page goes on another day
+    work      by which the work continues later
     others    for programs, and to repeat the edit by the command
     command   that repeats it
     """
@@ -134,13 +136,24 @@ class Session:
 
         Raises  InputError: no picture, a damaged or too large one
         """
+        return self._accept(sent, *self._read(sent))
+
+    def _read(self, sent: Path) -> tuple[np.ndarray, np.ndarray]:
+        """Return radiance (H, W, 3) and alpha (H, W) of a photograph. Raises InputError."""
         radiance, alpha = photographs.read_pixels(sent, MOST_PIXELS)
         height, width = radiance.shape[:2]
         if height * width > MOST_PIXELS:  # an EXR
             rule = f"at most {MOST_PIXELS / 1e6:g} megapixels"
             raise InputError(sent, rule, f"{width} × {height}", "make it smaller")
         photographs.require_finite(sent, radiance)
-        path = self.folder / f"photograph{sent.suffix.lower()}"
+        return radiance, alpha
+
+    def _accept(self, sent: Path, radiance: np.ndarray, alpha: np.ndarray) -> str:
+        """Take a photograph that was read; return a sentence about its mask."""
+        ending = sent.suffix.lower()
+        if not ENDING.fullmatch(ending):  # such as .jpg_large, which saved work could not have
+            ending = ".img"
+        path = self.folder / f"photograph{ending}"
         files.write_bytes(path, sent.read_bytes())
         self._take(path, sent.name, radiance)
         if (alpha < 0.5).any():
@@ -169,23 +182,34 @@ class Session:
         folder = self.folder / f"work-{secrets.token_hex(6)}"
         folder.mkdir()
         try:
-            work = work_file.read(sent, folder)
             try:
-                self._open_work(work)
-            except InputError as error:
-                where = f"{sent.name}: {Path(error.where).name}"
-                raise InputError(where, error.expected, error.found, error.remedy) from None
+                self._open_work(work_file.read(sent, folder))
+            except InputError as error:  # the names of files alone are what the user knows
+                name = Path(str(error.where).replace(str(folder), "").lstrip("/")).name
+                where = sent.name if name == sent.name else f"{sent.name}: {name}"
+                found = str(error.found).replace(str(folder), "").lstrip("/")
+                raise InputError(where, error.expected, found, error.remedy) from None
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-        return "Your saved work is open. Its edits follow in step 2 as soon as the object is read."
+        return (
+            "Your saved work is open. Its edits follow in step 2 as soon as the object is analysed."
+        )
 
     def _open_work(self, work: work_file.Work) -> None:
+        if work.photograph is None and work.name != EXAMPLE:
+            raise InputError(work.name, EXAMPLE, "another example", work_file.REMEDY)
+        # all files are read before the photograph that is open gives way
+        opened = work.photograph or photograph.example(EXAMPLE, [], None)[0]
+        radiance, alpha = self._read(opened)
+        if work.mask is not None:
+            coverage = photographs.read_mask(work.mask, radiance.shape[:2])
+            photographs.require_object(work.mask, coverage)
+        if work.regions is not None:
+            photographs.read_labels(work.regions, radiance.shape[:2])
         if work.photograph is None:
-            if work.name != EXAMPLE:
-                raise InputError(work.name, EXAMPLE, "another example", work_file.REMEDY)
             self.load_example()
         else:
-            self.load(work.photograph)
+            self._accept(opened, radiance, alpha)
             self.name = work.name
         if work.mask is not None:
             self.give_mask(work.mask)
@@ -196,6 +220,8 @@ class Session:
 
     def _take(self, path: Path, name: str, radiance: np.ndarray) -> None:
         self.is_lost, self._saved, self._example_mask = False, None, None
+        for each in self.kept:
+            each.picture.unlink(missing_ok=True)
         self.kept, self.beside = [], None
         self.number += 1
         self.stop.set()
@@ -315,6 +341,8 @@ class Session:
         edits, kept = self._edits_of(opened.count)
         self.edit = edits
         self.beside = None
+        for each in self.kept:
+            each.picture.unlink(missing_ok=True)
         self.kept = [Kept(e, self.write_view(viewer.view(e), "kept")) for e in kept]
 
     def _edits_of(self, count: int) -> tuple[Edit, list[Edit]]:
@@ -419,9 +447,15 @@ class Session:
     def downloads(self) -> Generator[str, None, Downloads]:
         """Write the edit and the kept ones at the photograph's size, with all that repeats it.
 
-        Yields a line about the picture that is rendered next, and returns Downloads.
+        Yields a line about the picture that is rendered next, and returns Downloads. What the user
+        changes meanwhile has no part in them.
         Raises  InputError
         """
+        as_it_is = copy.copy(self)
+        as_it_is.kept = list(self.kept)
+        return (yield from as_it_is._downloads())
+
+    def _downloads(self) -> Generator[str, None, Downloads]:
         viewer, edit = self.decomposed()
         edits = [edit, *(each.edit for each in self.kept if each.edit != edit)]
         yield rendering(1, len(edits))
@@ -466,8 +500,10 @@ class Session:
         self, folder: Path, edit: Edit, linear: np.ndarray, display: np.ndarray
     ) -> Path:
         """Write an edit's picture, named after the photograph and the materials."""
-        words = re.sub(r"\W+", "-", edit.caption.replace("%", " per cent")).strip("-")
-        stem = f"{self.stem}-{words}"[:LONGEST_NAME]
+        words = edit.caption
+        for sign, word in (("%", " per cent"), ("+", " plus "), ("−", " minus ")):
+            words = words.replace(sign, word)
+        stem = re.sub(r"\W+", "-", f"{self.stem}-{words}")[:LONGEST_NAME].strip("-")
         path, number = folder / f"{stem}.png", 2
         while path.exists():
             path, number = folder / f"{stem}-{number}.png", number + 1
@@ -491,7 +527,7 @@ class Session:
         return path
 
     def _write_work(self, folder: Path, masks: list[str]) -> Path:
-        """Write the file by which the page goes on another day."""
+        """Write the file by which the work continues later."""
         assert self.path is not None and self.edit is not None
         own = self.name != EXAMPLE
         parts = [*([self.path] if own else []), *(folder / name for name in masks)]

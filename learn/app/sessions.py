@@ -56,12 +56,17 @@ class Sessions:
             each.close()
         return session
 
-    def close(self, name: str) -> None:
-        """End the session of a page, if there is one."""
+    def close(self, name: str, only: Session | None = None) -> None:
+        """End the session of a page, if there is one.
+
+        only  the session that is meant: a later one of the same page stays. None: any
+        """
         with self._lock:
-            session = self._sessions.pop(name, None)
-        if session is not None:
-            session.close()
+            session = self._sessions.get(name)
+            if session is None or (only is not None and session is not only):
+                return
+            del self._sessions[name]
+        session.close()
 
     def close_later(self, name: str, seconds: float = LEAVING_SECONDS) -> None:
         """End the session of a page after some seconds, unless it is used meanwhile."""
@@ -73,7 +78,7 @@ class Sessions:
 
         def close() -> None:
             if session.used == used:
-                self.close(name)
+                self.close(name, session)
 
         timer = threading.Timer(seconds, close)
         timer.daemon = True

@@ -1,4 +1,4 @@
-"""Work that is saved to go on with another day: a zip archive of the photograph, mask and edits.
+"""Work that is saved to continue later: a zip archive of the photograph, mask and edits.
 
     work.json               Saved
     photograph.EXT          as it was sent; the program's example is named in work.json instead
@@ -11,6 +11,7 @@ decompressed, and only members of these names are accepted, so that no path leav
 """
 
 import re
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Sequence
@@ -29,6 +30,9 @@ MOST_BYTES = 64 << 20  # of an archive, as of any file that is sent to the page
 MOST_UNPACKED = 128 << 20  # bytes of all members
 MOST_KEPT = 12
 LARGEST_MANIFEST = 1 << 16  # bytes of a work.json
+LONGEST_DIRECTORY = 1 << 13  # bytes of an archive's table of members, about 80 each
+LONGEST_END = 22 + (1 << 16)  # bytes: the record at an archive's end, and its comment
+END_RECORD, ZIP64_LOCATOR = b"PK\x05\x06", b"PK\x06\x07"
 MEMBER = re.compile(
     r"work\.json|photograph\.[a-z0-9]{2,5}|mask\.png|regions\.png"
     r"|(kept-([1-9]|1[0-2])/)?(edit\.json|light\.exr)"
@@ -122,10 +126,27 @@ def read(path: Path, folder: Path) -> Work:
     )
 
 
+def _require_short_directory(path: Path) -> None:
+    """Refuse an archive whose table of members is long, before zipfile holds the table in memory.
+
+    The table's length is in the record at the archive's end (APPNOTE.TXT, 4.3.16). Archives of the
+    64-bit format, which state it elsewhere, are refused: saved work is never as large.
+    """
+    with path.open("rb") as opened:
+        size = opened.seek(0, 2)
+        opened.seek(max(0, size - LONGEST_END))
+        end = opened.read()
+    for place in (match.start() for match in re.finditer(END_RECORD, end)):
+        (length,) = struct.unpack_from("<I", end.ljust(place + 22, b"\0"), place + 12)
+        if length > LONGEST_DIRECTORY or ZIP64_LOCATOR in end[:place]:
+            raise InputError(path, "saved work, of few files", "a long table of files", REMEDY)
+
+
 def _unpack(path: Path, folder: Path) -> set[str]:
     """Write an archive's members into a folder; return their names. Raises InputError."""
     if path.stat().st_size > MOST_BYTES:
         raise InputError(path, f"at most {MOST_BYTES >> 20} MiB", "more", REMEDY)
+    _require_short_directory(path)
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -146,6 +167,13 @@ def _unpack(path: Path, folder: Path) -> set[str]:
                 target = folder / member.filename
                 target.parent.mkdir(exist_ok=True)
                 files.write_bytes(target, data)
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, OSError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+        EOFError,
+        OSError,
+        UnicodeDecodeError,  # a name that says it is UTF-8
+    ) as error:
         raise InputError(path, "saved work, a zip archive", f"{error}", REMEDY) from None
     return {member.filename for member in members}

@@ -18,6 +18,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 from learn.app import choices, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
+from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection
 from learn.app.session import Downloads, Session, display_of
 from learn.app.sessions import Sessions
@@ -616,7 +617,7 @@ def test_pictures_for_download_are_named_after_photograph_and_material(
         f", picture {number} of 3 …" for number in (1, 2, 3)
     ]
     assert [path.name for path in made.pictures] == [
-        "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45-brightness-0-.png",
+        "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45-brightness-pl.png",
         "sent-part-1-brass-part-2-as-it-is.png",
         "sent-part-1-red-fabric-part-2-as-it-is-light-mine-exr-turned-by-45.png",
         "sent-compared.jpg",
@@ -692,6 +693,99 @@ def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path
     refused("saved work, a zip archive")
 
 
+def test_a_long_table_of_files_or_a_name_that_is_no_text_is_refused(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session, path = sessions.of("one"), tmp_path / "work.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(300):
+            archive.writestr(f"{number}.txt", "")
+    with pytest.raises(InputError, match="few files, found a long table"):
+        session.load_work(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("wörk.json", "{}")  # the name is marked as UTF-8
+    path.write_bytes(path.read_bytes().replace("wörk".encode(), b"w\xff\xffrk"))
+    with pytest.raises(InputError, match=r"work\.zip: expected saved work, a zip archive"):
+        session.load_work(path)
+
+
+def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(60, 40, 1)
+    before, path = session.opened(), tmp_path / "work.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(photo_in(tmp_path), "photograph.png")
+        archive.writestr("mask.png", b"no picture")
+        archive.writestr("edit.json", json.dumps({"regions": [{}]}))
+        archive.writestr("work.json", json.dumps({"photograph": "a.png", "refined": False}))
+    with pytest.raises(InputError, match=r"work\.zip: mask\.png: expected") as refusal:
+        session.load_work(path)
+    assert session.opened() is before and before.clicks
+    assert str(session.folder) not in str(refusal.value)
+    with zipfile.ZipFile(path, "w") as archive:  # one kept picture is named, and none is there
+        archive.write(photo_in(tmp_path), "photograph.png")
+        archive.writestr("edit.json", json.dumps({"regions": [{}]}))
+        kept = {"photograph": "a.png", "refined": False, "kept": 1}
+        archive.writestr("work.json", json.dumps(kept))
+    with pytest.raises(InputError) as refusal:
+        session.load_work(path)
+    assert str(tmp_path) not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["photo.jpg_large", "photo", "x.j", "photo.jpg~"])
+def test_work_on_a_photograph_of_any_name_can_be_opened_again(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
+    session = sessions.of("one")
+    named = tmp_path / name
+    named.write_bytes(photo_in(tmp_path).read_bytes())
+    session.load(named)
+    session.click(60, 40, 1)
+    decompose(session, refine=False)
+    work = tmp_path / "work.zip"
+    work.write_bytes(downloads_of(session).work.read_bytes())
+    other = sessions.of("two")
+    other.load_work(work)
+    assert other.name == name
+
+
+def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
+    session = saved_by(sessions, tmp_path)
+    assert session.edit is not None
+    caption, going = session.edit.caption, session.downloads()
+    next(going)
+    session.choose(lambda e: replace(e, brightness_stops=3.0))
+    session.forget(0)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            next(going)
+    work = tmp_path / "work.zip"
+    work.write_bytes(end.value.value.work.read_bytes())
+    other = sessions.of("two")
+    other.load_work(work)
+    decompose(other, refine=False)
+    assert other.edit is not None and other.edit.caption == caption
+    assert len(other.kept) == len(session.kept) + 1
+
+
+def test_names_from_a_file_are_shown_as_they_are() -> None:
+    text = "![x](http://host/seen.png) <b>a_b</b>"
+    assert without_markup(text) == ("\\!\\[x\\]\\(http://host/seen.png\\) \\<b\\>a\\_b\\</b\\>")
+
+
 def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
     sessions.begin("new")
     with pytest.raises(InputError, match="choose a photograph first"):
@@ -709,6 +803,12 @@ def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
     sessions.of("stayed")
     time.sleep(0.5)
     assert [folder.exists() for folder in folders] == [False, True]
+    # a session that began meanwhile under the same name stays
+    sessions.close_later("stayed", 0.2)
+    sessions.close("stayed")
+    later = sessions.of("stayed")
+    time.sleep(0.4)
+    assert later.folder.exists()
 
 
 def test_an_error_says_first_what_to_do() -> None:

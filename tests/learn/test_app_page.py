@@ -412,7 +412,12 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         send(walk, "Choose a photograph", photo)
         window.wait("document.querySelector('#marking img')")
         # the browser asks, as the photograph would be gone; who stays still has it, as clicks show
+        window.run(
+            "window.stays = 0;"
+            "document.querySelector('#stayed').addEventListener('click', () => window.stays++)"
+        )
         assert window.run(LEAVING)
+        window.wait("window.stays === 1")  # the server is told, so that the session goes on
         for place in ("#status", "#progress"):
             assert window.run(f"return document.querySelector('{place}').ariaLive") == "polite"
         assert (

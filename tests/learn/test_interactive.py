@@ -408,7 +408,7 @@ def test_the_page_is_used_by_mouse_and_keyboard(made):
         window.type("#search", "gold plastic")
         note = "return document.getElementById('nothing').innerText"
         assert "plastic" in " ".join(window.run(f"return {shown}.map(b => b.title)"))
-        assert window.run(note) == "No material is called so. These come near:"
+        assert window.run(note) == "No material has that name. These are close:"
         window.run("document.getElementById('search').value = ''")
         window.type("#search", "unobtainium")
         assert window.run(f"return {shown}.length") == 0 and "Try a colour" in window.run(note)

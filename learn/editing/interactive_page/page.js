@@ -416,12 +416,12 @@ $("search").addEventListener("input", () => {
   const wanted = $("search").value.toLowerCase().split(/[\s_-]+/).filter(Boolean);
   const hits = button => wanted.filter(word => button.words.includes(word)).length;
   const all = [...document.querySelectorAll(".tiles button")];
-  // where no material has all words, those that have the most of them come near
+  // where no material has all words, those that have the most of them are close
   const most = Math.max(...all.map(hits));
   all.forEach(button => { button.hidden = wanted.length > 0 && (!most || hits(button) < most); });
   for (const group of $("gallery").children) group.hidden = [...group.querySelectorAll("button")].every(b => b.hidden);
   $("nothing").hidden = most === wanted.length;
-  $("nothing").textContent = most ? "No material is called so. These come near:" : "No material of that name. Try a colour, or a class such as metal.";
+  $("nothing").textContent = most ? "No material has that name. These are close:" : "No material of that name. Try a colour, or a class such as metal.";
   const first = all.find(b => !b.hidden);
   if (first) focusable(first);
 });
