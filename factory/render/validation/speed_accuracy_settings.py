@@ -262,7 +262,7 @@ def run_peer(python: str, argument: str) -> subprocess.CompletedProcess[str]:
             "--blenderproc",
             "a Python that has the packages blenderproc and bpy",
             done.stderr.strip().splitlines()[-1][:200],
-            "docs/error-limit.md lists what it needs",
+            "docs/speed-accuracy.md lists what it needs",
         )
     return done
 
