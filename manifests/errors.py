@@ -2,6 +2,7 @@
 
 import difflib
 import errno
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -74,7 +75,11 @@ def of_system(error: OSError) -> InputError | None:
     if error.filename is None or error.errno not in SYSTEM:
         return None
     expected, result, remedy = SYSTEM[error.errno]
-    where = f"{error.filename!r}"[1:-1]  # bytes or text
+    where = error.filename
+    if isinstance(where, bytes):
+        where = os.fsdecode(where)
+    elif isinstance(where, int):
+        where = f"file descriptor {where}"
     return InputError(where, expected, result or str(error.strerror), remedy)
 
 

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -159,13 +160,29 @@ def test_a_file_name_with_a_line_break_does_not_break_the_line(fail):
             "out: expected a place that may be used, found Permission denied (change its"
             " permissions, or name another)",
         ),
-        (OSError(30, "Read-only file system", "out"), "a place that can be written, found Read-on"),
+        (
+            FileNotFoundError(2, "No such file or directory", Path("a folder") / "it's"),
+            "a folder/it's: expected a file or folder of this name, found none (check the path)",
+        ),
+        (
+            IsADirectoryError(21, "Is a directory", b"\xff"),
+            "\\udcff: expected a file, found a folder (name a file in it)",
+        ),
+        (
+            PermissionError(1, "Operation not permitted", 7),
+            "file descriptor 7: expected a place that may be used, found Operation not permitted"
+            " (change its permissions, or name another)",
+        ),
+        (
+            OSError(30, "Read-only file system", "out"),
+            "out: expected a place that can be written, found Read-only file system (name another)",
+        ),
         (OSError(5, "Input/output error", "out"), "[Errno 5] Input/output error: 'out'"),
         (OSError(2, "No such file or directory"), "[Errno 2] No such file or directory"),
     ],
 )
 def test_errors_of_the_system_say_what_was_expected_and_what_helps(fail, error, says):
-    assert says in fail(error).splitlines()[-1]
+    assert fail(error).splitlines()[-1] == f"factory: {says}"
 
 
 def test_what_takes_long_is_not_begun_for_a_place_that_cannot_be_written(
