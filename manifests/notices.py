@@ -3,19 +3,25 @@
 `factory` and `learn` are typed by their own names or as `brdfactory`; manifests.cli says which.
 """
 
+import os
 import sys
 from collections.abc import Callable
 
 from manifests.errors import printable
 
-# what a Python program that imports the packages sees
-_typed: tuple[str, Callable[[str], str]] = "brdfactory", str
+VARIABLE = "BRDFACTORY_PROGRAM"  # its name, for processes that are started from here
+
+# without the variable: what a Python program that imports the packages sees
+_typed: tuple[str, Callable[[str], str]] = os.environ.get(VARIABLE) or "brdfactory", str
 
 
 def set_program(name: str, reword: Callable[[str], str] = str) -> None:
-    """Set what lines begin with, and what their text is passed through."""
+    """Set what lines begin with, also in processes started later, and what their text is passed
+    through.
+    """
     global _typed
     _typed = name, reword
+    os.environ[VARIABLE] = name
 
 
 def line_of(text: object) -> str:
