@@ -64,7 +64,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--lpips",
         type=Path,
         metavar="FILE",
-        help="LPIPS' AlexNet weights, .safetensors (docs/evaluation-methods.md); else no such column",
+        help="LPIPS' AlexNet weights, .safetensors (docs/evaluation-methods.md); else no such"
+        " column",
     )
     parser.add_argument(
         "--lights",
