@@ -187,8 +187,8 @@ class Session:
             except InputError as error:  # the names of files alone are what the user knows
                 name = Path(str(error.where).replace(str(folder), "").lstrip("/")).name
                 where = sent.name if name == sent.name else f"{sent.name}: {name}"
-                found = str(error.found).replace(str(folder), "").lstrip("/")
-                raise InputError(where, error.expected, found, error.remedy) from None
+                result = str(error.found).replace(str(folder), "").lstrip("/")
+                raise InputError(where, error.expected, result, error.remedy) from None
         finally:
             shutil.rmtree(folder, ignore_errors=True)
         return (
