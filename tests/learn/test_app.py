@@ -795,7 +795,7 @@ def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
 
 
 def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
-    """A browser that asks whether to leave a page has told Gradio already that it is left."""
+    """A browser that asks whether to leave a page has reported to Gradio already that it is left."""
     folders = [sessions.of(name).folder for name in ("left", "stayed")]
     for name in ("left", "stayed", "unknown"):
         sessions.close_later(name, 0.2)
