@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
+from learn.app import download_files
+from learn.app.download_files import Downloads
 from learn.app.event_handling import QUIET, SessionOf, one_line
 from learn.app.offline_gradio import gr
-from learn.app.session import Downloads
 
 
 class DownloadTab:
@@ -47,7 +48,7 @@ class DownloadTab:
         """Write the files."""
         session = self.session_of(request)
         nothing = (gr.skip(),) * (len(self.outputs) - 1)
-        steps = session.downloads()
+        steps = download_files.write(session)
         while True:
             try:
                 yield (*nothing, next(steps))

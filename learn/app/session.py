@@ -4,15 +4,13 @@ Nothing is shared between two users, whose sessions learn.app.sessions begins an
 bounded before they are decoded (learn.data.photographs), and deleted with the session.
 """
 
-import copy
 import functools
-import math
 import re
 import secrets
 import shutil
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,12 +18,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from learn.app import background_decomposition, choices, overlay, work_file
+from learn.app import background_decomposition, overlay, work_file
 from learn.app.background_decomposition import Network, Progress, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.selection import Selection
-from learn.app.viewer import Viewer, opacity_of, read_labels
-from learn.app.work_file import MOST_KEPT, Saved
+from learn.app.viewer import Viewer
+from learn.app.work_file import MOST_KEPT
 from learn.data import photographs
 from learn.editing import decomposition, material_file, photograph
 from learn.figures import montage
@@ -42,8 +40,6 @@ SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture t
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
 ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
 EXAMPLE = "example:espresso-cup"
-SHEET_COLUMNS, SHEET_TILE = 3, 640  # of the picture that compares the kept edits; pixels
-LONGEST_NAME = 80  # letters of a file for download
 THE_PAGE = "the page"  # what an error is about that no file has caused
 NEXT = "Next: choose a material"  # the button that decomposes
 NO_PHOTOGRAPH = (THE_PAGE, "a photograph", "none", "choose a photograph first, in step 1")
@@ -68,22 +64,6 @@ class Kept:
 
     edit: Edit
     picture: Path
-
-
-@dataclass(frozen=True)
-class Downloads:
-    """The files of an edit.
-
-    pictures  of the edit and of the kept ones, and one of all of them side by side
-    work      by which the work continues later
-    others    for programs, and to repeat the edit by the command
-    command   that repeats it
-    """
-
-    pictures: list[Path]
-    work: Path
-    others: list[Path]
-    command: str
 
 
 @dataclass
@@ -443,125 +423,6 @@ class Session:
                 old.unlink(missing_ok=True)
             del self._views[:-KEPT_VIEWS]
         return path
-
-    def downloads(self) -> Generator[str, None, Downloads]:
-        """Write the edit and the kept ones at the photograph's size, with all that repeats it.
-
-        Yields a line about the picture that is rendered next, and returns Downloads. What the user
-        changes meanwhile has no part in them.
-        Raises  InputError
-        """
-        as_it_is = copy.copy(self)
-        as_it_is.kept = list(self.kept)
-        return (yield from as_it_is._downloads())
-
-    def _downloads(self) -> Generator[str, None, Downloads]:
-        viewer, edit = self.decomposed()
-        edits = [edit, *(each.edit for each in self.kept if each.edit != edit)]
-        yield rendering(1, len(edits))
-        folder = self.folder / "download"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        linear, display = viewer.full(edit)
-        opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
-        pictures = [self._write_picture(folder, edit, linear, display)]
-        photographs.write_picture(folder / "edited.exr", linear, opacity)
-        shown = [(edit.caption, display)]
-        for number, other in enumerate(edits[1:], 2):
-            yield rendering(number, len(edits))
-            _, picture = rendered = viewer.full(other)
-            pictures.append(self._write_picture(folder, other, *rendered))
-            shown.append((other.caption, picture))
-        if len(shown) > 1:
-            pictures.append(
-                self._write_comparison(folder, [("photograph", viewer.before()), *shown])
-            )
-        _, metadata = self.network.loaded()
-        decomposed = viewer.decomposition
-        parts = [p.parts(own) for p, own in zip(edit.regions, decomposed.label, strict=True)]
-        first, second = ([each[k][1] for each in parts] for k in (0, -1))
-        read = [label.tobytes() for label in (*decomposed.label, *read_labels(edit.regions))]
-        for name, labels in (("material.json", first), ("material-blended.json", second)):
-            if labels is first or any(len(p.parts(first[0])) > 1 for p in edit.regions):
-                stacked = np.stack(labels)
-                framed = decomposed.framed
-                were = [label.tobytes() in read for label in stacked]
-                path, weights = folder / name, self.network.weights
-                material_file.write(path, stacked, framed, metadata, weights, were)
-        masks = self._write_masks(folder, decomposed.photograph)
-        choices.write(folder / "edit.json", edit)
-        weights = self.network.weights
-        command = choices.command_line(edit, self.name, masks, self.refined, weights)
-        files.write_text(folder / "command.txt", command + "\n")
-        others = sorted(path for path in folder.iterdir() if path not in pictures)
-        return Downloads(pictures, self._write_work(folder, masks), others, command)
-
-    def _write_picture(
-        self, folder: Path, edit: Edit, linear: np.ndarray, display: np.ndarray
-    ) -> Path:
-        """Write an edit's picture, named after the photograph and the materials."""
-        words = edit.caption
-        for sign, word in (("%", " per cent"), ("+", " plus "), ("−", " minus ")):
-            words = words.replace(sign, word)
-        stem = re.sub(r"\W+", "-", f"{self.stem}-{words}")[:LONGEST_NAME].strip("-")
-        path, number = folder / f"{stem}.png", 2
-        while path.exists():
-            path, number = folder / f"{stem}-{number}.png", number + 1
-        photographs.require_finite(path, linear)
-        files.write_image(path, display, "PNG")
-        return path
-
-    @property
-    def stem(self) -> str:
-        """The photograph's name without its ending, of letters that every file's name may have."""
-        name = self.name.partition(":")[2] if self.name == EXAMPLE else Path(self.name).stem
-        return re.sub(r"\W+", "-", name).strip("-")[: LONGEST_NAME // 2] or "photograph"
-
-    def _write_comparison(self, folder: Path, shown: list[tuple[str, np.ndarray]]) -> Path:
-        """Write one picture of captioned pictures, side by side."""
-        tiles = [(caption, picture[..., :3]) for caption, picture in shown]
-        columns = min(SHEET_COLUMNS, math.ceil(math.sqrt(len(tiles))))
-        rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
-        path = folder / f"{self.stem}-compared.jpg"
-        files.write_image(path, montage.contact_sheet(rows, SHEET_TILE), quality=90)
-        return path
-
-    def _write_work(self, folder: Path, masks: list[str]) -> Path:
-        """Write the file by which the work continues later."""
-        assert self.path is not None and self.edit is not None
-        own = self.name != EXAMPLE
-        parts = [*([self.path] if own else []), *(folder / name for name in masks)]
-        path, made = folder / f"{self.stem}-work.zip", self.folder / f"work-{secrets.token_hex(6)}"
-        made.mkdir()
-        saved = Saved(self.name, self.refined, len(self.kept))
-        try:
-            kept = [each.edit for each in self.kept]
-            work_file.write(path, made, saved, parts, self.edit, kept)
-        finally:
-            shutil.rmtree(made, ignore_errors=True)
-        return path
-
-    def _write_masks(self, folder: Path, opened: photograph.Photograph) -> list[str]:
-        """Write what the command line needs of the mask; return the files' names."""
-        if self.name == EXAMPLE and not self.by_hand:
-            return []
-        names = []
-        if not opened.cut_out and (self.soft_mask is not None or opened.count == 1):
-            # as it was before the program softened it, which it does each time that it is read
-            given = opened.mask if self.soft_mask is None else self.soft_mask
-            coverage = np.rint(255 * given.astype(np.float32)).astype(np.uint8)
-            files.write_image(folder / "mask.png", coverage, "PNG")
-            names.append("mask.png")
-        if opened.count > 1:
-            files.write_image(folder / "regions.png", opened.regions, "PNG")
-            names.append("regions.png")
-        return names
-
-
-def rendering(number: int, count: int) -> str:
-    """Return the line that says which of `count` pictures is rendered."""
-    which = f", picture {number} of {count}" if count > 1 else ""
-    return f"Rendering at the photograph's size{which} …"
 
 
 @functools.cache

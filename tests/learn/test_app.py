@@ -15,12 +15,13 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, gallery, overlay
+from learn.app import choices, download_files, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
+from learn.app.download_files import Downloads
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection
-from learn.app.session import Downloads, Session, display_of
+from learn.app.session import Session, display_of
 from learn.app.sessions import Sessions
 from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
@@ -448,7 +449,7 @@ def decompose(session: Session, refine: bool) -> list[float]:
 
 
 def test_a_session_decomposes_chooses_and_writes_all_files(
-    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
 ) -> None:
     sessions.begin("one")
     session = sessions.of("one")
@@ -463,10 +464,6 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     number = session.number
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("green-fabric"))))
     assert session.number == number + 1
-    monkeypatch.setattr(
-        "learn.editing.material_file.write",
-        lambda path, *rest: path.write_text("{}"),
-    )
     made = downloads_of(session)
     assert [path.name for path in made.pictures] == ["sent-green-fabric.png"]
     assert made.work.name == "sent-work.zip"
@@ -499,7 +496,7 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     decompose(session, refine=False)
     session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
-    assert session._write_masks(tmp_path, opened) == ["mask.png"]
+    assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
     again = photograph.opened(tmp_path / "sent.png", [tmp_path / "mask.png"])
     np.testing.assert_array_equal(again.coverage, opened.coverage)
     np.testing.assert_array_equal(again.regions, opened.regions)
@@ -546,7 +543,7 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
 
 def downloads_of(session: Session, lines: list[str] | None = None) -> Downloads:
     """The files for download; `lines` is given what is said meanwhile."""
-    steps = session.downloads()
+    steps = download_files.write(session)
     while True:
         try:
             line = next(steps)
@@ -554,6 +551,15 @@ def downloads_of(session: Session, lines: list[str] | None = None) -> Downloads:
             return ended.value
         if lines is not None:
             lines.append(line)
+
+
+@pytest.fixture
+def plain_material_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The material.json of a stand-in for a network is not written, for which it has no weights."""
+    monkeypatch.setattr(
+        "learn.editing.material_file.write",
+        lambda path, *rest: path.write_text("{}"),
+    )
 
 
 def saved_by(sessions: Sessions, tmp_path: Path) -> Session:
@@ -604,12 +610,8 @@ def test_kept_pictures_are_compared_brought_back_and_removed(
 
 
 def test_pictures_for_download_are_named_after_photograph_and_material(
-    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
 ) -> None:
-    monkeypatch.setattr(
-        "learn.editing.material_file.write",
-        lambda path, *rest: path.write_text("{}"),
-    )
     session = saved_by(sessions, tmp_path)
     lines: list[str] = []
     made = downloads_of(session, lines)
@@ -626,16 +628,12 @@ def test_pictures_for_download_are_named_after_photograph_and_material(
         with Image.open(path) as picture:
             assert picture.size == (120, 80)
     session.name = "Stuhl für Frau Öz (2).JPG"
-    assert session.stem == "Stuhl-für-Frau-Öz-2"
+    assert download_files.stem_of(session) == "Stuhl-für-Frau-Öz-2"
 
 
 def test_saved_work_brings_photograph_mask_and_edits_back(
-    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
 ) -> None:
-    monkeypatch.setattr(
-        "learn.editing.material_file.write",
-        lambda path, *rest: path.write_text("{}"),
-    )
     session = saved_by(sessions, tmp_path)
     work = tmp_path / "work.zip"
     work.write_bytes(downloads_of(session).work.read_bytes())
@@ -737,12 +735,8 @@ def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
 
 @pytest.mark.parametrize("name", ["photo.jpg_large", "photo", "x.j", "photo.jpg~"])
 def test_work_on_a_photograph_of_any_name_can_be_opened_again(
-    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    sessions: Sessions, tmp_path: Path, plain_material_files: None, name: str
 ) -> None:
-    monkeypatch.setattr(
-        "learn.editing.material_file.write",
-        lambda path, *rest: path.write_text("{}"),
-    )
     session = sessions.of("one")
     named = tmp_path / name
     named.write_bytes(photo_in(tmp_path).read_bytes())
@@ -757,15 +751,11 @@ def test_work_on_a_photograph_of_any_name_can_be_opened_again(
 
 
 def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
-    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
 ) -> None:
-    monkeypatch.setattr(
-        "learn.editing.material_file.write",
-        lambda path, *rest: path.write_text("{}"),
-    )
     session = saved_by(sessions, tmp_path)
     assert session.edit is not None
-    caption, going = session.edit.caption, session.downloads()
+    caption, going = session.edit.caption, download_files.write(session)
     next(going)
     session.choose(lambda e: replace(e, brightness_stops=3.0))
     session.forget(0)
@@ -795,7 +785,7 @@ def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
 
 
 def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
-    """A browser that asks whether to leave a page has reported to Gradio already that it is left."""
+    """A browser that asks whether to leave a page has reported to Gradio that it is left."""
     folders = [sessions.of(name).folder for name in ("left", "stayed")]
     for name in ("left", "stayed", "unknown"):
         sessions.close_later(name, 0.2)

@@ -417,7 +417,7 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
             "document.querySelector('#stayed').addEventListener('click', () => window.stays++)"
         )
         assert window.run(LEAVING)
-        window.wait("window.stays === 1")  # a request reaches the server, so that the session goes on
+        window.wait("window.stays === 1")  # the server is asked to keep the session
         for place in ("#status", "#progress"):
             assert window.run(f"return document.querySelector('{place}').ariaLive") == "polite"
         assert (
