@@ -147,3 +147,4 @@ def run(arguments: argparse.Namespace) -> None:
     if figures:
         print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     print(f"See {arguments.out}: weights.safetensors, log.jsonl, sheet-*.jpg")
+    processes.end_without_finalising()

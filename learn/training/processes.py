@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -108,3 +109,17 @@ def begin_worker(_: int) -> None:
     torch.set_num_threads(1)
     for descriptor in _LOCKS:
         os.close(descriptor)
+
+
+def end_without_finalising() -> None:
+    """End one of several processes of a run at once, with status 0, once all is written.
+
+    Python's own end of a process would let threads of torch.distributed release tensors while the
+    interpreter shuts down, where they can wait for ever (pytorch's issue 190489); torchrun then
+    waits with them. A process that trains alone is left to Python.
+    """
+    if int(os.environ.get("WORLD_SIZE", 1)) == 1:
+        return
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)

@@ -179,3 +179,23 @@ def test_the_command_of_a_complete_run_leaves_what_the_last_one_wrote(store, tmp
     assert json.loads(written)["validation"]
     assert train(store, tmp_path / "out") == 0
     assert made.read_text() == written
+
+
+@pytest.mark.parametrize(("world", "expected"), [("1", "written, finalised"), ("2", "written, ")])
+def test_one_of_several_processes_ends_without_waiting_for_the_threads_of_torch(
+    root, world, expected
+):
+    program = (
+        "import atexit; from learn.training import processes;"
+        "atexit.register(print, 'finalised', end='');"
+        "print('written', end=', '); processes.end_without_finalising()"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=root,
+        env=os.environ | {"WORLD_SIZE": world},
+        timeout=120,
+    )
+    assert (ran.returncode, ran.stdout) == (0, expected)
