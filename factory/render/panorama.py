@@ -62,15 +62,34 @@ def render(scene: Scene, seed: int = 0, samples: int = SAMPLES, denoise: bool = 
 
     denoise  False, with many samples, gives a reference
     """
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    render_result.hook_cycles()
-    stage = bpy.context.scene
-    apply(stage, (*(s for s in ALWAYS if s.path not in {p.path for p in PANORAMA}), *PANORAMA))
+    stage, hide_sun = build(scene, PANORAMA)
     apply(stage, (Setting("cycles.seed", seed, "noise of its own"),))
     apply(stage, (Setting("cycles.samples", samples, "as the caller says"),))
     apply(stage, (Setting("cycles.use_denoising", denoise, "as the caller says"),))
     stage.view_layers[0].cycles.denoising_store_passes = denoise
     _camera(stage)
+    passes = render_result.render_passes(stage)
+    L = passes["Combined"][..., :3]
+    if denoise:
+        L = _with_energy_of(L, passes["Noisy Image"][..., :3])
+    if scene.sky.with_sun and scene.sky.elevation > -SUN_VIEW:
+        L += _sun(stage, scene.sky, hide_sun)
+    return np.ascontiguousarray(L, np.float32)
+
+
+def build(
+    scene: Scene, settings: tuple[Setting, ...]
+) -> tuple[bpy.types.Scene, bpy.types.NodeSocket]:
+    """Return Blender's scene, emptied before, with what is planned, but without a camera.
+
+    settings  that replace those of ALWAYS
+    Returns   the scene, and the input that hides the sun's disc from the camera (1) or not (0)
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    render_result.hook_cycles()
+    stage = bpy.context.scene
+    replaced = {setting.path for setting in settings}
+    apply(stage, (*(s for s in ALWAYS if s.path not in replaced), *settings))
     hide_sun = _world(stage, scene.sky)
     for box in scene.boxes:
         _add(stage, _box_mesh(box), box.material)
@@ -79,13 +98,7 @@ def render(scene: Scene, seed: int = 0, samples: int = SAMPLES, denoise: bool = 
         _add(stage, mesh, bulb.material, bulb.centre, bulb.radius)
     for piece in scene.furniture:
         _furnish(stage, piece)
-    passes = render_result.render_passes(stage)
-    L = passes["Combined"][..., :3]
-    if denoise:
-        L = _with_energy_of(L, passes["Noisy Image"][..., :3])
-    if scene.sky.with_sun and scene.sky.elevation > -SUN_VIEW:
-        L += _sun(stage, scene.sky, hide_sun)
-    return np.ascontiguousarray(L, np.float32)
+    return stage, hide_sun
 
 
 def _with_energy_of(smooth: np.ndarray, noisy: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from learn.experiments import runner
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     import numpy as np
     import torch
@@ -182,24 +182,12 @@ def row_of(
     settings  of refinement; None: none
     paint     from the picture to the radiance (H, H, 3) that is photographed; None: its own
 
-    {"shape", "group", "light", "source", "exposure": {"true", "used"} in stops, "light_green": of
-    the light that was read, before it was taken back, "cues": of learn.editing.exposure, "edits":
-    [{"target", "family", "narrow": share of its albedo in narrow lobes, "darkened": stops by which
-    it was rendered darker for that, "stops": of brightness above the truth's, "green" and
-    "red_blue": of colour beyond the truth's, "l2": with each of SCALES, "unchanged": L2 of the
-    photograph as it was}]}
+    {"shape", "group", "light", "source"} with the figures of `figures_of`.
     """
-    from dataclasses import asdict
-
     import numpy as np
 
-    from learn.data.devices import array
-    from learn.editing import decomposition, light_colour, photograph
-    from learn.editing.compositor import Compositor
     from learn.evaluation.ladder_design import group_of
-    from learn.experiments.photographing import photographed
-    from manifests.errors import InputError
-    from shaders.envmap import mean_radiance
+    from learn.experiments.photographing import photographed, placed
 
     record = case.source
     sample = records.load(record)
@@ -210,60 +198,108 @@ def row_of(
         np.radians(record.camera.elevation_deg),
         record.id,
     )
+
+    def truth(target: Record) -> Truth:
+        (name,) = set(target.materials)
+        frame = placed(records.image(target), np.zeros((*photo.mask.shape, 3), np.float32))
+        return Truth(name, records.material(name).family, records.label(name), frame)
+
     about = {
         "shape": record.shape,
         "group": group_of(record.shape, record.category)[0],
         "light": record.light,
         "source": record.materials[0],
     }
+    targets = map(truth, case.targets)
+    return about | figures_of(photo, record.id, targets, network, size, settings)
+
+
+class Truth(NamedTuple):
+    """What an edit should show.
+
+    material, family, label  the target's, as its Material has them
+    frame  (N, N, 3) radiance of the photograph's frame with the object in the target, under light
+           of unit mean
+    """
+
+    material: str
+    family: str
+    label: np.ndarray
+    frame: np.ndarray
+
+
+def figures_of(
+    photo: Photographed,
+    name: str,
+    targets: Iterable[Truth],
+    network: torch.nn.Module,
+    size: int,
+    settings: RefinementSettings | None,
+) -> dict[str, Any]:
+    """Return what a photograph's cues and its edits are worth.
+
+    name      for messages
+    settings  of refinement; None: none
+
+    {"exposure": {"true", "used"} in stops, "light_green": of the light that was read, before it was
+    taken back, "cues": of learn.editing.exposure, "edits": [{"target", "family", "narrow": share of
+    its albedo in narrow lobes, "darkened": stops by which it was rendered darker for that, "stops":
+    of brightness above the truth's, "green" and "red_blue": of colour beyond the truth's, "l2":
+    with each of SCALES, "unchanged": L2 of the photograph as it was}]}; {"refused", "edits": []}
+    for a photograph that cannot be edited
+    """
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from learn.data.devices import array
+    from learn.editing import decomposition, light_colour, photograph
+    from learn.editing.compositor import Compositor
+    from manifests.errors import InputError
+    from shaders.envmap import mean_radiance
+
     try:
-        read = photograph.from_arrays(photo.pixels, photo.mask, name=record.id)
+        read = photograph.from_arrays(photo.pixels, photo.mask, name=name)
         parts = decomposition.decompose(read, network, size, settings)
     except InputError as error:  # an object that is black or white in the photograph
-        return about | {"refused": str(error), "edits": []}
+        return {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
     light = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start).light
     compositor = Compositor(parts)
-    edits = [edit_of(records, compositor, photo, target) for target in case.targets]
-    return about | {
+    return {
         "exposure": {
             "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
         "light_green": light_colour.green_of(mean_radiance(array(light[0].movedim(0, -1)))),
         "cues": asdict(parts.cues),
-        "edits": edits,
+        "edits": [edit_of(compositor, photo, target) for target in targets],
     }
 
 
-def edit_of(
-    records: Records, compositor: Any, photo: Photographed, target: Record
-) -> dict[str, Any]:
-    """Return a row of "edits" of `row_of`. Brightness is the mean luminance over the object."""
+def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, Any]:
+    """Return a row of "edits" of `figures_of`. Brightness is the mean luminance over the object."""
     import numpy as np
 
     from learn.editing import light_colour
     from learn.editing.photograph import CLEAR
-    from learn.experiments.photographing import placed
     from learn.layer.albedo import narrow_share
     from shaders import tone
     from shaders.tone import LUMINANCE
 
-    name = target.materials[0]
-    label = records.label(name)
-    edited = compositor.edited([label])
+    edited = compositor.edited([target.label])
     before = compositor.decomposition.photograph
     inside = photo.mask & (before.coverage > 1 - CLEAR)
-    truth = placed(records.image(target), np.zeros_like(edited)) * np.float32(photo.exposure)
+    truth = target.frame * np.float32(photo.exposure)
     colours = [np.maximum(each[inside].mean(0), 1e-6) for each in (edited, truth)]
     mine, its = (float(colour @ LUMINANCE) for colour in colours)
     red_blue = [float(np.log2(colour[0] / colour[2])) for colour in colours]
     return {
-        "target": name,
-        "family": records.material(name).family,
-        "narrow": narrow_share(label),
-        "darkened": -float(np.log2(compositor.brightness(label))),
+        "target": target.material,
+        "family": target.family,
+        "narrow": narrow_share(target.label),
+        "darkened": -float(np.log2(compositor.brightness(target.label))),
         "stops": float(np.log2(mine / its)),
         "green": light_colour.green_of(colours[0]) - light_colour.green_of(colours[1]),
         "red_blue": red_blue[0] - red_blue[1],

@@ -241,7 +241,7 @@ def _groups(edits: Edits, before: np.ndarray, now: np.ndarray) -> str:
     kinds: dict[str, Callable[[Mapping[str, Any]], str]] = {
         "shapes": lambda row: row["group"],
         "edits into": lambda row: row["family"],
-        "lights": lambda row: "rendered rooms" if "-" in row["light"] else "measured",
+        "lights": lambda row: _kind_of_light(row["light"]),
     }
     for kind, key in kinds.items():
         names = np.array([key(row) for row in edits.rows])
@@ -259,6 +259,13 @@ def _groups(edits: Edits, before: np.ndarray, now: np.ndarray) -> str:
             )
     head = ["", "", "edits", "brightness, stops", "off by", "L2 before", "L2 in use"]
     return runner.table(head, lines)
+
+
+def _kind_of_light(name: str) -> str:
+    """Return what a light is by its name: a map's, or a place's of room_photographs."""
+    kinds = {"room": "in the room itself", "sky": "under the sky itself"}
+    place, dash, _ = name.partition("-")
+    return kinds.get(place, "rendered rooms") if dash else "measured"
 
 
 def _line(edits: Edits, weights: np.ndarray) -> str:

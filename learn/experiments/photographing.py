@@ -55,11 +55,20 @@ def photographed(
     """
     behind = surroundings(light, round(FRAME * len(mask)), elevation)
     frame, covered = placed(radiance, behind), placed(mask, np.zeros(behind.shape[:2], bool))
-    frame = np.where(covered[..., None], frame, behind)
+    return exposed(np.where(covered[..., None], frame, behind), covered, name)
+
+
+def exposed(frame: np.ndarray, mask: np.ndarray, name: str) -> Photographed:
+    """Return the photograph of a whole frame.
+
+    frame  (N, N, 3) radiance under light of unit mean
+    mask   (N, N) bool, the object
+    name   by which the exposure's distance from the metered one is drawn
+    """
     drawn = np.random.default_rng(zlib.crc32(name.encode())).normal(0.0, SPREAD)
     exposure = metered(frame @ LUMINANCE) * 2**drawn
     return Photographed(
-        np.rint(tone.display(frame, exposure)).astype(np.uint8), covered, float(exposure)
+        np.rint(tone.display(frame, exposure)).astype(np.uint8), mask, float(exposure)
     )
 
 

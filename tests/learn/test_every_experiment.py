@@ -22,7 +22,7 @@ from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
 from manifests import allocator
 from manifests.cli import main
-from tests.support import ladder_rungs, stereo_sphere
+from tests.support import ladder_rungs, room_scenes, stereo_sphere
 from tests.support.full_disk_case import RUN as SETTINGS
 from tests.support.synthetic import add_shape, glossy, matte, write_dataset
 from tests.support.two_materials import written
@@ -287,6 +287,17 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(e["l2"][-1] > e["l2"][16] for row in r["rows"] for e in row["edits"])
         ),
     ),
+    "room-photographs": (
+        "--data {room}/rooms --weights {room}/weights.safetensors --scenes 1",
+        lambda r: (
+            [(row["source"], row["edits"][0]["target"]) for row in r["rows"]]
+            == [("white-marble", "violet-rubber"), ("violet-rubber", "white-marble")]
+            # far too bright is worse than as it is
+            and all(e["l2"][-1] > e["l2"][16] for row in r["rows"] for e in row["edits"])
+            # marble is not rubber
+            and all(e["unchanged"] > 100 for row in r["rows"] for e in row["edits"])
+        ),
+    ),
     "painted-photographs": (
         "--data {room}/ladder --weights {room}/weights.safetensors --photographs 1",
         lambda r: (
@@ -365,6 +376,7 @@ def room(tmp_path_factory):
     ladder_rungs.written(room / "ladder", SIZE)
     ladder_rungs.written(room / "glossy", SIZE, glossy(split="test"))
     stereo_sphere.written(room / "sphere", size=4 * SIZE)
+    room_scenes.written(room / "rooms")
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(

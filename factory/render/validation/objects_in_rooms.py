@@ -1,0 +1,247 @@
+"""Objects that stand in furnished rooms and under open skies, each in several materials.
+
+python -m factory.render.validation.objects_in_rooms --scenes 36 --out DIR
+python -m factory.render.validation.objects_in_rooms --scenes 36 --meshes FOLDER --out DIR
+
+The pictures of a data set show an object alone, under light from far away. Here it stands on a
+table in a room of factory.lights.interiors, so that light comes from near, walls and furniture are
+behind it, and the table shades and colours it. `python -m learn.experiments room-photographs` takes
+photographs of these pictures and compares their edits with the truth.
+
+Each scene is a folder NUMBER of DIR, which is there once it is complete: the same command
+continues.
+
+  MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
+                light at the object's place has unit mean (luminance over the sphere)
+  mask.png      255 on the object
+  scene.json    shape, category, place ("room" or "sky"), seed of the place, materials, and the
+                camera: azimuth and elevation in degrees, distance in metres
+
+Shapes take turns: the program's families for development, families that no training has, and files
+of FOLDER. The camera looks at the object from where nothing stands between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Vector
+from PIL import Image
+
+from factory.lights import interiors
+from factory.lights.interiors import Box
+from factory.render import body, materials, panorama, render_result, scene
+from factory.render.settings import Setting, apply, assign
+from factory.render.validation import command_line
+from factory.render.validation.scenes import meshes_of
+from factory.shapes.catalogue import load as load_shape
+from factory.shapes.mesh import Mesh
+from manifests import exr
+from manifests.files import write_json
+from manifests.materials import load_catalogue
+from manifests.progress import tqdm
+from shaders import envmap, nodes
+from shaders.tone import LUMINANCE
+
+SIZE = 192  # pixels of a frame's side
+SAMPLES = 48
+FIELD_OF_VIEW = math.radians(40.0)
+FILLED = 2 / 3  # of the frame's side, by the sphere about the object
+RADII = (0.15, 0.3)  # metres, of that sphere
+ELEVATIONS = (8.0, 35.0)  # degrees
+ATTEMPTS = 12  # azimuths that are tried for a free view before another place is
+EACH = 3  # materials of a scene
+
+OWN = ("chair:1000", "sofa:1000", "car:1000", "monitor:1000", "chair:1001", "sofa:1001")
+OWN += ("car:1001", "monitor:1001", "chair:1002", "sofa:1002", "car:1002", "monitor:1002")
+HELD_OUT = tuple(f"{family}:{k}" for k in range(3) for family in ("dish", "knot", "letter", "tool"))
+# those of docs/jobs/photographed-edits, none of which the committed weights were trained on
+MATERIALS = (
+    "chrome-steel", "aluminium", "nickel", "silver-paint", "blue-metallic-paint2",
+    "yellow-phenolic", "blue-acrylic", "acrylic_felt_yellow", "light-brown-fabric",
+    "violet-rubber", "cc_nothern_aurora", "white-marble",
+)  # fmt: skip
+
+# resolution and samples are the caller's
+FRAME = tuple(
+    s for s in panorama.PANORAMA if "resolution" not in s.path and s.path != "cycles.samples"
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scene that is to be rendered.
+
+    place      seed of factory.lights.interiors
+    radius     of the sphere about the object, metres
+    azimuths   in radians, of which the first with a free view is used
+    elevation  in radians
+    """
+
+    shape: str
+    materials: tuple[str, ...]
+    place: int
+    radius: float
+    azimuths: tuple[float, ...]
+    elevation: float
+
+
+def planned(number: int, attempt: int, seed: int, meshes: Sequence[Path]) -> Plan:
+    """Return scene `number` of a seed; each attempt has another place and camera."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    groups: list[Sequence[Any]] = [OWN, HELD_OUT, *([meshes] if meshes else [])]
+    group = groups[number % len(groups)]
+    shape = str(group[number // len(groups) % len(group)])
+    names = tuple(str(name) for name in rng.permutation(MATERIALS)[:EACH])
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, attempt)))
+    return Plan(
+        shape=shape,
+        materials=names,
+        place=int(rng.integers(1 << 31)),
+        radius=float(rng.uniform(*RADII)),
+        azimuths=tuple(float(a) for a in rng.uniform(0, 2 * math.pi, ATTEMPTS)),
+        elevation=math.radians(rng.uniform(*ELEVATIONS)),
+    )
+
+
+def with_table(plan: Plan, mesh: Mesh) -> interiors.Scene:
+    """Return the planned place with a table whose top is where the object, at the origin, ends."""
+    place = interiors.draw(plan.place)
+    floor = place.boxes[0].high[2]
+    top = float(mesh.vertices[:, 2].min()) * plan.radius
+    rng = np.random.default_rng(plan.place)
+    half = rng.uniform(1.3, 3.0, 2) * plan.radius
+    colour = tuple(float(c) for c in np.clip(rng.uniform(0.05, 0.7) * rng.uniform(0.6, 1, 3), 0, 1))
+    look = interiors.Material(colour, roughness=float(rng.uniform(0.2, 0.9)))
+    table = Box((-half[0], -half[1], floor), (half[0], half[1], top), look)
+    return dataclasses.replace(place, boxes=(*place.boxes, table))
+
+
+def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES) -> bool:
+    """Write a scene into a new folder; return False, and write nothing, where no view is free."""
+    mesh = load_shape(plan.shape)
+    place = with_table(plan, mesh)
+    light = panorama.render(place, plan.place % 1000)
+    stage, _ = panorama.build(place, FRAME)
+    for path in ("render.resolution_x", "render.resolution_y"):
+        assign(stage, path, size)
+    assign(stage, "cycles.samples", samples)
+    thing, surface = _placed(stage, mesh, plan.radius)
+    distance = plan.radius / math.sin(math.atan(FILLED * math.tan(FIELD_OF_VIEW / 2)))
+    camera = _camera(stage)
+    azimuth = next((a for a in plan.azimuths if _is_free(stage, thing, plan, a, distance)), None)
+    if azimuth is None:
+        return False
+    camera.matrix_world = _looking(_direction(azimuth, plan.elevation) * distance)
+    stage.view_layers[0].use_pass_object_index = True
+    mean = float(envmap.mean_radiance(light) @ LUMINANCE)
+    folder.mkdir(parents=True)
+    catalogue = load_catalogue()
+    for number, name in enumerate(plan.materials):
+        materials.show(surface, materials.build(nodes.graph(catalogue[name].mixture)))
+        apply(stage, (Setting("cycles.seed", number, "noise of its own"),))
+        passes = render_result.render_passes(stage)
+        L = (passes["Combined"][..., :3] / mean).astype(np.float32)
+        exr.write(folder / f"{name}.exr", {c: L[..., k] for k, c in enumerate("RGB")})
+    mask = passes["IndexOB"][..., 0] > 0.5
+    Image.fromarray(255 * mask.astype(np.uint8)).save(folder / "mask.png")
+    about = {
+        "shape": Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape,
+        "category": mesh.category,
+        "place": "room" if _has_ceiling(place) else "sky",
+        "seed": plan.place,
+        "materials": plan.materials,
+        "azimuth_deg": math.degrees(azimuth),
+        "elevation_deg": math.degrees(plan.elevation),
+        "distance": distance,
+    }
+    write_json(folder / "scene.json", about)
+    return True
+
+
+def _has_ceiling(place: interiors.Scene) -> bool:
+    return any(
+        box.low[2] > 0 and all(box.low[k] < 0 < box.high[k] for k in (0, 1)) for box in place.boxes
+    )
+
+
+def _placed(
+    stage: bpy.types.Scene, mesh: Mesh, radius: float
+) -> tuple[bpy.types.Object, bpy.types.Material]:
+    """Put a mesh at the origin, so large; return the object and the material of its segments."""
+    built, surface = body.build(mesh), materials.new("surface")
+    for _ in range(mesh.segments):
+        built.materials.append(surface)
+    thing = scene.put(stage, built)
+    thing.scale, thing.pass_index = (radius,) * 3, 1
+    return thing, surface
+
+
+def _camera(stage: bpy.types.Scene) -> bpy.types.Object:
+    data = bpy.data.cameras.new("camera")
+    data.angle = FIELD_OF_VIEW
+    assign(data, "clip_start", 0.01)
+    camera = bpy.data.objects.new("camera", data)
+    stage.collection.objects.link(camera)
+    stage.camera = camera
+    return camera
+
+
+def _direction(azimuth: float, elevation: float) -> Vector:
+    flat = math.cos(elevation)
+    return Vector((flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)))
+
+
+def _looking(place: Vector) -> Any:
+    """Return the matrix of a camera at `place` that looks at the origin, upright."""
+    matrix = place.to_track_quat("Z", "Y").to_matrix().to_4x4()
+    matrix.translation = place
+    return matrix
+
+
+def _is_free(
+    stage: bpy.types.Scene, thing: bpy.types.Object, plan: Plan, azimuth: float, distance: float
+) -> bool:
+    """Return whether no wall, lamp or piece of furniture is before the object."""
+    towards = _direction(azimuth, plan.elevation)
+    eye = towards * distance
+    graph = bpy.context.evaluated_depsgraph_get()
+    side = towards.cross(Vector((0, 0, 1))).normalized()
+    above = side.cross(towards)
+    seen = 0
+    for across, up in ((0, 0), (0.8, 0), (-0.8, 0), (0, 0.8), (0.5, 0.5), (-0.5, 0.5)):
+        aim = (side * across + above * up) * plan.radius
+        hit, place, _, _, what, _ = stage.ray_cast(graph, eye, (aim - eye).normalized())
+        if hit and what.original is thing:
+            seen += 1
+        elif hit and (place - eye).length < distance - plan.radius:
+            return False
+    return seen > 0
+
+
+def main() -> None:
+    """Render the scenes that are missing."""
+    parser = command_line.parser(
+        __doc__, "scenes", 36, seed=41, size=SIZE, reference=None, meshes=True
+    )
+    options = command_line.parse(parser)
+    meshes = meshes_of(options.meshes)
+    for number in tqdm(range(options.scenes), unit="scene"):
+        folder, partial = options.out / f"{number:04d}", options.out / f".{number:04d}"
+        if folder.exists():
+            continue
+        for attempt in range(20):
+            if rendered(planned(number, attempt, options.seed, meshes), partial, options.size):
+                partial.rename(folder)
+                break
+
+
+if __name__ == "__main__":
+    main()

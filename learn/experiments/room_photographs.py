@@ -1,0 +1,164 @@
+"""Measure edits of photographs of objects that stand in rooms and under open skies.
+
+In the photographs of `photographed-edits` the light is far away, and it is also what lies behind
+the object. Here an object stands on a table, light comes from near, and walls, furniture and ground
+are behind it (`python -m factory.render.validation.objects_in_rooms` renders them). A camera
+exposes the frame and keeps 8 bits. Each photograph is edited into the other materials of its scene
+as `edit` does it, and compared with Cycles' picture of the same object in that material, in the
+same place and under the same exposure. rows.jsonl keeps a line per photograph: the same command
+continues, and more --scenes add to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+
+from learn.commands import options
+from learn.experiments import photographed_edits, runner
+from manifests.option_types import positive
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from learn.refinement import RefinementSettings
+
+ON_RAY = True
+
+
+class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
+    """A scene.json of factory.render.validation.objects_in_rooms, which describes its keys."""
+
+    shape: str
+    category: str
+    place: str
+    seed: int
+    materials: tuple[str, ...]
+    azimuth_deg: float
+    elevation_deg: float
+    distance: float
+
+
+class Case(NamedTuple):
+    """A scene's folder, its RoomScene, and the material that the photograph shows."""
+
+    folder: Path
+    scene: RoomScene
+    source: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the scenes, the weights and how many scenes are photographed."""
+    options.add_data(parser, "a folder of factory.render.validation.objects_in_rooms")
+    options.add_weights(parser)
+    parser.add_argument(
+        "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
+    )
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows", "weights", "seen"}; rows as of `photographed_edits.row_of`.
+
+    Raises InputError for a folder without scenes
+    """
+    from dataclasses import asdict
+
+    import torch
+
+    from learn.networks import weights as checkpoint
+    from learn.refinement import PHOTOGRAPHS
+    from manifests import outputs
+    from manifests.store import file_hash
+
+    torch.set_num_threads(1)
+    cases = cases_of(arguments.data, arguments.scenes)
+    about = {"weights": file_hash(arguments.weights), "refinement": asdict(PHOTOGRAPHS)}
+    outputs.pin_settings(arguments.out / "settings.json", about)
+    network, metadata = checkpoint.load_parts(arguments.weights)
+    todo = [({"photograph": f"{case.folder.name} {case.source}"}, case) for case in cases]
+    rows = runner.resume(
+        arguments.out / "rows.jsonl",
+        todo,
+        lambda case: row_of(case, network, metadata["size"], PHOTOGRAPHS),
+        "photograph",
+    )
+    return {"rows": rows, "weights": arguments.weights.name, "seen": []}
+
+
+def cases_of(folder: Path, count: int | None = None) -> list[Case]:
+    """Return a photograph of each material of the first `count` scenes of a folder.
+
+    Raises InputError: it has none
+    """
+    from manifests.errors import InputError
+    from manifests.reading import read
+
+    scenes = sorted(path.parent for path in folder.glob("[0-9]*/scene.json"))[:count]
+    if not scenes:
+        remedy = "render them: python -m factory.render.validation.objects_in_rooms --out DIR"
+        raise InputError(folder, "folders with a scene.json", "none", remedy)
+    result = []
+    for path in scenes:
+        scene = read(path / "scene.json", RoomScene)
+        result += [Case(path, scene, name) for name in scene.materials]
+    return result
+
+
+def row_of(
+    case: Case, network: torch.nn.Module, size: int, settings: RefinementSettings | None
+) -> dict[str, Any]:
+    """Return the row of `photographed_edits.row_of` for a photograph in a room.
+
+    settings  of refinement; None: none
+    """
+    import numpy as np
+
+    from learn.data import photographs
+    from learn.evaluation.ladder_design import group_of
+    from learn.experiments.photographing import exposed
+    from manifests.materials import find
+
+    frame = _frame(case, case.source)
+    mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
+    name = f"{case.folder.name} {case.source}"
+    photo = exposed(frame, mask, name)
+
+    def truth(target: str) -> photographed_edits.Truth:
+        material = find(target)
+        label = material.label.reshape(-1).astype(np.float32)
+        return photographed_edits.Truth(target, material.family, label, _frame(case, target))
+
+    scene = case.scene
+    about = {
+        "shape": scene.shape,
+        "group": group_of(scene.shape, scene.category)[0],
+        "light": f"{scene.place}-{scene.seed}",
+        "source": case.source,
+    }
+    targets = (truth(other) for other in scene.materials if other != case.source)
+    return about | photographed_edits.figures_of(photo, name, targets, network, size, settings)
+
+
+def _frame(case: Case, material: str) -> np.ndarray:
+    """Return radiance (N, N, 3) float32 of a case's frame with the object in a material.
+
+    Raises InputError where it is none of the built-in ones, whose names are no paths
+    """
+    import numpy as np
+
+    from manifests import exr
+    from manifests.materials import find
+
+    channels = exr.read(case.folder / f"{find(material).name}.exr")
+    return np.stack([channels[name] for name in "RGB"], -1)
+
+
+def tables(report: runner.Report) -> str:
+    """Return the edits by way of exposing them, in groups, and the line that is fitted to them."""
+    from learn.experiments import photographed_fit
+
+    return photographed_fit.page(report)

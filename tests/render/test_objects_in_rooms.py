@@ -1,0 +1,67 @@
+"""Scenes of objects in furnished rooms: what is planned, and what is rendered of it."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from manifests import exr
+
+pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
+
+from factory.lights import interiors
+from factory.render.validation import objects_in_rooms
+from factory.shapes.catalogue import load
+
+
+def test_shapes_take_turns_and_an_attempt_changes_the_place_alone():
+    shapes = [objects_in_rooms.planned(k, 0, 1, []).shape.split(":")[0] for k in range(4)]
+    assert shapes == ["chair", "dish", "sofa", "knot"]
+    first, second = (objects_in_rooms.planned(3, attempt, 1, []) for attempt in (0, 1))
+    assert (first.shape, first.materials) == (second.shape, second.materials)
+    assert first.place != second.place and first.azimuths != second.azimuths
+    assert first == objects_in_rooms.planned(3, 0, 1, [])
+
+
+def test_the_table_ends_where_the_object_begins_and_stands_on_the_floor():
+    plan = objects_in_rooms.planned(1, 0, 1, [])
+    mesh = load(plan.shape)
+    *others, table = objects_in_rooms.with_table(plan, mesh).boxes
+    assert table.high[2] == pytest.approx(mesh.vertices[:, 2].min() * plan.radius)
+    assert table.low[2] == others[0].high[2] < -0.4
+    assert tuple(others) == interiors.draw(plan.place).boxes
+
+
+def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
+    plan = objects_in_rooms.planned(1, 0, 41, [])
+    assert objects_in_rooms.rendered(plan, tmp_path / "a", size=32, samples=16)
+    scene = json.loads((tmp_path / "a" / "scene.json").read_text())
+    assert scene["shape"] == "dish:0" and tuple(scene["materials"]) == plan.materials
+    with Image.open(tmp_path / "a" / "mask.png") as picture:
+        mask = np.array(picture) > 127
+    row, column = np.nonzero(mask)
+    assert mask.mean() > 0.05 and abs(row - 15.5).mean() < 12 and abs(column.mean() - 15.5) < 4
+    one, other = (
+        np.stack([exr.read(tmp_path / "a" / f"{name}.exr")[c] for c in "RGB"], -1)
+        for name in plan.materials[:2]
+    )
+    change = abs(one - other).mean(-1) / (one + other).mean(-1)
+    assert change[mask].mean() > 4 * change[~mask].mean()
+
+
+def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
+    plan = objects_in_rooms.planned(0, 0, 41, [])
+    shut = [
+        interiors.Box((a, -5, -5), (a + 0.1, 5, 5), interiors.Material((0.5, 0.5, 0.5)))
+        for a in (0.4, -0.5)
+    ]
+    shut += [
+        interiors.Box((-5, a, -5), (5, a + 0.1, 5), interiors.Material((0.5, 0.5, 0.5)))
+        for a in (0.4, -0.5)
+    ]
+    empty = interiors.draw(plan.place)
+    walled = interiors.Scene(empty.sky, (empty.boxes[0], *shut))
+    monkeypatch.setattr(interiors, "draw", lambda seed: walled)
+    assert not objects_in_rooms.rendered(plan, tmp_path / "a", size=16, samples=1)
+    assert not (tmp_path / "a").exists()

@@ -1,0 +1,35 @@
+"""Scenes as factory.render.validation.objects_in_rooms writes them: a shaded ball before a wall."""
+
+import json
+
+import numpy as np
+from PIL import Image
+
+from manifests import exr
+
+ALBEDOS = {"white-marble": 0.7, "violet-rubber": 0.15}  # by material; what the frames show
+
+
+def written(folder, size=64, scenes=1):
+    """Write scenes of one ball in two materials into a folder, each before a wall of its own."""
+    y, x = (np.indices((size, size)) - (size - 1) / 2) / (size / 3)
+    inside = x * x + y * y < 1
+    n_up = np.where(inside, -y, 0.0)
+    for number in range(scenes):
+        place = folder / f"{number:04d}"
+        place.mkdir(parents=True)
+        for name, albedo in ALBEDOS.items():
+            L = np.where(inside, albedo * (0.6 + 0.4 * n_up), 0.2 + 0.1 * number)
+            exr.write(place / f"{name}.exr", {c: L.astype(np.float32) for c in "RGB"})
+        Image.fromarray((255 * inside).astype(np.uint8)).save(place / "mask.png")
+        scene = {
+            "shape": "sphere",
+            "category": "sphere",
+            "place": "room",
+            "seed": number,
+            "materials": list(ALBEDOS),
+            "azimuth_deg": 0.0,
+            "elevation_deg": 20.0,
+            "distance": 1.0,
+        }
+        (place / "scene.json").write_text(json.dumps(scene))
