@@ -292,9 +292,9 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
         lambda r: (
             [(row["source"], row["edits"][0]["target"]) for row in r["rows"]]
             == [("white-marble", "violet-rubber"), ("violet-rubber", "white-marble")]
-            # far too bright is worse than as it is
-            and all(e["l2"][-1] > e["l2"][16] for row in r["rows"] for e in row["edits"])
-            # marble is not rubber
+            # marble is brighter than rubber before the same wall
+            and r["rows"][0]["cues"]["object"] - r["rows"][0]["cues"]["background"]
+            > r["rows"][1]["cues"]["object"] - r["rows"][1]["cues"]["background"] + 1
             and all(e["unchanged"] > 100 for row in r["rows"] for e in row["edits"])
         ),
     ),
