@@ -59,9 +59,13 @@ ELEVATIONS = (8.0, 35.0)  # degrees
 ATTEMPTS = 12  # azimuths that are tried for a free view before another place is
 EACH = 3  # materials of a scene
 
-OWN = ("chair:1000", "sofa:1000", "car:1000", "monitor:1000", "chair:1001", "sofa:1001")
-OWN += ("car:1001", "monitor:1001", "chair:1002", "sofa:1002", "car:1002", "monitor:1002")
-HELD_OUT = tuple(f"{family}:{k}" for k in range(3) for family in ("dish", "knot", "letter", "tool"))
+SEEDS = 6  # of each family
+OWN_FAMILIES, HELD_OUT_FAMILIES = (
+    ("chair", "sofa", "car", "monitor"),
+    ("dish", "knot", "letter", "tool"),
+)
+OWN = tuple(f"{family}:{1000 + k}" for k in range(SEEDS) for family in OWN_FAMILIES)
+HELD_OUT = tuple(f"{family}:{k}" for k in range(SEEDS) for family in HELD_OUT_FAMILIES)
 # those of docs/jobs/photographed-edits, none of which the committed weights were trained on
 MATERIALS = (
     "chrome-steel", "aluminium", "nickel", "silver-paint", "blue-metallic-paint2",
