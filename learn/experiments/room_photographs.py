@@ -19,7 +19,7 @@ import msgspec
 
 from learn.commands import options
 from learn.experiments import photographed_edits, runner
-from manifests.option_types import positive
+from manifests.option_types import positive, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,6 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
     )
+    parser.add_argument(
+        "--after",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="number of scenes that are left out before these (default 0)",
+    )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
@@ -75,7 +82,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store import file_hash
 
     torch.set_num_threads(1)
-    cases = cases_of(arguments.data, arguments.scenes)
+    cases = cases_of(arguments.data, arguments.scenes, arguments.after)
     about = {"weights": file_hash(arguments.weights), "refinement": asdict(PHOTOGRAPHS)}
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -89,15 +96,17 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return {"rows": rows, "weights": arguments.weights.name, "seen": []}
 
 
-def cases_of(folder: Path, count: int | None = None) -> list[Case]:
-    """Return a photograph of each material of the first `count` scenes of a folder.
+def cases_of(folder: Path, count: int | None = None, after: int = 0) -> list[Case]:
+    """Return a photograph of each material of scenes of a folder.
 
-    Raises InputError: it has none
+    count   number of scenes; None: all
+    after   number of scenes before them
+    Raises  InputError: there are none
     """
     from manifests.errors import InputError
     from manifests.reading import read
 
-    scenes = sorted(path.parent for path in folder.glob("[0-9]*/scene.json"))[:count]
+    scenes = sorted(path.parent for path in folder.glob("[0-9]*/scene.json"))[after:][:count]
     if not scenes:
         remedy = "render them: python -m factory.render.validation.objects_in_rooms --out DIR"
         raise InputError(folder, "folders with a scene.json", "none", remedy)
