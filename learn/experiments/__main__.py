@@ -40,6 +40,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "edit-brightness": "measure how bright edits are beside their truth",
         "photographed-edits": "measure edits of photographs, and how to expose them",
         "room-photographs": "measure edits of photographs of objects that stand in rooms",
+        "exposure-line": "fit how photographs are exposed to several sets of them at once",
         "painted-photographs": "measure edits of objects in colours that no catalogue has",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
         "refinement-methods": "refine glossy objects by the sum and by the integral",

@@ -171,7 +171,7 @@ def page(report: Report) -> str:
     edits = edits_of(report)
     if not edits.rows:
         return "# Edits of photographs\n\nNo photograph has all cues.\n"
-    weights = _weights(edits)
+    weights = weights_of(edits)
     refused = sum("refused" in row for row in report["rows"])
     unknown = sum(None in row.get("cues", {}).values() for row in report["rows"])
     metals = np.isin(edits.names("family"), METALS)
@@ -316,5 +316,6 @@ def _mean(values: np.ndarray) -> str:
     return f"{values.mean():.0f}" if values.size else "–"
 
 
-def _weights(edits: Edits) -> np.ndarray:
+def weights_of(edits: Edits) -> np.ndarray:
+    """Return weights (D, E) of draws of shapes, target materials and lights."""
     return bootstrap.draws(bootstrap.groups_of(*map(edits.names, ("shape", "target", "light"))))

@@ -124,6 +124,8 @@ BASES = {
     "learn.experiments light-repairs": "--data {seeds}/nothing --out {out}",
     "learn.experiments nearest-shapes": "--data {seeds}/nothing --geometry {seeds} --out {out}",
     "learn.experiments refinement-methods": "--data {seeds}/nothing --out {out}",
+    "learn.experiments room-photographs": "--data {seeds}/nothing --out {out}",
+    "learn.experiments exposure-line": "--fit a={seeds}/nothing --out {out}",
     "learn.experiments stereo-normals": "--pictures {seeds}/nothing --out {out}",
     "learn.experiments edit-methods": "--out {out}",
     "learn.experiments engine-speed": "--out {out}",

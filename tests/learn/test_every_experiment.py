@@ -298,6 +298,26 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(e["unchanged"] > 100 for row in r["rows"] for e in row["edits"])
         ),
     ),
+    "exposure-line": (
+        "--fit rooms={root}/room-photographs/report.json"
+        " metals={root}/photographed-edits-other-metals/report.json"
+        " --judge development={root}/photographed-edits-development/report.json",
+        lambda r: (
+            [(each["name"], each["judged"]) for each in r["sets"]]
+            == [("rooms", False), ("metals", False), ("development", True)]
+            # no line is as close to a set as the one that is fitted to it
+            and all(
+                each[line][each["name"]]["off"] <= each[line][rule]["off"] + 1e-9
+                for each in r["sets"][:2]
+                for line in ("with background", "cut out")
+                for rule in ("all", "rooms", "metals")
+            )
+            and all(
+                low < mean < high
+                for mean, low, high in [r["fitted"]["with background"]["intervals"]["background"]]
+            )
+        ),
+    ),
     "painted-photographs": (
         "--data {room}/ladder --weights {room}/weights.safetensors --photographs 1",
         lambda r: (
