@@ -10,7 +10,7 @@ exposure is a line through their logarithms:
   its surroundings is likely to be dark.
 
 The line was fitted to display values, where white is 1: `python -m learn.experiments
-photographed-edits` measures and fits it.
+exposure-line` fits it, and `photographed-edits` and `room-photographs` measure it.
 """
 
 from dataclasses import dataclass, replace
@@ -67,9 +67,9 @@ class Line:
 
 
 FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the guess under which the network sees it
-# fitted to 1,149 edits of 383 photographs (docs/results/photographed-edits)
-WITH_BACKGROUND = Line(-2.8, again=0.61, background=-0.75)
-CUT_OUT = Line(-1.03, again=0.55)
+# fitted alike to objects before their light map and in rooms (docs/results/exposure-line)
+WITH_BACKGROUND = Line(-2.3, again=0.47, background=-0.77)
+CUT_OUT = Line(-0.83, again=0.55)
 # about the 5th and the 95th percentile of their backgrounds: black says no more than dark
 BACKGROUNDS = (-3.5, -1.0)
 USUAL = 2.0  # of `again`, in these photographs, for one that says nothing of it
