@@ -6,7 +6,7 @@ are behind it (`python -m factory.render.validation.objects_in_rooms` renders th
 exposes the frame and keeps 8 bits. Each photograph is edited into the other materials of its scene
 as `edit` does it, and compared with Cycles' picture of the same object in that material, in the
 same place and under the same exposure. rows.jsonl keeps a line per photograph: the same command
-continues, and more --scenes add to it.
+continues, and more --scenes add to it. sheet.jpg shows some of the edits beside their truth.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from learn.experiments import photographed_edits, runner
 from manifests.option_types import positive, whole
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     import torch
 
+    from learn.experiments.photographing import Photographed
     from learn.refinement import RefinementSettings
 
 ON_RAY = True
+SHOWN = 8  # edits of the sheet, of as many scenes
 
 
 class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
@@ -86,13 +90,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     about = {"weights": file_hash(arguments.weights), "refinement": asdict(PHOTOGRAPHS)}
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
-    todo = [({"photograph": f"{case.folder.name} {case.source}"}, case) for case in cases]
+    todo = [({"photograph": _name(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
         lambda case: row_of(case, network, metadata["size"], PHOTOGRAPHS),
         "photograph",
     )
+    write_sheet(arguments.out, cases, network, metadata["size"], PHOTOGRAPHS)
     return {"rows": rows, "weights": arguments.weights.name, "seen": []}
 
 
@@ -124,23 +129,9 @@ def row_of(
 
     settings  of refinement; None: none
     """
-    import numpy as np
-
-    from learn.data import photographs
     from learn.evaluation.ladder_design import group_of
-    from learn.experiments.photographing import exposed
-    from manifests.materials import find
 
-    frame = _frame(case, case.source)
-    mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
-    name = f"{case.folder.name} {case.source}"
-    photo = exposed(frame, mask, name)
-
-    def truth(target: str) -> photographed_edits.Truth:
-        material = find(target)
-        label = material.label.reshape(-1).astype(np.float32)
-        return photographed_edits.Truth(target, material.family, label, _frame(case, target))
-
+    photo = _photograph(case)
     scene = case.scene
     about = {
         "shape": scene.shape,
@@ -148,8 +139,80 @@ def row_of(
         "light": f"{scene.place}-{scene.seed}",
         "source": case.source,
     }
-    targets = (truth(other) for other in scene.materials if other != case.source)
+    targets = (_truth(case, other) for other in scene.materials if other != case.source)
+    name = _name(case)
     return about | photographed_edits.figures_of(photo, name, targets, network, size, settings)
+
+
+def write_sheet(
+    out: Path,
+    cases: Sequence[Case],
+    network: torch.nn.Module,
+    size: int,
+    settings: RefinementSettings | None,
+) -> None:
+    """Write sheet.jpg: of some scenes the photograph, its edit into another material, the truth.
+
+    A photograph that cannot be edited is left out.
+    """
+    import numpy as np
+
+    from learn.editing import decomposition, photograph
+    from learn.editing.compositor import Compositor
+    from learn.figures import montage
+    from manifests import files
+    from manifests.errors import InputError
+    from shaders import tone
+
+    first = [case for case in cases if case.source == case.scene.materials[0]]
+    rows = []
+    for case in first[:: -(-len(first) // SHOWN)]:
+        photo, truth = _photograph(case), _truth(case, case.scene.materials[1])
+        try:
+            read = photograph.from_arrays(photo.pixels, photo.mask, name=_name(case))
+            parts = decomposition.decompose(read, network, size, settings)
+        except InputError:
+            continue
+        edited = tone.display(Compositor(parts).edited([truth.label]), 1.0)
+        rows += [
+            [
+                (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
+                ("edit", np.where(photo.mask[..., None], edited, photo.pixels)),
+                (f"truth: {truth.material}", tone.display(truth.frame, photo.exposure)),
+            ]
+        ]
+    if rows:
+        tiles = [
+            [tile for row in pair for tile in row]
+            for pair in zip(rows[::2], rows[1::2], strict=False)
+        ]
+        tiles += [rows[-1]] if len(rows) % 2 else []
+        sheet = montage.contact_sheet(tiles, photo.pixels.shape[0])
+        files.write_image(out / "sheet.jpg", montage.eight_bit(sheet), "JPEG")
+
+
+def _name(case: Case) -> str:
+    return f"{case.folder.name} {case.source}"
+
+
+def _photograph(case: Case) -> Photographed:
+    """Return what a camera takes of a case."""
+    from learn.data import photographs
+    from learn.experiments.photographing import exposed
+
+    frame = _frame(case, case.source)
+    mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
+    return exposed(frame, mask, _name(case))
+
+
+def _truth(case: Case, target: str) -> photographed_edits.Truth:
+    import numpy as np
+
+    from manifests.materials import find
+
+    material = find(target)
+    label = material.label.reshape(-1).astype(np.float32)
+    return photographed_edits.Truth(target, material.family, label, _frame(case, target))
 
 
 def _frame(case: Case, material: str) -> np.ndarray:
