@@ -69,6 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of scenes that are left out before these (default 0)",
     )
+    parser.add_argument(
+        "--no-refine",
+        action="store_true",
+        help="edit what the network predicts, without refinement",
+    )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
@@ -87,17 +92,21 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     cases = cases_of(arguments.data, arguments.scenes, arguments.after)
-    about = {"weights": file_hash(arguments.weights), "refinement": asdict(PHOTOGRAPHS)}
+    settings = None if arguments.no_refine else PHOTOGRAPHS
+    about = {
+        "weights": file_hash(arguments.weights),
+        "refinement": None if settings is None else asdict(settings),
+    }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
     todo = [({"photograph": _name(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
-        lambda case: row_of(case, network, metadata["size"], PHOTOGRAPHS),
+        lambda case: row_of(case, network, metadata["size"], settings),
         "photograph",
     )
-    write_sheet(arguments.out, cases, network, metadata["size"], PHOTOGRAPHS)
+    write_sheet(arguments.out, cases, network, metadata["size"], settings)
     return {"rows": rows, "weights": arguments.weights.name, "seen": []}
 
 
