@@ -66,8 +66,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import photographed_fit
     from learn.metrics import bootstrap
 
-    fit = {name: _edits(path) for name, path in arguments.fit}
-    judge = {name: _edits(path) for name, path in arguments.judge}
+    fit = {name: read_edits(path) for name, path in arguments.fit}
+    judge = {name: read_edits(path) for name, path in arguments.judge}
     report: runner.Report = {"fitted": {}, "sets": []}
     stops: dict[str, dict[str, Any]] = {}
     for line in LINES:
@@ -92,7 +92,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return report
 
 
-def _edits(path: Path) -> Edits:
+def read_edits(path: Path) -> Edits:
+    """Return the Edits of a report.json. Raises InputError for a report of another command."""
     from learn.experiments import photographed_fit
     from manifests.errors import InputError
     from manifests.reading import read

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 
 from learn.commands import options
-from learn.experiments import photographed_edits, runner
+from learn.experiments import exposure_line, photographed_edits, runner
 from manifests.option_types import positive, whole
 
 if TYPE_CHECKING:
@@ -74,12 +74,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="edit what the network predicts, without refinement",
     )
+    parser.add_argument(
+        "--beside",
+        type=Path,
+        metavar="FILE",
+        help="report.json of the same photographs edited otherwise, with whose errors to compare",
+    )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "weights", "seen"}; rows as of `photographed_edits.row_of`.
 
-    Raises InputError for a folder without scenes
+    With --beside also {"beside": {"name": its folder's, "edits": number, rule: its L2 by which ours
+    is divided, [mean, low, high]}}. Raises InputError: no scenes, or a report of other photographs
     """
     from dataclasses import asdict
 
@@ -107,7 +114,33 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "photograph",
     )
     write_sheet(arguments.out, cases, network, metadata["size"], settings)
-    return {"rows": rows, "weights": arguments.weights.name, "seen": []}
+    report: runner.Report = {"rows": rows, "weights": arguments.weights.name, "seen": []}
+    if arguments.beside:
+        report["beside"] = compared(report, arguments.beside)
+    return report
+
+
+def compared(report: runner.Report, path: Path) -> dict[str, Any]:
+    """Return "beside" of `measure`: our errors divided by those of another report."""
+    import numpy as np
+
+    from learn.experiments import photographed_fit
+    from learn.metrics import bootstrap
+    from manifests.errors import InputError
+
+    ours, theirs = photographed_fit.edits_of(report), exposure_line.read_edits(path)
+    pairs = [[(row["photograph"], row["target"]) for row in of.rows] for of in (ours, theirs)]
+    if pairs[0] != pairs[1]:
+        remedy = "measure both with the same --data, --scenes and --after"
+        raise InputError(path, "the same photographs", "others", remedy)
+    weights = photographed_fit.weights_of(ours)
+    errors = {
+        "as exposed in use": [of.error(photographed_fit.in_use(of)) for of in (theirs, ours)],
+        "under the true exposure": [of.error(of.true) for of in (theirs, ours)],
+        "at each edit's best brightness": [np.min(of.l2, 1) for of in (theirs, ours)],
+    }
+    ratios = {rule: bootstrap.relative(a, b, weights) for rule, (a, b) in errors.items()}
+    return {"name": path.parent.name, "edits": len(ours.rows), **ratios}
 
 
 def cases_of(folder: Path, count: int | None = None, after: int = 0) -> list[Case]:
@@ -242,4 +275,10 @@ def tables(report: runner.Report) -> str:
     """Return the edits by way of exposing them, in groups, and the line that is fitted to them."""
     from learn.experiments import photographed_fit
 
-    return photographed_fit.page(report)
+    page = photographed_fit.page(report)
+    if beside := report.get("beside"):
+        ratios = {rule: of for rule, of in beside.items() if rule not in ("name", "edits")}
+        lines = [[rule, runner.interval(ratio, 2)] for rule, ratio in ratios.items()]
+        page += f"\n## Beside `{beside['name']}`\n\nL2 divided by that of the same edits there.\n\n"
+        page += runner.table(["brightness", "ratio"], lines)
+    return page

@@ -452,6 +452,21 @@ def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
     assert end.value.code == 0 and (out / "report.md").read_text() == page
 
 
+def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, tmp_path, capsys):
+    words = f"--data {room}/rooms --weights {room}/weights.safetensors"
+    assert run("room-photographs", f"{words} --no-refine", tmp_path / "a") == 0
+    beside = f"--beside {tmp_path}/a/report.json"
+    assert run("room-photographs", f"{words} --no-refine {beside}", tmp_path / "b") == 0
+    ratios = json.loads((tmp_path / "b" / "report.json").read_text())["beside"]
+    assert (ratios.pop("name"), ratios.pop("edits")) == ("a", 2)
+    assert len(ratios) == 3 and all(of == pytest.approx([1, 1, 1]) for of in ratios.values())
+    assert "## Beside `a`" in (tmp_path / "b" / "report.md").read_text()
+    room_scenes.written(tmp_path / "others", scenes=2)
+    words = f"--data {tmp_path}/others --weights {room}/weights.safetensors"
+    assert run("room-photographs", f"{words} --no-refine {beside}", tmp_path / "c") == 1
+    assert "expected the same photographs" in capsys.readouterr().err
+
+
 def test_a_name_that_is_not_known_is_a_line_with_the_known_ones(tmp_path, capsys):
     assert run("latency", "--light lampz", tmp_path / "a") == 1
     assert "did you mean lamps" in capsys.readouterr().err
