@@ -229,8 +229,8 @@ def write_sheet(
             for pair in zip(rows[::2], rows[1::2], strict=False)
         ]
         tiles += [rows[-1]] if len(rows) % 2 else []
-        sheet = montage.contact_sheet(tiles, photo.pixels.shape[0])
-        files.write_image(out / "sheet.jpg", montage.eight_bit(sheet), "JPEG")
+        shown = montage.eight_bit(montage.contact_sheet(tiles, photo.pixels.shape[0]))
+        files.write_image(out / "sheet.jpg", shown, "JPEG")
 
 
 def _name(case: Case) -> str:

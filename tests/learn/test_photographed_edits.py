@@ -124,9 +124,16 @@ def test_errors_at_other_exposures_are_interpolated() -> None:
     assert brighter[inside] == pytest.approx(abs(some.stops + 0.6)[inside], abs=0.13)
 
 
-@pytest.mark.parametrize("name", ["", "-development", "-other-metals"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "photographed-edits-development",
+        "photographed-edits-other-metals",
+        "room-photographs-others",
+    ],
+)
 def test_what_is_in_use_is_how_the_published_edits_were_made(name) -> None:
-    report = json.loads((RESULTS / f"photographed-edits{name}" / "report.json").read_text())
+    report = json.loads((RESULTS / name / "report.json").read_text())
     made = photographed_fit.edits_of(report)
     assert len(made.rows) > 100
     assert photographed_fit.in_use(made) == pytest.approx(made.used + made.darkened, abs=1e-5)

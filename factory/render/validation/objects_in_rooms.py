@@ -8,7 +8,7 @@ table in a room of factory.lights.interiors, so that light comes from near, wall
 behind it, and the table shades and colours it. `python -m learn.experiments room-photographs` takes
 photographs of these pictures and compares their edits with the truth.
 
-Each scene is a folder NUMBER of DIR, which is there once it is complete: the same command
+Each scene is a folder NUMBER of DIR, which is complete once it has scene.json: the same command
 continues.
 
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
@@ -33,7 +33,6 @@ from typing import Any
 import bpy
 import numpy as np
 from mathutils import Vector
-from PIL import Image
 
 from factory.lights import interiors
 from factory.lights.interiors import Box
@@ -44,7 +43,7 @@ from factory.render.validation.scenes import meshes_of
 from factory.shapes.catalogue import load as load_shape
 from factory.shapes.mesh import Mesh
 from manifests import exr
-from manifests.files import write_json
+from manifests.files import write_image, write_json
 from manifests.materials import load_catalogue
 from manifests.progress import tqdm
 from shaders import envmap, nodes
@@ -57,6 +56,7 @@ FILLED = 2 / 3  # of the frame's side, by the sphere about the object
 RADII = (0.15, 0.3)  # metres, of that sphere
 ELEVATIONS = (8.0, 35.0)  # degrees
 ATTEMPTS = 12  # azimuths that are tried for a free view before another place is
+PLACES = 20  # that are tried for a scene
 EACH = 3  # materials of a scene
 
 SEEDS = 6  # of each family
@@ -122,14 +122,14 @@ def with_table(plan: Plan, mesh: Mesh) -> interiors.Scene:
     top = float(mesh.vertices[:, 2].min()) * plan.radius
     rng = np.random.default_rng(plan.place)
     half = rng.uniform(1.3, 3.0, 2) * plan.radius
-    colour = tuple(float(c) for c in np.clip(rng.uniform(0.05, 0.7) * rng.uniform(0.6, 1, 3), 0, 1))
-    look = interiors.Material(colour, roughness=float(rng.uniform(0.2, 0.9)))
+    red, green, blue = (float(c) for c in rng.uniform(0.05, 0.7) * rng.uniform(0.6, 1, 3))
+    look = interiors.Material((red, green, blue), roughness=float(rng.uniform(0.2, 0.9)))
     table = Box((-half[0], -half[1], floor), (half[0], half[1], top), look)
     return dataclasses.replace(place, boxes=(*place.boxes, table))
 
 
 def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES) -> bool:
-    """Write a scene into a new folder; return False, and write nothing, where no view is free."""
+    """Write a scene into a folder; return False, and write nothing, where no view is free."""
     mesh = load_shape(plan.shape)
     place = with_table(plan, mesh)
     light = panorama.render(place, plan.place % 1000)
@@ -146,7 +146,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
     camera.matrix_world = _looking(_direction(azimuth, plan.elevation) * distance)
     stage.view_layers[0].use_pass_object_index = True
     mean = float(envmap.mean_radiance(light) @ LUMINANCE)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     catalogue = load_catalogue()
     for number, name in enumerate(plan.materials):
         materials.show(surface, materials.build(nodes.graph(catalogue[name].mixture)))
@@ -155,7 +155,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         L = (passes["Combined"][..., :3] / mean).astype(np.float32)
         exr.write(folder / f"{name}.exr", {c: L[..., k] for k, c in enumerate("RGB")})
     mask = passes["IndexOB"][..., 0] > 0.5
-    Image.fromarray(255 * mask.astype(np.uint8)).save(folder / "mask.png")
+    write_image(folder / "mask.png", 255 * mask.astype(np.uint8), "PNG")
     about = {
         "shape": Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape,
         "category": mesh.category,
@@ -238,12 +238,11 @@ def main() -> None:
     options = command_line.parse(parser)
     meshes = meshes_of(options.meshes)
     for number in tqdm(range(options.scenes), unit="scene"):
-        folder, partial = options.out / f"{number:04d}", options.out / f".{number:04d}"
-        if folder.exists():
+        folder = options.out / f"{number:04d}"
+        if (folder / "scene.json").exists():
             continue
-        for attempt in range(20):
-            if rendered(planned(number, attempt, options.seed, meshes), partial, options.size):
-                partial.rename(folder)
+        for attempt in range(PLACES):
+            if rendered(planned(number, attempt, options.seed, meshes), folder, options.size):
                 break
 
 
