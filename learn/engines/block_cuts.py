@@ -17,7 +17,7 @@ from learn.engines.compilation import inlined
 from learn.engines.cones import SLACK
 from learn.engines.distant import LEAST_COSINE
 from learn.engines.exponentials import LOWEST, exp2, exp2m1, log2
-from learn.engines.layout import LANES, SELECT_BOUND, SELECT_WEIGHT
+from learn.engines.layout import CUT_REACH, LANES, SELECT_BOUND, SELECT_REACH, SELECT_WEIGHT
 from learn.engines.vector import (
     Lanes,
     fma,
@@ -121,6 +121,25 @@ def is_listed(scratch: np.ndarray, cuts: int, many: int) -> bool:
     for s in range(many):
         listed = listed or scratch[cuts + LANES * s] < NEVER
     return listed
+
+
+@inlined
+def write_entry(
+    scratch: np.ndarray,
+    b: int,
+    lane: int,
+    many: int,
+    block: int,
+    entry: int,
+    cuts: np.ndarray,
+    o: int,
+    entries: np.ndarray,
+) -> None:
+    """Write a block's number and cuts, of lane `lane`, to a list's entry; o: its offset in cuts."""
+    entries[entry] = block
+    for s in range(many):
+        cuts[o + s] = scratch[b + LANES * (SELECT_WEIGHT + s) + lane]
+    cuts[o + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
 
 
 @inlined

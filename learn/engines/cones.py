@@ -15,9 +15,12 @@ from learn.engines.vector import select as choose
 WIDENED = 1e-4  # radians by which a cone about vectors is widened against rounding
 SLACK = 2e-6  # on cosines, for rounding
 
+# the axis, and the cosine and sine of the half angle
+Cone = tuple[float, float, float, float, float]
+
 
 @inlined
-def cone_about(n: np.ndarray, start: int, count: int) -> tuple[float, float, float, float, float]:
+def cone_about(n: np.ndarray, start: int, count: int) -> Cone:
     """Axis, cosine and sine of the half angle of a cone about vectors, slightly widened.
 
     n  (P, 3) unit vectors, of which `count` from `start` on are in the cone

@@ -31,6 +31,7 @@ from learn.engines.block_cuts import (
     highest_bound,
     is_listed,
     threshold_within,
+    write_entry,
 )
 from learn.engines.cones import along_axis, cone_about, nearest_cosine
 from learn.engines.distant import clear
@@ -46,7 +47,6 @@ from learn.engines.layout import (
     CONE_W_COS,
     CONE_W_SIN,
     CONE_W_X,
-    CUT_REACH,
     CUTS,
     LANES,
     SELECT_REACH,
@@ -106,9 +106,6 @@ def select(
                 block, q = LANES * wide_block + lane, b + LANES * SELECT_WEIGHT + lane
                 if block < room and is_listed(scratch, q, many):
                     entry = room * tile + count
-                    entries[entry] = block
-                    for s in range(many):
-                        cuts[CUTS * entry + s] = scratch[q + LANES * s]
-                    cuts[CUTS * entry + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
+                    write_entry(scratch, b, lane, many, block, entry, cuts, CUTS * entry, entries)
                     count += 1
         lengths[tile] = count

@@ -11,17 +11,21 @@ from numba import types
 from learn.engines.compilation import inlined
 from learn.engines.distant import (
     add_by_n,
-    add_to,
+    add_radiance,
+    add_vector,
     clear,
     cosine,
     half_offset,
-    lobe,
-    lobe_backward,
     peak_cosine,
+    product,
+    reflectance,
+    reflectance_backward,
+    scaled,
+    vector_at,
+    w_of,
     write_sums,
 )
 from learn.engines.layout import (
-    CHANNEL_STRIDE,
     CULLED_SCRATCH,
     CULLED_TILE,
     CUT_REACH,
@@ -108,28 +112,19 @@ def forward(
                 while near:
                     j = group + lowest_bit(near)
                     near &= near - 1
-                    p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = cosine(geometry, o, nx, ny, nz)
+                    normal = vector_at(n, 3 * (start + j))
+                    n_w = cosine(geometry, o, normal)
                     if not anywhere(n_w > 0.0):
                         continue
-                    x, y, z = half_offset(geometry, o, nx, ny, nz)
-                    log_c = peak_cosine(x, y, z)[1]
+                    log_c = peak_cosine(half_offset(geometry, o, normal))[1]
                     nearest, seen = lane_max(log_c), False
-                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+                    f = splat(0.0), splat(0.0), splat(0.0)
                     for s in range(many):
                         if nearest > cuts[CUTS * i + s]:
                             seen = True
-                            t = LOBE_STRIDE * (many * block + s)
-                            f0 = f0 + lobe(lobes, t, log_c)
-                            f1 = f1 + lobe(lobes, t + CHANNEL_STRIDE, log_c)
-                            f2 = f2 + lobe(lobes, t + 2 * CHANNEL_STRIDE, log_c)
+                            f = reflectance(lobes, LOBE_STRIDE * (many * block + s), log_c, f)
                     if seen:
-                        n_w = maximum(n_w, 0.0)
-                        a = ENERGY_STRIDE * j
-                        add_to(scratch, a, f0 * n_w * load(energy, e))
-                        add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
-                        add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
+                        add_radiance(scratch, ENERGY_STRIDE * j, f, n_w, energy, e)
         write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
@@ -190,39 +185,30 @@ def backward(
                         j = group + lowest_bit(near)
                         near &= near - 1
                         p = 3 * (start + j)
-                        nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                        n_w = cosine(geometry, o, nx, ny, nz)
+                        normal = vector_at(n, p)
+                        n_w = cosine(geometry, o, normal)
                         visible = n_w > 0.0
                         if not anywhere(visible):
                             continue
-                        x, y, z = half_offset(geometry, o, nx, ny, nz)
-                        c, log_c = peak_cosine(x, y, z)
+                        offset = half_offset(geometry, o, normal)
+                        c, log_c = peak_cosine(offset)
                         nearest, seen = lane_max(log_c), False
-                        n_w = maximum(n_w, 0.0)
-                        g0, g1, g2 = g[p], g[p + 1], g[p + 2]
-                        w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
-                        f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                        d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
+                        n_w, by_radiance = maximum(n_w, 0.0), vector_at(g, p)
+                        weight = scaled(n_w, by_radiance)
+                        f = splat(0.0), splat(0.0), splat(0.0)
+                        slope = splat(0.0), splat(0.0), splat(0.0)
                         for s in range(many):
                             if nearest > cuts[CUTS * i + s]:
-                                seen = True
-                                t = LOBE_STRIDE * (many * block + s)
-                                q = base_l + t
-                                f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, q, f0, d0)
-                                t, q = t + CHANNEL_STRIDE, q + CHANNEL_STRIDE
-                                f1, d1 = lobe_backward(lobes, t, log_c, w1, lobe_sums, q, f1, d1)
-                                t, q = t + CHANNEL_STRIDE, q + CHANNEL_STRIDE
-                                f2, d2 = lobe_backward(lobes, t, log_c, w2, lobe_sums, q, f2, d2)
+                                seen, t = True, LOBE_STRIDE * (many * block + s)
+                                f, slope = reflectance_backward(
+                                    lobes, t, log_c, weight, lobe_sums, base_l + t, f, slope
+                                )
                         if not seen:
                             continue
-                        add_to(energy_sums, base_e + e, f0 * w0)
-                        add_to(energy_sums, base_e + e + LANES, f1 * w1)
-                        add_to(energy_sums, base_e + e + 2 * LANES, f2 * w2)
+                        add_vector(energy_sums, base_e + e, product(f, weight))
                         if with_n:
-                            f, slope, by_radiance = (f0, f1, f2), (d0, d1, d2), (g0, g1, g2)
-                            a, offset = sums + ENERGY_STRIDE * j, (x, y, z)
                             add_by_n(
-                                scratch, a, geometry, o, energy, e, n_w, visible, c, offset,
-                                f, slope, by_radiance,
+                                scratch, sums + ENERGY_STRIDE * j, w_of(geometry, o), energy, e,
+                                n_w, visible, c, offset, f, slope, by_radiance,
                             )  # fmt: skip
             write_sums(scratch, sums, 3 * count * with_n, by_n, 3 * start)

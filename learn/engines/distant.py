@@ -67,13 +67,51 @@ LN2 = 0.6931471805599453
 FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
 
+Triple = tuple[float, float, float]  # a vector that all lanes share
+
 
 @inlined
-def half_offset(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -> Vector:
-    """h − n."""
-    x = (load(geometry, o + LANES * H_X) - nx) + load(geometry, o + LANES * H_REST_X)
-    y = (load(geometry, o + LANES * H_Y) - ny) + load(geometry, o + LANES * H_REST_Y)
-    z = (load(geometry, o + LANES * H_Z) - nz) + load(geometry, o + LANES * H_REST_Z)
+def vector_at(vectors: np.ndarray, p: int) -> Triple:
+    """The vector whose three floats begin at place p of an array (P, 3)."""
+    return vectors[p], vectors[p + 1], vectors[p + 2]
+
+
+@inlined
+def dot(a: Vector, b: Vector) -> Lanes:
+    """The scalar product a·b."""
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+
+
+@inlined
+def combined(p: Lanes, a: Vector, q: Lanes, b: Vector) -> Vector:
+    """p a + q b."""
+    return fma(p, a[0], q * b[0]), fma(p, a[1], q * b[1]), fma(p, a[2], q * b[2])
+
+
+@inlined
+def scaled(a: Lanes, b: Vector) -> Vector:
+    """a b."""
+    return a * b[0], a * b[1], a * b[2]
+
+
+@inlined
+def product(a: Vector, b: Vector) -> Vector:
+    """The products of the components of a and b."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@inlined
+def first_block(chunk: int, blocks: int) -> int:
+    """The first block of lights of a chunk, of LIGHT_CHUNKS; it ends where the next one begins."""
+    return chunk * blocks // LIGHT_CHUNKS
+
+
+@inlined
+def half_offset(geometry: np.ndarray, o: int, n: Triple) -> Vector:
+    """h − n of the block at offset o."""
+    x = (load(geometry, o + LANES * H_X) - n[0]) + load(geometry, o + LANES * H_REST_X)
+    y = (load(geometry, o + LANES * H_Y) - n[1]) + load(geometry, o + LANES * H_REST_Y)
+    z = (load(geometry, o + LANES * H_Z) - n[2]) + load(geometry, o + LANES * H_REST_Z)
     return x, y, z
 
 
@@ -88,16 +126,15 @@ def w_of(geometry: np.ndarray, o: int) -> Vector:
 
 
 @inlined
-def cosine(geometry: np.ndarray, o: int, nx: Lanes, ny: Lanes, nz: Lanes) -> Lanes:
-    """n·w."""
-    wx, wy, wz = w_of(geometry, o)
-    return fma(wx, nx, fma(wy, ny, wz * nz))
+def cosine(geometry: np.ndarray, o: int, n: Triple) -> Lanes:
+    """n·w of the block at offset o."""
+    return dot(w_of(geometry, o), n)
 
 
 @inlined
-def peak_cosine(x: Lanes, y: Lanes, z: Lanes) -> tuple[Lanes, Lanes]:
+def peak_cosine(offset: Vector) -> tuple[Lanes, Lanes]:
     """c and log2 c from h − n."""
-    one_minus_c = fma(x, x, fma(y, y, z * z)) * 0.5
+    one_minus_c = dot(offset, offset) * 0.5
     c = maximum(1.0 - one_minus_c, LEAST_COSINE)
     return c, log2(c, one_minus_c)
 
@@ -109,9 +146,26 @@ def lobe(lobes: np.ndarray, o: int, log_c: Lanes) -> Lanes:
 
 
 @inlined
+def is_seen(nearest: float, least: np.ndarray, o: int, cut: float) -> bool:
+    """Whether any of a block's three lobes counts, whose least γ begin at place o.
+
+    nearest  the largest log2 c of the block's lights
+    """
+    return nearest * min(least[o], least[o + 1], least[o + 2]) > cut
+
+
+@inlined
 def add_to(pointer: np.ndarray, o: int, value: Lanes) -> None:
     """Add sixteen floats to those at offset o."""
     store(pointer, o, load(pointer, o) + value)
+
+
+@inlined
+def add_vector(pointer: np.ndarray, o: int, value: Vector) -> None:
+    """Add three rows of sixteen floats to those from offset o on."""
+    add_to(pointer, o, value[0])
+    add_to(pointer, o + LANES, value[1])
+    add_to(pointer, o + 2 * LANES, value[2])
 
 
 @inlined
@@ -129,36 +183,27 @@ def write_sums(sums: np.ndarray, o: int, count: int, out: np.ndarray, to: int) -
 
 
 @inlined
-def add_by_n(
-    sums: np.ndarray,
-    a: int,
-    geometry: np.ndarray,
-    o: int,
-    energy: np.ndarray,
-    e: int,
-    n_w: Lanes,
-    visible: Mask,
-    c: Lanes,
-    offset: Vector,
-    f: Vector,
-    slope: Vector,
-    g: tuple[float, float, float],
-) -> None:
-    """Add the derivative by n to a pixel's sums.
+def reflectance(lobes: np.ndarray, o: int, log_c: Lanes, f: Vector) -> Vector:
+    """f of each channel, plus expm1(κ c^γ) of the lobe whose first channel is at offset o."""
+    return (
+        f[0] + lobe(lobes, o, log_c),
+        f[1] + lobe(lobes, o + CHANNEL_STRIDE, log_c),
+        f[2] + lobe(lobes, o + 2 * CHANNEL_STRIDE, log_c),
+    )
 
-    offset  h − n
-    f       F of each channel; slope: dF/dc · c log2 e of each; g: derivative by radiance
+
+@inlined
+def add_radiance(
+    sums: np.ndarray, a: int, f: Vector, n_w: Lanes, energy: np.ndarray, e: int
+) -> None:
+    """Add F max(0, n·w) E of sixteen lights to a pixel's sums, whose rows begin at offset a.
+
+    f  F of each channel; e: offset of the lights' energy
     """
-    (f0, f1, f2), (d0, d1, d2), (g0, g1, g2) = f, slope, g
-    e0, e1, e2 = load(energy, e), load(energy, e + LANES), load(energy, e + 2 * LANES)
-    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
-    by_w = select(visible, by_w, 0.0)
-    by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / c
-    wx, wy, wz = w_of(geometry, o)
-    x, y, z = offset
-    add_to(sums, a, fma(by_w, wx, by_c * x))
-    add_to(sums, a + LANES, fma(by_w, wy, by_c * y))
-    add_to(sums, a + 2 * LANES, fma(by_w, wz, by_c * z))
+    n_w = maximum(n_w, 0.0)
+    add_to(sums, a, f[0] * n_w * load(energy, e))
+    add_to(sums, a + LANES, f[1] * n_w * load(energy, e + LANES))
+    add_to(sums, a + 2 * LANES, f[2] * n_w * load(energy, e + 2 * LANES))
 
 
 def forward(
@@ -183,29 +228,19 @@ def forward(
         for block in range(blocks):
             o, e = DISTANT_STRIDE * block, ENERGY_STRIDE * block
             for j in range(count):
-                p = 3 * (start + j)
-                nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                n_w = cosine(geometry, o, nx, ny, nz)
+                normal = vector_at(n, 3 * (start + j))
+                n_w = cosine(geometry, o, normal)
                 if not anywhere(n_w > 0.0):
                     continue
-                x, y, z = half_offset(geometry, o, nx, ny, nz)
-                log_c = peak_cosine(x, y, z)[1]
-                nearest = lane_max(log_c)
-                f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                seen = False
+                log_c = peak_cosine(half_offset(geometry, o, normal))[1]
+                nearest, seen = lane_max(log_c), False
+                f = splat(0.0), splat(0.0), splat(0.0)
                 for s in range(3):
                     if nearest * least[3 * block + s] > cut[block]:
-                        t = LOBES_STRIDE * block + LOBE_STRIDE * s
                         seen = True
-                        f0 = f0 + lobe(lobes, t, log_c)
-                        f1 = f1 + lobe(lobes, t + CHANNEL_STRIDE, log_c)
-                        f2 = f2 + lobe(lobes, t + 2 * CHANNEL_STRIDE, log_c)
+                        f = reflectance(lobes, LOBES_STRIDE * block + LOBE_STRIDE * s, log_c, f)
                 if seen:
-                    n_w = maximum(n_w, 0.0)
-                    a = ENERGY_STRIDE * j
-                    add_to(scratch, a, f0 * n_w * load(energy, e))
-                    add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
-                    add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
+                    add_radiance(scratch, ENERGY_STRIDE * j, f, n_w, energy, e)
         write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
@@ -233,6 +268,61 @@ def lobe_backward(
     add_to(lobe_sums, to, q)
     store(lobe_sums, to + LANES, fma(q, log_c, load(lobe_sums, to + LANES)))
     return f + value, fma(x * exponent, gamma, slope)
+
+
+@inlined
+def reflectance_backward(
+    lobes: np.ndarray,
+    o: int,
+    log_c: Lanes,
+    weight: Vector,
+    lobe_sums: np.ndarray,
+    to: int,
+    f: Vector,
+    slope: Vector,
+) -> tuple[Vector, Vector]:
+    """`lobe_backward` of one lobe's three channels.
+
+    o, to     offsets of the first channel in `lobes` and in `lobe_sums`
+    weight    g max(0, n·w) of each channel
+    f, slope  of the lobes before, by channel
+    """
+    f0, d0 = lobe_backward(lobes, o, log_c, weight[0], lobe_sums, to, f[0], slope[0])
+    o, to = o + CHANNEL_STRIDE, to + CHANNEL_STRIDE
+    f1, d1 = lobe_backward(lobes, o, log_c, weight[1], lobe_sums, to, f[1], slope[1])
+    o, to = o + CHANNEL_STRIDE, to + CHANNEL_STRIDE
+    f2, d2 = lobe_backward(lobes, o, log_c, weight[2], lobe_sums, to, f[2], slope[2])
+    return (f0, f1, f2), (d0, d1, d2)
+
+
+@inlined
+def add_by_n(
+    sums: np.ndarray,
+    a: int,
+    w: Vector,
+    energy: np.ndarray,
+    e: int,
+    n_w: Lanes,
+    visible: Mask,
+    c: Lanes,
+    offset: Vector,
+    f: Vector,
+    slope: Vector,
+    g: Triple,
+) -> None:
+    """Add the derivative by n to a pixel's sums: Σ_k g_k E_k (F w + μ dF/dc (h − n)).
+
+    a        offset of the pixel's sums; e: of the lights' energy
+    n_w      μ = max(0, n·w); visible: where it is above 0
+    offset   h − n
+    f        F of each channel; slope: dF/dc · c log2 e of each; g: derivative by radiance
+    """
+    (f0, f1, f2), (d0, d1, d2), (g0, g1, g2) = f, slope, g
+    e0, e1, e2 = load(energy, e), load(energy, e + LANES), load(energy, e + 2 * LANES)
+    by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
+    by_w = select(visible, by_w, 0.0)
+    by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / c
+    add_vector(sums, a, combined(by_w, w, by_c, offset))
 
 
 def backward(
@@ -268,10 +358,7 @@ def backward(
     the radial one.
     """
     for chunk in range(first, last):
-        block_first, block_last = (
-            chunk * blocks // LIGHT_CHUNKS,
-            (chunk + 1) * blocks // LIGHT_CHUNKS,
-        )
+        block_first, block_last = first_block(chunk, blocks), first_block(chunk + 1, blocks)
         blocks_here = block_last - block_first
         clear(lobe_sums, LOBES_STRIDE * block_first, LOBES_STRIDE // LANES * blocks_here)
         clear(energy_sums, ENERGY_STRIDE * block_first, 3 * blocks_here)
@@ -283,38 +370,29 @@ def backward(
                 o, e = DISTANT_STRIDE * block, ENERGY_STRIDE * block
                 for j in range(count):
                     p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = cosine(geometry, o, nx, ny, nz)
+                    normal = vector_at(n, p)
+                    n_w = cosine(geometry, o, normal)
                     visible = n_w > 0.0
                     if not anywhere(visible):
                         continue
-                    x, y, z = half_offset(geometry, o, nx, ny, nz)
-                    c, log_c = peak_cosine(x, y, z)
-                    nearest = lane_max(log_c)
-                    n_w = maximum(n_w, 0.0)
-                    g0, g1, g2 = g[p], g[p + 1], g[p + 2]
-                    w0, w1, w2 = n_w * g0, n_w * g1, n_w * g2
-                    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                    d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
-                    seen = False
+                    offset = half_offset(geometry, o, normal)
+                    c, log_c = peak_cosine(offset)
+                    nearest, seen = lane_max(log_c), False
+                    n_w, by_radiance = maximum(n_w, 0.0), vector_at(g, p)
+                    weight = scaled(n_w, by_radiance)
+                    f = splat(0.0), splat(0.0), splat(0.0)
+                    slope = splat(0.0), splat(0.0), splat(0.0)
                     for s in range(3):
                         if nearest * least[3 * block + s] > cut[block]:
-                            t = LOBES_STRIDE * block + LOBE_STRIDE * s
-                            seen = True
-                            f0, d0 = lobe_backward(lobes, t, log_c, w0, lobe_sums, t, f0, d0)
-                            t += CHANNEL_STRIDE
-                            f1, d1 = lobe_backward(lobes, t, log_c, w1, lobe_sums, t, f1, d1)
-                            t += CHANNEL_STRIDE
-                            f2, d2 = lobe_backward(lobes, t, log_c, w2, lobe_sums, t, f2, d2)
+                            seen, t = True, LOBES_STRIDE * block + LOBE_STRIDE * s
+                            f, slope = reflectance_backward(
+                                lobes, t, log_c, weight, lobe_sums, t, f, slope
+                            )
                     if not seen:
                         continue
-                    add_to(energy_sums, e, f0 * w0)
-                    add_to(energy_sums, e + LANES, f1 * w1)
-                    add_to(energy_sums, e + 2 * LANES, f2 * w2)
-                    f, slope, by_radiance = (f0, f1, f2), (d0, d1, d2), (g0, g1, g2)
-                    a, offset = sums + ENERGY_STRIDE * j, (x, y, z)
+                    add_vector(energy_sums, e, product(f, weight))
                     add_by_n(
-                        scratch, a, geometry, o, energy, e, n_w, visible, c, offset,
-                        f, slope, by_radiance,
+                        scratch, sums + ENERGY_STRIDE * j, w_of(geometry, o), energy, e, n_w,
+                        visible, c, offset, f, slope, by_radiance,
                     )  # fmt: skip
             write_sums(scratch, sums, 3 * count, n_part, 3 * (chunk * pixels + start))

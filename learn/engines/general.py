@@ -16,11 +16,27 @@ s is kept as a float and its rounding error, and v's length is set right, so tha
 its own size: a lobe of γ = 1e5 needs it.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import float32, float64, types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import LN2, add_to, clear, peak_cosine, w_of, write_sums
+from learn.engines.distant import (
+    LN2,
+    Triple,
+    add_to,
+    add_vector,
+    clear,
+    combined,
+    dot,
+    first_block,
+    is_seen,
+    peak_cosine,
+    vector_at,
+    w_of,
+    write_sums,
+)
 from learn.engines.exponentials import angle, exp2, exp2m1
 from learn.engines.layout import (
     CHANNEL_VALUES,
@@ -31,7 +47,6 @@ from learn.engines.layout import (
     GENERAL_TILE,
     KAPPA_VALUES,
     LANES,
-    LIGHT_CHUNKS,
     LOBE_VALUES,
     STEPS_OF_CURVE,
     VALUES,
@@ -61,6 +76,41 @@ FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
 
 
+class HalfVectors(NamedTuple):
+    """Half vectors of one pixel's view with sixteen lights, camera frame.
+
+    s          w + v, and s_square its ‖s‖², at least LEAST_SQUARE
+    inverse_s  1/‖s‖
+    offset     h − n
+    c, log_c   c = n·h, and log2 c
+    """
+
+    s: Vector
+    s_square: Lanes
+    inverse_s: Lanes
+    offset: Vector
+    c: Lanes
+    log_c: Lanes
+
+
+class Material(NamedTuple):
+    """A material's arrays: m and least as above, steps as of `backward`."""
+
+    m: np.ndarray
+    steps: np.ndarray
+    least: np.ndarray
+
+
+class Spline(NamedTuple):
+    """The functions of the material's spline at the θ_d of sixteen lights (learn.engines.splines).
+
+    basis, tents  its own, and the linear ones of its slope
+    """
+
+    basis: Basis
+    tents: Tents
+
+
 @inlined
 def two_sum(a: Lanes, b: Lanes) -> tuple[Lanes, Lanes]:
     """a + b and its rounding error."""
@@ -77,18 +127,10 @@ def shortfall(x: float, y: float, z: float) -> np.float32:
 
 
 @inlined
-def w_plus_v(
-    geometry: np.ndarray, o: int, vx: Lanes, vy: Lanes, vz: Lanes, v_short: np.float32
-) -> tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]:
-    """s = w + v as three floats and their three rounding errors."""
-    wx, wy, wz = w_of(geometry, o)
-    sx, rx = two_sum(wx, vx)
-    sy, ry = two_sum(wy, vy)
-    sz, rz = two_sum(wz, vz)
-    rx = fma(vx, v_short, rx + load(geometry, o + LANES * W_REST_X))
-    ry = fma(vy, v_short, ry + load(geometry, o + LANES * W_REST_Y))
-    rz = fma(vz, v_short, rz + load(geometry, o + LANES * W_REST_Z))
-    return sx, sy, sz, rx, ry, rz
+def view_at(v: np.ndarray, p: int) -> tuple[Vector, np.float32]:
+    """The view at place p of an array (P, 3), in all lanes, and by which part it is too short."""
+    x, y, z = v[p], v[p + 1], v[p + 2]
+    return (splat(x), splat(y), splat(z)), shortfall(x, y, z)
 
 
 @inlined
@@ -98,15 +140,68 @@ def square(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
 
 
 @inlined
+def difference(a: Vector, b: Vector) -> Vector:
+    """a − b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def w_plus_v(geometry: np.ndarray, o: int, v: Vector, v_short: np.float32) -> tuple[Vector, Vector]:
+    """s = w + v as three floats and their three rounding errors; v_short: of `view_at`."""
+    wx, wy, wz = w_of(geometry, o)
+    sx, rx = two_sum(wx, v[0])
+    sy, ry = two_sum(wy, v[1])
+    sz, rz = two_sum(wz, v[2])
+    rx = fma(v[0], v_short, rx + load(geometry, o + LANES * W_REST_X))
+    ry = fma(v[1], v_short, ry + load(geometry, o + LANES * W_REST_Y))
+    rz = fma(v[2], v_short, rz + load(geometry, o + LANES * W_REST_Z))
+    return (sx, sy, sz), (rx, ry, rz)
+
+
+@inlined
 def offset(s: Lanes, rest: Lanes, n: Lanes, inverse: Lanes) -> Lanes:
     """One component of h − n, inverse = 1/‖s‖."""
     return fma(rest, inverse, fma(s, inverse, 0.0 - n))
 
 
 @inlined
+def half_vectors(
+    geometry: np.ndarray, o: int, n: Triple, v: Vector, v_short: np.float32
+) -> HalfVectors:
+    """A pixel's half vectors h = (w + v)/‖w + v‖ with the lights of the block at offset o."""
+    (sx, sy, sz), (rx, ry, rz) = w_plus_v(geometry, o, v, v_short)
+    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
+    inverse = 1.0 / sqrt(s_square)
+    from_n = (
+        offset(sx, rx, n[0], inverse),
+        offset(sy, ry, n[1], inverse),
+        offset(sz, rz, n[2], inverse),
+    )
+    c, log_c = peak_cosine(from_n)
+    return HalfVectors((sx, sy, sz), s_square, inverse, from_n, c, log_c)
+
+
+@inlined
 def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
     """expm1(κ c^γ) of the lobe and channel at offset o."""
     return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
+
+
+@inlined
+def reflectance(
+    m: np.ndarray, least: np.ndarray, cut: float, nearest: float, log_c: Lanes, b: Basis
+) -> Vector:
+    """F (3 channels) of sixteen lights: the sum over the lobes that are not cut.
+
+    nearest  the largest log2 c
+    """
+    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+    for s in range(3):
+        if nearest * least[s] > cut:
+            f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
+            f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
+            f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
+    return f0, f1, f2
 
 
 def forward(
@@ -125,35 +220,22 @@ def forward(
 ) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * GENERAL_TILE, min(last * GENERAL_TILE, pixels)):
-        nx, ny, nz = splat(n[3 * p]), splat(n[3 * p + 1]), splat(n[3 * p + 2])
-        vx, vy, vz = splat(v[3 * p]), splat(v[3 * p + 1]), splat(v[3 * p + 2])
-        v_short = shortfall(v[3 * p], v[3 * p + 1], v[3 * p + 2])
+        normal = splat(n[3 * p]), splat(n[3 * p + 1]), splat(n[3 * p + 2])
+        view, v_short = view_at(v, 3 * p)
         i0, i1, i2 = splat(0.0), splat(0.0), splat(0.0)
         for block in range(blocks):
             o, e = GENERAL_STRIDE * block, ENERGY_STRIDE * block
-            wx, wy, wz = w_of(geometry, o)
-            n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+            w = w_of(geometry, o)
+            n_w = dot(w, normal)
             if not anywhere(n_w > 0.0):
                 continue
-            sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
-            s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-            inverse = 1.0 / sqrt(s_square)
-            x, y, z = (
-                offset(sx, rx, nx, inverse),
-                offset(sy, ry, ny, inverse),
-                offset(sz, rz, nz, inverse),
-            )
-            log_c = peak_cosine(x, y, z)[1]
-            nearest = lane_max(log_c)
-            if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
+            half = half_vectors(geometry, o, normal, view, v_short)
+            nearest = lane_max(half.log_c)
+            if not is_seen(nearest, least, 0, cut[block]):
                 continue
-            b = basis(angle(square(wx - vx, wy - vy, wz - vz), s_square))
-            f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-            for s in range(3):
-                if nearest * least[s] > cut[block]:
-                    f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
-                    f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
-                    f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
+            t = difference(w, view)
+            b = basis(angle(square(t[0], t[1], t[2]), half.s_square))
+            f0, f1, f2 = reflectance(m, least, cut[block], nearest, half.log_c, b)
             n_w = maximum(n_w, 0.0)
             i0 = fma(f0 * n_w, load(energy, e), i0)
             i1 = fma(f1 * n_w, load(energy, e + LANES), i1)
@@ -167,12 +249,10 @@ def forward(
 
 @inlined
 def lobe_backward(
-    m: np.ndarray,
-    steps: np.ndarray,
+    material: Material,
     o: int,
     log_c: Lanes,
-    b: Basis,
-    tent: Tents,
+    spline: Spline,
     weight: Lanes,
     m_sums: np.ndarray,
     at: int,
@@ -180,8 +260,11 @@ def lobe_backward(
 ) -> Vector:
     """F, dF/dc · c log2 e, and dF/dx of the spline's x, of one lobe and channel.
 
-    Its derivatives by m, × weight, are added from m_sums[at] on.
+    o  offset of its values in m
+    Its derivatives by m, × weight, are added from m_sums[at] on. dF/dx is 0 unless with_view.
     """
+    m, steps, _ = material
+    b, tent = spline
     gamma, kappa = curve(m, o, b), curve(m, o + KAPPA_VALUES, b)
     power = exp2(gamma * log_c)
     exponent = kappa * power
@@ -200,32 +283,108 @@ def lobe_backward(
 
 
 @inlined
-def add_by_view(
-    sums: np.ndarray,
-    a: int,
-    offset: Vector,
-    h: Vector,
-    t: Vector,
-    s: Vector,
-    t_square: Lanes,
-    s_square: Lanes,
-    inverse: Lanes,
-    by_c: Lanes,
-    by_x: Lanes,
-) -> None:
-    """Add the derivative by the view to a pixel's sums.
+def channel_backward(
+    material: Material,
+    k: int,
+    cut: float,
+    nearest: float,
+    log_c: Lanes,
+    spline: Spline,
+    weight: Lanes,
+    m_sums: np.ndarray,
+    at: int,
+    with_view: int,
+) -> Vector:
+    """`lobe_backward` of channel k, summed over the lobes that are not cut.
 
-    offset       h − n
-    by_c, by_x   derivatives by c and by the spline's x
-    ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
+    nearest  the largest log2 c; weight: g_k E_k max(0, n·w)
+    """
+    f, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+    for s in range(3):
+        if nearest * material.least[s] > cut:
+            o = LOBE_VALUES * s + CHANNEL_VALUES * k
+            lobe_f, lobe_c, lobe_x = lobe_backward(
+                material, o, log_c, spline, weight, m_sums, at, with_view
+            )
+            f, by_c, by_x = f + lobe_f, by_c + lobe_c, by_x + lobe_x
+    return f, by_c, by_x
+
+
+@inlined
+def block_backward(
+    material: Material,
+    cut: float,
+    nearest: float,
+    log_c: Lanes,
+    spline: Spline,
+    energy: np.ndarray,
+    e: int,
+    n_w: Lanes,
+    g: np.ndarray,
+    p: int,
+    energy_sums: np.ndarray,
+    m_sums: np.ndarray,
+    at: int,
+    with_view: int,
+) -> Vector:
+    """Derivatives of Σ_k g_k I_k of one pixel and block: by μ = max(0, n·w), by c and by x.
+
+    That by c is × c log2 e; x is the spline's. Those by energy and by m are added to energy_sums,
+    and from m_sums[at] on.
+
+    e    offset of the block's energy
+    n_w  μ; g: (P, 3) the derivative by radiance, of which the pixel's begins at place p
+    """
+    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+    for k in range(3):
+        energy_k = load(energy, e + LANES * k)
+        weight = n_w * g[p + k] * energy_k
+        f, d_c, d_x = channel_backward(
+            material, k, cut, nearest, log_c, spline, weight, m_sums, at, with_view
+        )
+        add_to(energy_sums, e + LANES * k, f * n_w * g[p + k])
+        by_w = fma(f * g[p + k], energy_k, by_w)
+        by_c = fma(d_c, weight, by_c)
+        by_x = fma(d_x, weight, by_x)
+    return by_w, by_c, by_x
+
+
+@inlined
+def by_s_and_t(
+    by_x: Lanes, s_square: Lanes, t_square: Lanes, inverse_s: Lanes
+) -> tuple[Lanes, Lanes]:
+    """The factors (p, q) of −(p s + q t), the derivative by the view through θ_d.
+
+    by_x  the derivative by the spline's x
     ∂θ_d/∂v = −(‖s‖² t + ‖t‖² s)/(4 ‖s‖ ‖t‖): tangential in itself, so that nothing cancels at
     either end.
     """
-    (x, y, z), (hx, hy, hz), (tx, ty, tz), (sx, sy, sz) = offset, h, t, s
-    by_c = by_c * inverse
+    by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse_s / sqrt(maximum(t_square, LEAST_SQUARE))
+    return by_theta * t_square, by_theta * s_square
+
+
+@inlined
+def add_by_view(
+    sums: np.ndarray,
+    a: int,
+    n: Triple,
+    half: HalfVectors,
+    t: Vector,
+    t_square: Lanes,
+    by_c: Lanes,
+    by_x: Lanes,
+) -> None:
+    """Add the derivative by the view to a pixel's sums, whose rows begin at offset a.
+
+    t            w − v, and t_square its ‖t‖²
+    by_c, by_x   derivatives by c and by the spline's x
+    ∂c/∂v = (n − c h)/‖s‖, and n − c h is what of n − h stands across h.
+    """
+    (x, y, z), (sx, sy, sz), (tx, ty, tz) = half.offset, half.s, t
+    hx, hy, hz = x + n[0], y + n[1], z + n[2]
+    by_c = by_c * half.inverse_s
     along = by_c * fma(x, hx, fma(y, hy, z * hz))
-    by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / sqrt(maximum(t_square, LEAST_SQUARE))
-    by_t, by_s = by_theta * s_square, by_theta * t_square
+    by_s, by_t = by_s_and_t(by_x, half.s_square, t_square, half.inverse_s)
     add_to(sums, a, fma(along, hx, 0.0 - by_c * x) - by_t * tx - by_s * sx)
     add_to(sums, a + LANES, fma(along, hy, 0.0 - by_c * y) - by_t * ty - by_s * sy)
     add_to(sums, a + 2 * LANES, fma(along, hz, 0.0 - by_c * z) - by_t * tz - by_s * sz)
@@ -254,7 +413,6 @@ def backward(
 ) -> None:
     """Derivatives of Σ g·I that belong to light chunks first … last − 1.
 
-
     with_view    0: v_part is not written
     steps        (3 lobes, 3 channels, 2, 5): slopes of the splines of γ ln² 2 and of κ
                  (learn.engines.lights.spline_steps)
@@ -267,11 +425,9 @@ def backward(
     Chunks as in learn.engines.distant.
     """
     tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE
+    material = Material(m, steps, least)
     for chunk in range(first, last):
-        block_first, block_last = (
-            chunk * blocks // LIGHT_CHUNKS,
-            (chunk + 1) * blocks // LIGHT_CHUNKS,
-        )
+        block_first, block_last = first_block(chunk, blocks), first_block(chunk + 1, blocks)
         clear(energy_sums, ENERGY_STRIDE * block_first, 3 * (block_last - block_first))
         n_sums = GENERAL_SCRATCH * chunk
         v_sums = n_sums + ENERGY_STRIDE * GENERAL_TILE
@@ -282,76 +438,35 @@ def backward(
             clear(scratch, n_sums, GENERAL_SCRATCH // LANES)
             for block in range(block_first, block_last):
                 o, e = GENERAL_STRIDE * block, ENERGY_STRIDE * block
-                wx, wy, wz = w_of(geometry, o)
+                w = w_of(geometry, o)
                 for j in range(count):
                     p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
+                    normal = vector_at(n, p)
+                    n_w = dot(w, normal)
                     visible = n_w > 0.0
                     if not anywhere(visible):
                         continue
-                    vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
-                    v_short = shortfall(v[p], v[p + 1], v[p + 2])
-                    sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
-                    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-                    inverse = 1.0 / sqrt(s_square)
-                    x, y, z = (
-                        offset(sx, rx, nx, inverse),
-                        offset(sy, ry, ny, inverse),
-                        offset(sz, rz, nz, inverse),
-                    )
-                    c, log_c = peak_cosine(x, y, z)
-                    nearest = lane_max(log_c)
-                    if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
+                    view, v_short = view_at(v, p)
+                    half = half_vectors(geometry, o, normal, view, v_short)
+                    nearest = lane_max(half.log_c)
+                    if not is_seen(nearest, least, 0, cut[block]):
                         continue
-                    t_square = square(wx - vx, wy - vy, wz - vz)
-                    theta_d = angle(t_square, s_square)
-                    b, tent = basis(theta_d), tents(theta_d)
-                    n_w = maximum(n_w, 0.0)
-                    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
-                    for k in range(3):
-                        energy_k = load(energy, e + LANES * k)
-                        weight = n_w * g[p + k] * energy_k
-                        f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
-                        for s in range(3):
-                            if nearest * least[s] > cut[block]:
-                                lobe_f, lobe_c, lobe_x = lobe_backward(
-                                    m,
-                                    steps,
-                                    LOBE_VALUES * s + CHANNEL_VALUES * k,
-                                    log_c,
-                                    b,
-                                    tent,
-                                    weight,
-                                    scratch,
-                                    by_m,
-                                    with_view,
-                                )
-                                f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
-                        add_to(energy_sums, e + LANES * k, f * n_w * g[p + k])
-                        by_w = fma(f * g[p + k], energy_k, by_w)
-                        by_c = fma(d_c, weight, by_c)
-                        by_x = fma(d_x, weight, by_x)
+                    t = difference(w, view)
+                    t_square = square(t[0], t[1], t[2])
+                    theta_d = angle(t_square, half.s_square)
+                    by_w, by_c, by_x = block_backward(
+                        material, cut[block], nearest, half.log_c,
+                        Spline(basis(theta_d), tents(theta_d)), energy, e, maximum(n_w, 0.0),
+                        g, p, energy_sums, scratch, by_m, with_view,
+                    )  # fmt: skip
                     by_w = select(visible, by_w, 0.0)
-                    by_c = by_c * LN2 / c
-                    a = n_sums + ENERGY_STRIDE * j
-                    add_to(scratch, a, fma(by_w, wx, by_c * x))
-                    add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
-                    add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
+                    by_c = by_c * LN2 / half.c
+                    add_vector(
+                        scratch, n_sums + ENERGY_STRIDE * j, combined(by_w, w, by_c, half.offset)
+                    )
                     if with_view:
-                        add_by_view(
-                            scratch,
-                            v_sums + ENERGY_STRIDE * j,
-                            (x, y, z),
-                            (x + nx, y + ny, z + nz),
-                            (wx - vx, wy - vy, wz - vz),
-                            (sx, sy, sz),
-                            t_square,
-                            s_square,
-                            inverse,
-                            by_c,
-                            by_x,
-                        )
+                        at = v_sums + ENERGY_STRIDE * j
+                        add_by_view(scratch, at, normal, half, t, t_square, by_c, by_x)
             write_sums(scratch, n_sums, 3 * count, n_part, 3 * (chunk * pixels + start))
             if with_view:
                 write_sums(scratch, v_sums, 3 * count, v_part, 3 * (chunk * pixels + start))

@@ -4,7 +4,8 @@ It is the backward pass of learn.engines.general.backward, whose loops it repeat
 is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.general, S and its parts as in
-learn.engines.distant_second; besides n_along, v_along  (P, 3): n', v', tangential up to rounding
+learn.engines.distant_second; besides
+n_along, v_along  (P, 3): n', v', tangential up to rounding
 m                 (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 m_along           the same of γ' and of κ'
 steps             (3 lobes, 3 channels, 2, 5): slopes of the splines of γ and of κ
@@ -14,19 +15,52 @@ steps_along       the same of γ' and of κ'
     c' = (h − n)·n' + h'·n    h' = (v' − h (h·v'))/‖s‖    θ' = −¼ (‖s‖ d + ‖t‖ h)·v'    d = t/‖t‖
     κ' = Σ_b B_b m'_b + θ' Σ_b B_b' κ_b, and so γ'
 
-The derivatives by n and by θ_d, θ' and c' of v are written out in `second`. θ_d has a corner where
-w = v: ‖t‖ is held above √LEAST_SQUARE, and so is the second derivative below the bound that it
-lacks.
+With u what of n stands across h, N = u·v', and v'_⊥ what of v' does, the derivatives are
+
+    by n: w of μ, h − n of c, and of c' v'_⊥/‖s‖ − n'
+    by v: u/‖s‖ of c, and of c' (what of n' stands across h)/‖s‖ − (N h + c v'_⊥ + (h·v') u)/‖s‖²;
+          −¼ (‖s‖ d + ‖t‖ h) of θ_d, and of θ'
+          −¼ ((d·v') h − (h·v') d − (‖s‖/‖t‖) (what of v' stands across d) + (‖t‖/‖s‖) v'_⊥)
+
+The splines' x = θ_d · 8/π stands for θ_d, and x' for θ'. θ_d has a corner where w = v: ‖t‖ is held
+above √LEAST_SQUARE, and so is the second derivative below the bound that it lacks.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import LN2, add_to, clear, peak_cosine, w_of, write_sums
-from learn.engines.distant_second import lobe_second
+from learn.engines.distant import (
+    Triple,
+    add_vector,
+    clear,
+    dot,
+    first_block,
+    is_seen,
+    vector_at,
+    w_of,
+    write_sums,
+)
+from learn.engines.distant_second import (
+    Change,
+    Weights,
+    add_by_energy_and_g,
+    by_cosine,
+    change_of,
+    lobe_second,
+    weights_of,
+)
 from learn.engines.exponentials import angle
-from learn.engines.general import LEAST_SQUARE, offset, shortfall, square, w_plus_v
+from learn.engines.general import (
+    LEAST_SQUARE,
+    HalfVectors,
+    difference,
+    half_vectors,
+    square,
+    view_at,
+)
 from learn.engines.layout import (
     CHANNEL_VALUES,
     CONTROL_VALUES,
@@ -37,16 +71,25 @@ from learn.engines.layout import (
     GENERAL_TILE,
     KAPPA_VALUES,
     LANES,
-    LIGHT_CHUNKS,
     LOBE_VALUES,
     STEPS,
     STEPS_OF_CURVE,
     VALUES,
 )
-from learn.engines.splines import ANGLE_TO_X, Tents, add_curve, basis, curve, slope, tents
+from learn.engines.splines import (
+    ANGLE_TO_X,
+    Basis,
+    Tents,
+    add_curve,
+    basis,
+    curve,
+    slope,
+    tents,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
+    Vector,
     anywhere,
     fma,
     lane_max,
@@ -59,6 +102,81 @@ from learn.engines.vector import (
 )
 
 SECOND = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 21)
+
+
+class Inputs(NamedTuple):
+    """The arrays of that name above, and of learn.engines.general."""
+
+    energy: np.ndarray
+    e_along: np.ndarray
+    m: np.ndarray
+    steps: np.ndarray
+    least: np.ndarray
+    m_along: np.ndarray
+    steps_along: np.ndarray
+
+
+class Sums(NamedTuple):
+    """Where derivatives are added: energy_sums as of `second`, and a chunk's part of scratch.
+
+    by_m, by_steps  offsets in scratch of the sums that are like m and like steps
+    """
+
+    energy: np.ndarray
+    scratch: np.ndarray
+    by_m: int
+    by_steps: int
+
+
+class Bend(NamedTuple):
+    """The spline's functions at θ_d, those of its slope and of its second derivative, and x'."""
+
+    basis: Basis
+    tents: Tents
+    bends: Tents
+    x_along: Lanes
+
+
+class Angles(NamedTuple):
+    """What h and θ_d are made of, for one pixel and sixteen lights, camera frame.
+
+    h, d                  s/‖s‖ and t/‖t‖
+    n_across              u, what of n stands across h
+    length_s, length_t    ‖s‖ and ‖t‖; inverse_s, inverse_t: 1/‖s‖, and 1/‖t‖ held finite
+    """
+
+    h: Vector
+    d: Vector
+    n_across: Vector
+    length_s: Lanes
+    length_t: Lanes
+    inverse_s: Lanes
+    inverse_t: Lanes
+
+
+class Along(NamedTuple):
+    """The direction (n', v') of one pixel, seen from sixteen half vectors.
+
+    n, v      n' and v'
+    h_v, d_v  h·v' and d·v'
+    v_across  what of v' stands across h; n_v: N = u·v'
+    """
+
+    n: Triple
+    v: Triple
+    h_v: Lanes
+    d_v: Lanes
+    v_across: Vector
+    n_v: Lanes
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of S, for one pixel and sixteen lights: by ln c and r = c'/c, by x and by x'."""
+
+    by_log_c: Lanes
+    by_r: Lanes
+    by_x: Lanes
+    by_x_along: Lanes
 
 
 @inlined
@@ -84,9 +202,244 @@ def add_slope(sums: np.ndarray, o: int, q: Lanes, t: Tents) -> None:
 
 
 @inlined
-def dot(ax: Lanes, ay: Lanes, az: Lanes, bx: Lanes, by: Lanes, bz: Lanes) -> Lanes:
-    """The scalar product."""
-    return fma(ax, bx, fma(ay, by, az * bz))
+def angles_of(half: HalfVectors, n: Triple, t: Vector, t_square: Lanes) -> Angles:
+    """The parts of half vectors h and of θ_d; t: w − v, and its ‖t‖²."""
+    (x, y, z), inverse_s = half.offset, half.inverse_s
+    inverse_t = 1.0 / sqrt(maximum(t_square, LEAST_SQUARE))
+    hx, hy, hz = x + n[0], y + n[1], z + n[2]
+    x_h = dot(half.offset, (hx, hy, hz))  # (h − n)·h is ½‖h − n‖², which keeps its digits
+    return Angles(
+        (hx, hy, hz),
+        (t[0] * inverse_t, t[1] * inverse_t, t[2] * inverse_t),
+        (fma(x_h, hx, 0.0 - x), fma(x_h, hy, 0.0 - y), fma(x_h, hz, 0.0 - z)),
+        half.s_square * inverse_s,
+        t_square * inverse_t,
+        inverse_s,
+        inverse_t,
+    )
+
+
+@inlined
+def along_of(angles: Angles, n_along: Triple, v_along: Triple) -> Along:
+    """How the direction (n', v') lies to h, d and n."""
+    (hx, hy, hz), (qx, qy, qz) = angles.h, v_along
+    h_v, d_v = dot(angles.h, v_along), dot(angles.d, v_along)
+    v_across = qx - h_v * hx, qy - h_v * hy, qz - h_v * hz
+    return Along(n_along, v_along, h_v, d_v, v_across, dot(angles.n_across, v_along))
+
+
+@inlined
+def x_along_of(angles: Angles, along: Along) -> Lanes:
+    """x' = 8/π θ', with θ' = −¼ (‖s‖ d + ‖t‖ h)·v'."""
+    return -0.25 * ANGLE_TO_X * fma(angles.length_s, along.d_v, angles.length_t * along.h_v)
+
+
+@inlined
+def add_lobe(
+    inputs: Inputs,
+    sums: Sums,
+    o: int,
+    change: Change,
+    bend: Bend,
+    weights: Weights,
+    f: Lanes,
+    f_along: Lanes,
+    by: Derivatives,
+) -> tuple[Lanes, Lanes, Derivatives]:
+    """f, f_along and `by`, plus F, F' and S's derivatives of one lobe and channel.
+
+    Those by the material's γ and κ through their values, and through their slopes by x', are added
+    to the sums.
+
+    o  offset of the lobe's and channel's values in m
+    """
+    b, tent, bent, x_along = bend
+    gammas = o // CONTROL_VALUES * STEPS_OF_CURVE  # offset in steps
+    kappas = gammas + STEPS_OF_CURVE
+    slope_gamma, slope_kappa = slope(inputs.steps, gammas, tent), slope(inputs.steps, kappas, tent)
+    lobe = lobe_second(
+        curve(inputs.m, o, b),
+        curve(inputs.m, o + KAPPA_VALUES, b),
+        fma(x_along, slope_gamma, curve(inputs.m_along, o, b)),
+        fma(x_along, slope_kappa, curve(inputs.m_along, o + KAPPA_VALUES, b)),
+        change,
+        weights,
+    )
+    by_kappa_along, by_gamma_along = lobe.alpha_power, lobe.alpha_x_log_c
+    scratch, by_m, by_steps = sums.scratch, sums.by_m, sums.by_steps
+    add_curve(scratch, by_m + LANES * o, lobe.by_gamma, b)
+    add_curve(scratch, by_m + LANES * (o + KAPPA_VALUES), lobe.by_kappa, b)
+    add_slope(scratch, by_steps + LANES * gammas, by_gamma_along * x_along, tent)
+    add_slope(scratch, by_steps + LANES * kappas, by_kappa_along * x_along, tent)
+    # ∂γ'/∂x and ∂κ'/∂x
+    bent_gamma = fma(
+        x_along, slope(inputs.steps, gammas, bent), slope(inputs.steps_along, gammas, tent)
+    )
+    bent_kappa = fma(
+        x_along, slope(inputs.steps, kappas, bent), slope(inputs.steps_along, kappas, tent)
+    )
+    by_x = by.by_x + fma(lobe.by_gamma, slope_gamma, lobe.by_kappa * slope_kappa)
+    return (
+        f + lobe.value,
+        f_along + lobe.change,
+        Derivatives(
+            by.by_log_c + lobe.by_log_c,
+            by.by_r + lobe.by_r,
+            by_x + fma(by_gamma_along, bent_gamma, by_kappa_along * bent_kappa),
+            by.by_x_along + fma(by_gamma_along, slope_gamma, by_kappa_along * slope_kappa),
+        ),
+    )
+
+
+@inlined
+def block_second(
+    inputs: Inputs,
+    sums: Sums,
+    block: int,
+    nearest: float,
+    cut: float,
+    change: Change,
+    bend: Bend,
+    g: np.ndarray,
+    p: int,
+    at: int,
+) -> tuple[Lanes, Derivatives]:
+    """S's derivative by μ, and its others, of one pixel and block.
+
+    Those by g, by energy and by the material are added to the sums.
+
+    nearest  the largest log2 c of the block's lights
+    g        (P, 3) of which the pixel's begins at place p; at: offset of its rows by g in scratch
+    """
+    by_w, none = splat(0.0), splat(0.0)
+    by = Derivatives(none, none, none, none)
+    for k in range(3):
+        i = ENERGY_STRIDE * block + LANES * k
+        weights = weights_of(inputs.energy, inputs.e_along, i, change, g[p + k])
+        f, f_along = splat(0.0), splat(0.0)
+        for s in range(3):
+            if nearest * inputs.least[s] > cut:
+                o = LOBE_VALUES * s + CHANNEL_VALUES * k
+                f, f_along, by = add_lobe(inputs, sums, o, change, bend, weights, f, f_along, by)
+        to = at + LANES * k
+        by_w = add_by_energy_and_g(
+            sums.energy, i, sums.scratch, to, weights, change, f, f_along, g[p + k], by_w
+        )
+    return by_w, by
+
+
+@inlined
+def add_by_n(
+    scratch: np.ndarray,
+    at: int,
+    by_w: Lanes,
+    w: Vector,
+    by_c: Lanes,
+    offset: Vector,
+    by_c_along: Lanes,
+    inverse_s: Lanes,
+    along: Along,
+) -> None:
+    """Add the derivative by n to the three rows from `at` on.
+
+    by_w, by_c, by_c_along  derivatives by μ, c and c'; offset: h − n
+    """
+    to_h, (qx, qy, qz), (ax, ay, az) = by_c_along * inverse_s, along.v_across, along.n
+    (x, y, z), (wx, wy, wz) = offset, w
+    value = (
+        fma(by_w, wx, by_c * x) + (to_h * qx - by_c_along * ax),
+        fma(by_w, wy, by_c * y) + (to_h * qy - by_c_along * ay),
+        fma(by_w, wz, by_c * z) + (to_h * qz - by_c_along * az),
+    )
+    add_vector(scratch, at, value)
+
+
+@inlined
+def add_by_v(
+    scratch: np.ndarray,
+    at: int,
+    by_c: Lanes,
+    by_c_along: Lanes,
+    by_x: Lanes,
+    by_x_along: Lanes,
+    c: Lanes,
+    angles: Angles,
+    along: Along,
+) -> None:
+    """Add the derivative by v, tangential, to the three rows from `at` on.
+
+    by_c, by_c_along, by_x, by_x_along  derivatives by c, c', x and x'
+    """
+    inverse_s, inverse_t = angles.inverse_s, angles.inverse_t
+    to_h = by_c_along * inverse_s
+    twice = to_h * inverse_s
+    by_theta, by_theta_along = by_x * (-0.25 * ANGLE_TO_X), by_x_along * (-0.25 * ANGLE_TO_X)
+    far = by_theta_along * angles.length_s * inverse_t
+    near = by_theta_along * angles.length_t * inverse_s
+    # the parts along u, h, d, and along what of v' stands across h
+    part_u = fma(by_c, inverse_s, 0.0 - twice * along.h_v)
+    from_c = fma(to_h, dot(angles.h, along.n), twice * along.n_v)
+    part_h = fma(by_theta, angles.length_t, by_theta_along * along.d_v) - from_c
+    part_d = fma(by_theta, angles.length_s, far * along.d_v) - by_theta_along * along.h_v
+    part_v = near - twice * c
+    parts = part_u, part_h, part_d
+    (ux, uy, uz), (hx, hy, hz), (dx, dy, dz) = angles.n_across, angles.h, angles.d
+    (ax, ay, az), (vx, vy, vz), (qx, qy, qz) = along.n, along.v, along.v_across
+    value = (
+        dot(parts, (ux, hx, dx)) + (part_v * qx + to_h * ax - far * vx),
+        dot(parts, (uy, hy, dy)) + (part_v * qy + to_h * ay - far * vy),
+        dot(parts, (uz, hz, dz)) + (part_v * qz + to_h * az - far * vz),
+    )
+    add_vector(scratch, at, value)
+
+
+@inlined
+def pixel_second(
+    inputs: Inputs,
+    sums: Sums,
+    geometry: np.ndarray,
+    block: int,
+    cut: float,
+    n: np.ndarray,
+    v: np.ndarray,
+    n_along: np.ndarray,
+    v_along: np.ndarray,
+    g: np.ndarray,
+    p: int,
+    at: int,
+) -> None:
+    """Add the derivatives of one pixel, at place p, and of one block of lights to the sums.
+
+    at  offset of the pixel's nine rows in scratch: by n, by v and by g
+    """
+    o = GENERAL_STRIDE * block
+    w, normal = w_of(geometry, o), vector_at(n, p)
+    n_w = dot(w, normal)
+    visible = n_w > 0.0
+    if not anywhere(visible):
+        return
+    view, v_short = view_at(v, p)
+    half = half_vectors(geometry, o, normal, view, v_short)
+    nearest = lane_max(half.log_c)
+    if not is_seen(nearest, inputs.least, 0, cut):
+        return
+    t = difference(w, view)
+    t_square = square(t[0], t[1], t[2])
+    theta_d = angle(t_square, half.s_square)
+    angles = angles_of(half, normal, t, t_square)
+    along = along_of(angles, vector_at(n_along, p), vector_at(v_along, p))
+    bend = Bend(basis(theta_d), tents(theta_d), bends(theta_d), x_along_of(angles, along))
+    w_along = dot(w, along.n)
+    c_along = fma(along.n_v, half.inverse_s, dot(half.offset, along.n))
+    change, inverse_c = change_of(n_w, visible, w_along, c_along, half.c, half.log_c)
+    by_w, by = block_second(
+        inputs, sums, block, nearest, cut, change, bend, g, p, at + 2 * ENERGY_STRIDE
+    )
+    by_w = select(visible, by_w, 0.0)
+    by_c, by_c_along = by_cosine(by.by_log_c, by.by_r, change.r, inverse_c)
+    add_by_n(sums.scratch, at, by_w, w, by_c, half.offset, by_c_along, half.inverse_s, along)
+    at += ENERGY_STRIDE
+    add_by_v(sums.scratch, at, by_c, by_c_along, by.by_x, by.by_x_along, half.c, angles, along)
 
 
 def second(
@@ -127,200 +480,28 @@ def second(
                             their slopes by θ'
     """
     tiles = (pixels + GENERAL_TILE - 1) // GENERAL_TILE
+    inputs = Inputs(energy, e_along, m, steps, least, m_along, steps_along)
     for chunk in range(first, last):
-        block_first, block_last = (
-            chunk * blocks // LIGHT_CHUNKS,
-            (chunk + 1) * blocks // LIGHT_CHUNKS,
-        )
+        block_first, block_last = first_block(chunk, blocks), first_block(chunk + 1, blocks)
         clear(energy_sums, ENERGY_STRIDE * block_first, 3 * (block_last - block_first))
-        sums = GENERAL_SECOND_SCRATCH * chunk
-        by_m = sums + LANES * GENERAL_SECOND_ROWS * GENERAL_TILE
+        rows = GENERAL_SECOND_SCRATCH * chunk
+        by_m = rows + LANES * GENERAL_SECOND_ROWS * GENERAL_TILE
         by_steps = by_m + LANES * VALUES
+        sums = Sums(energy_sums, scratch, by_m, by_steps)
         for tile in range(tiles):
             start = tile * GENERAL_TILE
             count = min(GENERAL_TILE, pixels - start)
-            clear(scratch, sums, GENERAL_SECOND_SCRATCH // LANES)
+            clear(scratch, rows, GENERAL_SECOND_SCRATCH // LANES)
             for block in range(block_first, block_last):
-                o, i = GENERAL_STRIDE * block, ENERGY_STRIDE * block
-                wx, wy, wz = w_of(geometry, o)
                 for j in range(count):
-                    p = 3 * (start + j)
-                    nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-                    visible = n_w > 0.0
-                    if not anywhere(visible):
-                        continue
-                    vx, vy, vz = splat(v[p]), splat(v[p + 1]), splat(v[p + 2])
-                    v_short = shortfall(v[p], v[p + 1], v[p + 2])
-                    sx, sy, sz, rx, ry, rz = w_plus_v(geometry, o, vx, vy, vz, v_short)
-                    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-                    inverse_s = 1.0 / sqrt(s_square)
-                    x, y, z = (
-                        offset(sx, rx, nx, inverse_s),
-                        offset(sy, ry, ny, inverse_s),
-                        offset(sz, rz, nz, inverse_s),
-                    )
-                    c, log2_c = peak_cosine(x, y, z)
-                    nearest = lane_max(log2_c)
-                    if not (nearest * min(least[0], least[1], least[2]) > cut[block]):
-                        continue
-                    tx, ty, tz = wx - vx, wy - vy, wz - vz
-                    t_square = square(tx, ty, tz)
-                    theta_d = angle(t_square, s_square)
-                    b, tent, bend = basis(theta_d), tents(theta_d), bends(theta_d)
-                    inverse_t = 1.0 / sqrt(maximum(t_square, LEAST_SQUARE))
-                    length_s, length_t = s_square * inverse_s, t_square * inverse_t
-                    hx, hy, hz = x + nx, y + ny, z + nz
-                    dx, dy, dz = tx * inverse_t, ty * inverse_t, tz * inverse_t
-                    # changes along (n', v')
-                    ax, ay, az = n_along[p], n_along[p + 1], n_along[p + 2]
-                    qx, qy, qz = v_along[p], v_along[p + 1], v_along[p + 2]
-                    h_q, d_q = dot(hx, hy, hz, qx, qy, qz), dot(dx, dy, dz, qx, qy, qz)
-                    # x' of the spline's x
-                    turned = -0.25 * ANGLE_TO_X * fma(length_s, d_q, length_t * h_q)
-                    # across h: n, v' and n'; (h − n)·h is ½‖h − n‖², which keeps its digits
-                    x_h = dot(x, y, z, hx, hy, hz)
-                    ux, uy, uz = fma(x_h, hx, 0.0 - x), fma(x_h, hy, 0.0 - y), fma(x_h, hz, 0.0 - z)
-                    across_x, across_y, across_z = qx - h_q * hx, qy - h_q * hy, qz - h_q * hz
-                    n_q = dot(ux, uy, uz, qx, qy, qz)
-                    n_w = maximum(n_w, 0.0)
-                    w_along = select(visible, dot(wx, wy, wz, ax, ay, az), 0.0)
-                    by_c, log_c = 1.0 / c, log2_c * LN2
-                    r = select(visible, fma(n_q, inverse_s, dot(x, y, z, ax, ay, az)) * by_c, 0.0)
-                    by_w, by_log_c, by_r, by_x, by_turned = (
-                        splat(0.0),
-                        splat(0.0),
-                        splat(0.0),
-                        splat(0.0),
-                        splat(0.0),
-                    )
-                    at = sums + LANES * GENERAL_SECOND_ROWS * j
-                    for k in range(3):
-                        e, e_change, weight = (
-                            load(energy, i + LANES * k),
-                            load(e_along, i + LANES * k),
-                            n_w * g[p + k],
-                        )
-                        u, s_weight = weight * e, fma(w_along * g[p + k], e, weight * e_change)
-                        f, change = splat(0.0), splat(0.0)
-                        for s in range(3):
-                            if nearest * least[s] > cut[block]:
-                                to = LOBE_VALUES * s + CHANNEL_VALUES * k
-                                st = to // CONTROL_VALUES * STEPS_OF_CURVE
-                                slope_gamma, slope_kappa = (
-                                    slope(steps, st, tent),
-                                    slope(steps, st + STEPS_OF_CURVE, tent),
-                                )
-                                gamma_along = fma(turned, slope_gamma, curve(m_along, to, b))
-                                kappa_along = fma(
-                                    turned, slope_kappa, curve(m_along, to + KAPPA_VALUES, b)
-                                )
-                                (
-                                    value,
-                                    moved,
-                                    by_kappa,
-                                    by_gamma,
-                                    lobe_log_c,
-                                    lobe_r,
-                                    along_kappa,
-                                    along_gamma,
-                                ) = lobe_second(
-                                    curve(m, to, b),
-                                    curve(m, to + KAPPA_VALUES, b),
-                                    gamma_along,
-                                    kappa_along,
-                                    log2_c,
-                                    log_c,
-                                    r,
-                                    u,
-                                    s_weight,
-                                )
-                                f, change = f + value, change + moved
-                                by_log_c, by_r = by_log_c + lobe_log_c, by_r + lobe_r
-                                add_curve(scratch, by_m + LANES * to, by_gamma, b)
-                                add_curve(scratch, by_m + LANES * (to + KAPPA_VALUES), by_kappa, b)
-                                add_slope(
-                                    scratch, by_steps + LANES * st, along_gamma * turned, tent
-                                )
-                                add_slope(
-                                    scratch,
-                                    by_steps + LANES * (st + STEPS_OF_CURVE),
-                                    along_kappa * turned,
-                                    tent,
-                                )
-                                by_turned = by_turned + fma(
-                                    along_gamma, slope_gamma, along_kappa * slope_kappa
-                                )
-                                bent_gamma = fma(
-                                    turned, slope(steps, st, bend), slope(steps_along, st, tent)
-                                )
-                                bent_kappa = fma(
-                                    turned,
-                                    slope(steps, st + STEPS_OF_CURVE, bend),
-                                    slope(steps_along, st + STEPS_OF_CURVE, tent),
-                                )
-                                by_x = by_x + fma(by_gamma, slope_gamma, by_kappa * slope_kappa)
-                                by_x = by_x + fma(along_gamma, bent_gamma, along_kappa * bent_kappa)
-                        both = fma(change, n_w, f * w_along)
-                        by_w = fma(fma(e, change, e_change * f), g[p + k], by_w)
-                        add_to(energy_sums, i + LANES * k, both * g[p + k])
-                        add_to(
-                            scratch,
-                            at + 2 * ENERGY_STRIDE + LANES * k,
-                            fma(e, both, e_change * f * n_w),
-                        )
-                    by_w = select(visible, by_w, 0.0)
-                    moving = by_r * by_c  # by c'
-                    by_c = (by_log_c - by_r * r) * by_c
-                    # by n: c has h − n, and c' has h' − n'
-                    to_h = moving * inverse_s
-                    add_to(scratch, at, fma(by_w, wx, by_c * x) + (to_h * across_x - moving * ax))
-                    add_to(
-                        scratch,
-                        at + LANES,
-                        fma(by_w, wy, by_c * y) + (to_h * across_y - moving * ay),
-                    )
-                    add_to(
-                        scratch,
-                        at + 2 * LANES,
-                        fma(by_w, wz, by_c * z) + (to_h * across_z - moving * az),
-                    )
-                    # by v: with u what of n stands across h, N = u·v', q that of v',
-                    #   c has u/‖s‖;   c' has (n' across h)/‖s‖ − (N h + c q + (h·v') u)/‖s‖²
-                    # θ has −¼ (‖s‖ d + ‖t‖ h);   θ' has −¼ ((d·v') h − (h·v') d − (‖s‖/‖t‖) (v'
-                    # across d) + (‖t‖/‖s‖) q)
-                    h_a = dot(hx, hy, hz, ax, ay, az)
-                    twice = to_h * inverse_s
-                    along_u = fma(by_c, inverse_s, 0.0 - twice * h_q)
-                    by_theta, by_turn = (
-                        by_x * (-0.25 * ANGLE_TO_X),
-                        by_turned * (-0.25 * ANGLE_TO_X),
-                    )
-                    far, near = by_turn * length_s * inverse_t, by_turn * length_t * inverse_s
-                    along_h = fma(by_theta, length_t, by_turn * d_q) - fma(to_h, h_a, twice * n_q)
-                    along_d = fma(by_theta, length_s, far * d_q) - by_turn * h_q
-                    along_q = near - twice * c
-                    add_to(
-                        scratch,
-                        at + ENERGY_STRIDE,
-                        dot(along_u, along_h, along_d, ux, hx, dx)
-                        + (along_q * across_x + to_h * ax - far * qx),
-                    )
-                    add_to(
-                        scratch,
-                        at + ENERGY_STRIDE + LANES,
-                        dot(along_u, along_h, along_d, uy, hy, dy)
-                        + (along_q * across_y + to_h * ay - far * qy),
-                    )
-                    add_to(
-                        scratch,
-                        at + ENERGY_STRIDE + 2 * LANES,
-                        dot(along_u, along_h, along_d, uz, hz, dz)
-                        + (along_q * across_z + to_h * az - far * qz),
-                    )
+                    at = rows + LANES * GENERAL_SECOND_ROWS * j
+                    pixel_second(
+                        inputs, sums, geometry, block, cut[block], n, v, n_along, v_along, g,
+                        3 * (start + j), at,
+                    )  # fmt: skip
             for j in range(count):
                 to = 3 * (chunk * pixels + start + j)
-                at = sums + LANES * GENERAL_SECOND_ROWS * j
+                at = rows + LANES * GENERAL_SECOND_ROWS * j
                 write_sums(scratch, at, 3, n_part, to)
                 write_sums(scratch, at + ENERGY_STRIDE, 3, v_part, to)
                 write_sums(scratch, at + 2 * ENERGY_STRIDE, 3, g_part, to)

@@ -24,14 +24,27 @@ again:
     learn.engines.general
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import LN2, add_to, clear, write_sums
-from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.distant import (
+    LN2,
+    Triple,
+    add_vector,
+    clear,
+    combined,
+    dot,
+    is_seen,
+    vector_at,
+    write_sums,
+)
+from learn.engines.exponentials import angle
 from learn.engines.footprints import (
     TINY,
+    Footprint,
     add_radiance,
     footprint,
     gather,
@@ -40,16 +53,22 @@ from learn.engines.footprints import (
     store_footprint,
     texel_of,
 )
-from learn.engines.general import LEAST_SQUARE, lobe_backward, square
+from learn.engines.general import (
+    LEAST_SQUARE,
+    Material,
+    Spline,
+    by_s_and_t,
+    channel_backward,
+    difference,
+    reflectance,
+    square,
+)
 from learn.engines.layout import (
-    CHANNEL_VALUES,
     FOOTPRINT_BY_M,
     FOOTPRINT_BY_N,
     FOOTPRINT_BY_V,
     FOOTPRINT_LIGHT,
-    KAPPA_VALUES,
     LANES,
-    LOBE_VALUES,
     NEGLIGIBLE,
     SAMPLE_CHUNKS,
     SAMPLE_LOG_COSINE,
@@ -62,7 +81,7 @@ from learn.engines.layout import (
     SAMPLE_Z,
     VALUES,
 )
-from learn.engines.splines import ANGLE_TO_X, Basis, basis, curve, tents
+from learn.engines.splines import basis, tents
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
@@ -79,30 +98,58 @@ from learn.engines.vector import (
     store,
 )
 
-Triple = tuple[float, float, float]
-
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9)
 BACKWARD = types.void(*[types.int64] * 8, *[FLOAT_POINTER] * 14)
 
 
-@inlined
-def lobe(m: np.ndarray, o: int, log_c: Lanes, b: Basis) -> Lanes:
-    """expm1(κ c^γ) of the lobe and channel at offset o."""
-    return exp2m1(curve(m, o + KAPPA_VALUES, b) * exp2(curve(m, o, b) * log_c))
+class Sample(NamedTuple):
+    """Sixteen half vectors about the z axis, at polar angle θ and azimuth φ.
+
+    x, y, c      sin θ cos φ, sin θ sin φ and cos θ; log_c: log2 cos θ
+    solid_angle  dω_h in sr
+    """
+
+    x: Lanes
+    y: Lanes
+    c: Lanes
+    log_c: Lanes
+    solid_angle: Lanes
+
+
+class Reflection(NamedTuple):
+    """What sixteen half vectors h about a pixel's normal reflect, camera frame.
+
+    across  h − c n, which stands across n
+    cos_d   v·h
+    w       2 (v·h) h − v, and n_w its n·w
+    spread  dω = 4 (v·h) dω_h in sr, 0 where h faces away
+    """
+
+    across: Vector
+    cos_d: Lanes
+    w: Vector
+    n_w: Lanes
+    spread: Lanes
+
+
+class LightMap(NamedTuple):
+    """The light's radiance (height, width, 3), and its size."""
+
+    light: np.ndarray
+    height: int
+    width: int
 
 
 @inlined
-def reflectance(m: np.ndarray, least: np.ndarray, log_c: Lanes, cos_d: Lanes) -> Vector:
-    """F (3 channels) of sixteen samples."""
-    b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
-    nearest = lane_max(log_c)
-    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-    for s in range(3):
-        if nearest * least[s] > NEGLIGIBLE:
-            f0 = f0 + lobe(m, LOBE_VALUES * s, log_c, b)
-            f1 = f1 + lobe(m, LOBE_VALUES * s + CHANNEL_VALUES, log_c, b)
-            f2 = f2 + lobe(m, LOBE_VALUES * s + 2 * CHANNEL_VALUES, log_c, b)
-    return f0, f1, f2
+def sample_at(around: np.ndarray, o: int) -> Sample:
+    """The sixteen samples at offset o."""
+    return Sample(
+        load(around, o + LANES * SAMPLE_X),
+        load(around, o + LANES * SAMPLE_Y),
+        load(around, o + LANES * SAMPLE_Z),
+        load(around, o + LANES * SAMPLE_LOG_COSINE),
+        load(around, o + LANES * SAMPLE_SOLID_ANGLE),
+    )
 
 
 @inlined
@@ -143,29 +190,25 @@ def forward(
 ) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1."""
     for p in range(first * SAMPLE_TILE, min(last * SAMPLE_TILE, pixels)):
-        nx, ny, nz = n[3 * p], n[3 * p + 1], n[3 * p + 2]
-        vx, vy, vz = v[3 * p], v[3 * p + 1], v[3 * p + 2]
+        normal, view = vector_at(n, 3 * p), vector_at(v, 3 * p)
+        nx, ny, nz = normal
         (ux, uy, uz), (tx, ty, tz) = tangents(nx, ny, nz)
         i0, i1, i2 = 0.0, 0.0, 0.0
         for block in range(blocks):
-            o = SAMPLE_STRIDE * block
-            q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
-            c = load(around, o + LANES * SAMPLE_Z)
-            log_c = load(around, o + LANES * SAMPLE_LOG_COSINE)
-            solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
-            hx = fma(q, ux, fma(r, tx, c * nx))
-            hy = fma(q, uy, fma(r, ty, c * ny))
-            hz = fma(q, uz, fma(r, tz, c * nz))
-            cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
-            wx, wy, wz = mirrored((hx, hy, hz), cos_d, (vx, vy, vz))
-            n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-            weight = maximum(n_w, 0.0) * maximum(cos_d, 0.0) * solid_angle * 4.0
+            q, r, c, log_c, solid_angle = sample_at(around, SAMPLE_STRIDE * block)
+            h = (
+                fma(q, ux, fma(r, tx, c * nx)),
+                fma(q, uy, fma(r, ty, c * ny)),
+                fma(q, uz, fma(r, tz, c * nz)),
+            )
+            cos_d = dot(h, view)
+            w = mirrored(h, cos_d, view)
+            weight = maximum(dot(w, normal), 0.0) * maximum(cos_d, 0.0) * solid_angle * 4.0
             if not anywhere(weight > 0.0):
                 continue
-            f0, f1, f2 = reflectance(m, least, log_c, cos_d)
-            at = footprint(
-                (wx, wy, wz), 4.0 * maximum(cos_d, 0.0) * solid_angle, rotation, height, width
-            )
+            b = basis(angle(maximum(1.0 - cos_d * cos_d, 0.0), cos_d * cos_d + TINY))
+            f0, f1, f2 = reflectance(m, least, NEGLIGIBLE, lane_max(log_c), log_c, b)
+            at = footprint(w, 4.0 * maximum(cos_d, 0.0) * solid_angle, rotation, height, width)
             if in_one_texel(at):
                 texel = 3 * texel_of(at, height, width)
                 i0 += lane_sum(f0 * weight) * light[texel]
@@ -178,6 +221,122 @@ def forward(
             store_footprint(scratch, 0, at)
             i0, i1, i2 = add_radiance(scratch, light, height, width, i0, i1, i2)
         radiance[3 * p], radiance[3 * p + 1], radiance[3 * p + 2] = i0, i1, i2
+
+
+@inlined
+def reflection(sample: Sample, n: Triple, u: Triple, t: Triple, v: Triple) -> Reflection:
+    """The directions into which half vectors about n mirror the view; u, t: axes across n."""
+    q, r, c = sample.x, sample.y, sample.c
+    x, y, z = fma(q, u[0], r * t[0]), fma(q, u[1], r * t[1]), fma(q, u[2], r * t[2])
+    h = fma(c, n[0], x), fma(c, n[1], y), fma(c, n[2], z)
+    cos_d = dot(h, v)
+    w = mirrored(h, cos_d, v)
+    spread = maximum(cos_d, 0.0) * sample.solid_angle * 4.0
+    return Reflection((x, y, z), cos_d, w, dot(w, n), spread)
+
+
+@inlined
+def look_up_light(scratch: np.ndarray, work: int, texels: LightMap, at: Footprint) -> int:
+    """Write the footprints, and the mean light in them, into a chunk's rows.
+
+    work     offset of the rows
+    Returns  the place of the first channel of the texel in which all footprints lie, or −1
+    """
+    light, height, width = texels
+    store_footprint(scratch, work, at)
+    if not in_one_texel(at):
+        gather(scratch, work, light, height, width)
+        return -1
+    texel = 3 * texel_of(at, height, width)
+    for k in range(3):
+        store(scratch, work + LANES * (FOOTPRINT_LIGHT + k), splat(light[texel + k]))
+    return texel
+
+
+@inlined
+def add_by_light(
+    scratch: np.ndarray, work: int, texel: int, texels: LightMap, light_sums: np.ndarray, to: int
+) -> None:
+    """Add the derivatives by the lanes' light, a chunk's first three rows, to those by its texels.
+
+    texel  as of `look_up_light`; to: where the chunk's map begins in light_sums
+    """
+    if texel < 0:
+        scatter(scratch, work, light_sums, to, texels.height, texels.width)
+        return
+    for k in range(3):
+        light_sums[to + texel + k] += lane_sum(load(scratch, work + LANES * k))
+
+
+@inlined
+def samples_backward(
+    material: Material,
+    log_c: Lanes,
+    nearest: float,
+    spline: Spline,
+    mu: Lanes,
+    spread: Lanes,
+    g: np.ndarray,
+    p: int,
+    scratch: np.ndarray,
+    work: int,
+    by_m: int,
+    with_view: int,
+) -> Vector:
+    """Derivatives of Σ_k g_k I_k of one pixel and sixteen samples: by n·w, by c, and by x.
+
+    That by c is × c log2 e; x is the spline's. Those by the light seen are written into a chunk's
+    first three rows, and those by m are added.
+
+    nearest     the largest log2 c
+    mu, spread  max(0, n·w) dω, and dω
+    g           (P, 3) of which the pixel's begins at place p
+    work, by_m  offsets in scratch of the chunk's rows, and of the sums by m
+    """
+    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+    for k in range(3):
+        seen = load(scratch, work + LANES * (FOOTPRINT_LIGHT + k)) * g[p + k]
+        weight = mu * seen
+        f, d_c, d_x = channel_backward(
+            material, k, NEGLIGIBLE, nearest, log_c, spline, weight, scratch, by_m, with_view
+        )
+        store(scratch, work + LANES * k, f * mu * g[p + k])
+        by_w = fma(f * spread, seen, by_w)
+        by_c = fma(d_c, weight, by_c)
+        by_x = fma(d_x, weight, by_x)
+    return by_w, by_c, by_x
+
+
+@inlined
+def add_by_view(
+    sums: np.ndarray,
+    a: int,
+    sample: Sample,
+    ray: Reflection,
+    n: Triple,
+    v: Triple,
+    s_square: Lanes,
+    t_square: Lanes,
+    by_c: Lanes,
+    by_x: Lanes,
+) -> None:
+    """Add the derivative by the view to the three rows from offset a on.
+
+    s_square, t_square  ‖w + v‖² and ‖w − v‖²
+    by_c, by_x          derivatives by c and by the spline's x
+    n − c h is taken as sin² θ n − c (h − c n): nothing cancels at a lobe's peak.
+    """
+    (x, y, z), (wx, wy, wz), (vx, vy, vz) = ray.across, ray.w, v
+    inverse = 1.0 / sqrt(s_square)
+    by_c = by_c * inverse
+    across, along = by_c * fma(sample.x, sample.x, sample.y * sample.y), by_c * sample.c
+    by_s, by_t = by_s_and_t(by_x, s_square, t_square, inverse)
+    value = (
+        across * n[0] - along * x - by_t * (wx - vx) - by_s * (wx + vx),
+        across * n[1] - along * y - by_t * (wy - vy) - by_s * (wy + vy),
+        across * n[2] - along * z - by_t * (wz - vz) - by_s * (wz + vz),
+    )
+    add_vector(sums, a, value)
 
 
 def backward(
@@ -216,94 +375,47 @@ def backward(
     A tile of pixels belongs to one chunk, and chunks do not depend on the number of threads.
     """
     tiles = (pixels + SAMPLE_TILE - 1) // SAMPLE_TILE
+    material, texels = Material(m, steps, least), LightMap(light, height, width)
     for chunk in range(first, last):
         work = SAMPLE_SCRATCH * chunk
         n_sums, v_sums = work + LANES * FOOTPRINT_BY_N, work + LANES * FOOTPRINT_BY_V
         by_m = work + LANES * FOOTPRINT_BY_M
-        texels = 3 * height * width * chunk
         for tile in range(chunk * tiles // SAMPLE_CHUNKS, (chunk + 1) * tiles // SAMPLE_CHUNKS):
             clear(scratch, by_m, VALUES)
             for p in range(3 * SAMPLE_TILE * tile, 3 * min(SAMPLE_TILE * (tile + 1), pixels), 3):
-                nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                vx, vy, vz = v[p], v[p + 1], v[p + 2]
-                (ux, uy, uz), (tx, ty, tz) = tangents(nx, ny, nz)
+                normal, view = vector_at(n, p), vector_at(v, p)
+                u_axis, t_axis = tangents(normal[0], normal[1], normal[2])
                 clear(scratch, n_sums, 6)
                 for block in range(blocks):
-                    o = SAMPLE_STRIDE * block
-                    log_c = load(around, o + LANES * SAMPLE_LOG_COSINE)
-                    nearest = lane_max(log_c)
-                    if not (nearest * min(least[0], least[1], least[2]) > NEGLIGIBLE):
+                    sample = sample_at(around, SAMPLE_STRIDE * block)
+                    nearest = lane_max(sample.log_c)
+                    if not is_seen(nearest, least, 0, NEGLIGIBLE):
                         break  # samples farther out see less
-                    q, r = load(around, o + LANES * SAMPLE_X), load(around, o + LANES * SAMPLE_Y)
-                    c = load(around, o + LANES * SAMPLE_Z)
-                    solid_angle = load(around, o + LANES * SAMPLE_SOLID_ANGLE)
-                    # h − c n, across n
-                    x, y, z = fma(q, ux, r * tx), fma(q, uy, r * ty), fma(q, uz, r * tz)
-                    hx, hy, hz = fma(c, nx, x), fma(c, ny, y), fma(c, nz, z)
-                    cos_d = fma(hx, vx, fma(hy, vy, hz * vz))
-                    wx, wy, wz = mirrored((hx, hy, hz), cos_d, (vx, vy, vz))
-                    n_w = fma(wx, nx, fma(wy, ny, wz * nz))
-                    spread = maximum(cos_d, 0.0) * solid_angle * 4.0
-                    mu = maximum(n_w, 0.0) * spread
+                    ray = reflection(sample, normal, u_axis, t_axis, view)
+                    mu = maximum(ray.n_w, 0.0) * ray.spread
                     if not anywhere(mu > 0.0):
                         continue
-                    at = footprint((wx, wy, wz), spread, rotation, height, width)
-                    store_footprint(scratch, work, at)
-                    one_texel, texel = in_one_texel(at), 0
-                    if one_texel:
-                        texel = 3 * texel_of(at, height, width)
-                        for k in range(3):
-                            row = work + LANES * (FOOTPRINT_LIGHT + k)
-                            store(scratch, row, splat(light[texel + k]))
-                    else:
-                        gather(scratch, work, light, height, width)
-                    t_square = square(wx - vx, wy - vy, wz - vz)
-                    s_square = maximum(4.0 * cos_d * cos_d, LEAST_SQUARE)
+                    at = footprint(ray.w, ray.spread, rotation, height, width)
+                    texel = look_up_light(scratch, work, texels, at)
+                    t = difference(ray.w, view)
+                    t_square = square(t[0], t[1], t[2])
+                    s_square = maximum(4.0 * ray.cos_d * ray.cos_d, LEAST_SQUARE)
                     theta_d = angle(t_square, s_square)
-                    b, tent = basis(theta_d), tents(theta_d)
-                    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
-                    for k in range(3):
-                        seen = load(scratch, work + LANES * (FOOTPRINT_LIGHT + k)) * g[p + k]
-                        weight = mu * seen
-                        f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
-                        for s in range(3):
-                            if nearest * least[s] > NEGLIGIBLE:
-                                values = LOBE_VALUES * s + CHANNEL_VALUES * k
-                                lobe_f, lobe_c, lobe_x = lobe_backward(
-                                    m, steps, values, log_c, b, tent, weight, scratch, by_m,
-                                    with_view,
-                                )  # fmt: skip
-                                f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
-                        store(scratch, work + LANES * k, f * mu * g[p + k])
-                        by_w = fma(f * spread, seen, by_w)
-                        by_c = fma(d_c, weight, by_c)
-                        by_x = fma(d_x, weight, by_x)
+                    by_w, by_c, by_x = samples_backward(
+                        material, sample.log_c, nearest, Spline(basis(theta_d), tents(theta_d)),
+                        mu, ray.spread, g, p, scratch, work, by_m, with_view,
+                    )  # fmt: skip
                     if with_light:
-                        if one_texel:
-                            for k in range(3):
-                                value = load(scratch, work + LANES * k)
-                                light_sums[texels + texel + k] += lane_sum(value)
-                        else:
-                            scatter(scratch, work, light_sums, texels, height, width)
-                    by_w = select(n_w > 0.0, by_w, 0.0)
-                    by_c = by_c * LN2 / maximum(c, TINY)
-                    add_to(scratch, n_sums, fma(by_w, wx, by_c * x))
-                    add_to(scratch, n_sums + LANES, fma(by_w, wy, by_c * y))
-                    add_to(scratch, n_sums + 2 * LANES, fma(by_w, wz, by_c * z))
+                        to = 3 * height * width * chunk
+                        add_by_light(scratch, work, texel, texels, light_sums, to)
+                    by_w = select(ray.n_w > 0.0, by_w, 0.0)
+                    by_c = by_c * LN2 / maximum(sample.c, TINY)
+                    add_vector(scratch, n_sums, combined(by_w, ray.w, by_c, ray.across))
                     if with_view:
-                        # n − c h = sin² θ n − c (h − c n): nothing cancels at a lobe's peak
-                        inverse = 1.0 / sqrt(s_square)
-                        by_c = by_c * inverse
-                        across, along = by_c * fma(q, q, r * r), by_c * c
-                        t_length = sqrt(maximum(t_square, LEAST_SQUARE))
-                        by_theta = by_x * (0.25 * ANGLE_TO_X) * inverse / t_length
-                        by_t, by_s = by_theta * s_square, by_theta * t_square
-                        bx = across * nx - along * x - by_t * (wx - vx) - by_s * (wx + vx)
-                        by = across * ny - along * y - by_t * (wy - vy) - by_s * (wy + vy)
-                        bz = across * nz - along * z - by_t * (wz - vz) - by_s * (wz + vz)
-                        add_to(scratch, v_sums, bx)
-                        add_to(scratch, v_sums + LANES, by)
-                        add_to(scratch, v_sums + 2 * LANES, bz)
+                        add_by_view(
+                            scratch, v_sums, sample, ray, normal, view, s_square, t_square,
+                            by_c, by_x,
+                        )  # fmt: skip
                 write_sums(scratch, n_sums, 3, by_n, p)
                 if with_view:
                     write_sums(scratch, v_sums, 3, by_v, p)

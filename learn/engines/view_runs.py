@@ -18,7 +18,7 @@ A run's part of the scratch is described in learn.engines.layout (VIEW_…).
 import numpy as np
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import peak_cosine, w_of
+from learn.engines.distant import Triple, peak_cosine, w_of
 from learn.engines.exponentials import angle
 from learn.engines.general import LEAST_SQUARE, shortfall, square, two_sum
 from learn.engines.layout import (
@@ -144,7 +144,7 @@ def shared(geometry: np.ndarray, o: int, scratch: np.ndarray, c: int, furthest: 
 
 @inlined
 def of_pixel(
-    run: Shared, scratch: np.ndarray, d: int, nx: float, ny: float, nz: float
+    run: Shared, scratch: np.ndarray, d: int, n: Triple
 ) -> tuple[Vector, Lanes, Lanes, Lanes]:
     """h − n, 1/‖s‖, c and log2 c of a pixel; d: place of its offset's x."""
     (hx, hy, hz), (lx, ly, lz), inverse = run[1], run[2], run[3]
@@ -156,11 +156,12 @@ def of_pixel(
     else:
         less = 1.0 / sqrt(maximum(1.0 + y, LEAST_SQUARE * inverse * inverse)) - 1.0
     scale = fma(inverse, less, inverse)
-    ox = ((hx - nx) + lx) + fma(hx, less, scale * dx)
-    oy = ((hy - ny) + ly) + fma(hy, less, scale * dy)
-    oz = ((hz - nz) + lz) + fma(hz, less, scale * dz)
-    c, log_c = peak_cosine(ox, oy, oz)
-    return (ox, oy, oz), scale, c, log_c
+    ox = ((hx - n[0]) + lx) + fma(hx, less, scale * dx)
+    oy = ((hy - n[1]) + ly) + fma(hy, less, scale * dy)
+    oz = ((hz - n[2]) + lz) + fma(hz, less, scale * dz)
+    offset = ox, oy, oz
+    c, log_c = peak_cosine(offset)
+    return offset, scale, c, log_c
 
 
 @inlined

@@ -15,6 +15,8 @@ angle of that over ‖a + b‖ of (a + b)/‖a + b‖. `ranges` must cover the �
 (α + β)/2 of that of a and b.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
@@ -24,10 +26,11 @@ from learn.engines.block_cuts import (
     highest_bound,
     is_listed,
     threshold_within,
+    write_entry,
 )
 from learn.engines.compilation import inlined
-from learn.engines.cones import along_axis, cone_about, nearest_cosine
-from learn.engines.distant import clear, w_of
+from learn.engines.cones import Cone, along_axis, cone_about, nearest_cosine
+from learn.engines.distant import Triple, clear, w_of
 from learn.engines.exponentials import angle, log2
 from learn.engines.general import LEAST_SQUARE, square
 from learn.engines.layout import (
@@ -37,7 +40,6 @@ from learn.engines.layout import (
     CONE_W_SIN,
     CONE_W_X,
     CUT_AXIS,
-    CUT_REACH,
     LANES,
     SELECT_BOUND,
     SELECT_GAMMA,
@@ -54,6 +56,8 @@ from learn.engines.layout import (
 from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,
+    Lanes,
+    Vector,
     anywhere,
     fma,
     load,
@@ -70,6 +74,22 @@ WHOLE_SPHERE = 0.999999  # sine of a cone's half angle from which it counts as t
 SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 7, *[INT_POINTER] * 2)
 
 
+class Halfway(NamedTuple):
+    """Cones about the half vectors of sixteen blocks of lights, and their θ_d.
+
+    axis          (a + b)/‖a + b‖, a and b the axes of the cones about w and about v
+    cos_h, sin_h  of the half angle
+    theta_d       that of a and b
+    sin_alone     the sine of the half angle of a cone about the h of one view
+    """
+
+    axis: Vector
+    cos_h: Lanes
+    sin_h: Lanes
+    theta_d: Lanes
+    sin_alone: Lanes
+
+
 @inlined
 def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -> None:
     """Write rows SELECT_GAMMA and SELECT_KAPPA of sixteen blocks, by their row SELECT_THETA."""
@@ -80,6 +100,117 @@ def look_up_ranges(scratch: np.ndarray, b: int, many: int, ranges: np.ndarray) -
             o = 2 * THETA_BINS * s + place
             scratch[b + LANES * (SELECT_GAMMA + s) + lane] = ranges[o]
             scratch[b + LANES * (SELECT_KAPPA + s) + lane] = ranges[o + THETA_BINS]
+
+
+@inlined
+def chord(cosine: Lanes) -> Lanes:
+    """2 sin(α/2), the distance between unit vectors at an angle α, from cos α."""
+    return sqrt(2.0 * maximum(1.0 - cosine, 0.0))
+
+
+@inlined
+def half_angle(sine: Lanes) -> tuple[Lanes, Lanes]:
+    """Cosine and sine of a cone's half angle below π/2 from its sine.
+
+    From WHOLE_SPHERE on it is the whole sphere, whose half angle is π.
+    """
+    whole = sine > WHOLE_SPHERE
+    cosine = choose(whole, -1.0, sqrt(maximum(1.0 - sine * sine, 0.0)))
+    return cosine, choose(whole, 0.0, sine)
+
+
+@inlined
+def cone_of_h(w: Vector, chord_w: Lanes, v: Triple, chord_v: Lanes) -> Halfway:
+    """The cones about the half vectors h of sixteen blocks of lights.
+
+    w, chord_w  axes of the cones about w, and `chord` of their half angles
+    v, chord_v  the same of the cone about the tile's views
+    """
+    (wx, wy, wz), (vx, vy, vz) = w, v
+    sx, sy, sz = wx + vx, wy + vy, wz + vz
+    s_square = maximum(square(sx, sy, sz), LEAST_SQUARE)
+    inverse = 1.0 / sqrt(s_square)
+    axis = sx * inverse, sy * inverse, sz * inverse
+    gap = chord_w + chord_v
+    cos_h, sin_h = half_angle(fma(gap, inverse, 1e-6))
+    theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
+    # for one pixel's view the cone is narrower, and about another axis
+    alone = chord_w / maximum(1.0 / inverse - gap, 1e-6) + 1e-6
+    return Halfway(axis, cos_h, sin_h, theta_d, alone)
+
+
+@inlined
+def bound_blocks(
+    cones: np.ndarray,
+    wide_block: int,
+    ranges: np.ndarray,
+    normals: Cone,
+    views: Cone,
+    many: int,
+    scratch: np.ndarray,
+) -> None:
+    """Write what a tile's list needs to know of sixteen blocks, above all the lobes' bounds.
+
+    normals, views  the cones about the tile's normals and views
+    """
+    o, b = CONE_STRIDE * wide_block, SELECT_VIEW_STRIDE * wide_block
+    nx, ny, nz, cos_n, sin_n = normals
+    vx, vy, vz, cos_v, _ = views
+    axis = along_axis(cones, o + LANES * CONE_W_X, nx, ny, nz)
+    cos_w, sin_w = load(cones, o + LANES * CONE_W_COS), load(cones, o + LANES * CONE_W_SIN)
+    n_w = nearest_cosine(axis, cos_w, sin_w, cos_n, sin_n)
+    if not anywhere(n_w > 0.0):
+        clear(scratch, b + LANES * SELECT_BOUND, many)
+        return
+    w = w_of(cones, o + LANES * CONE_W_X)
+    half = cone_of_h(w, chord(cos_w), (vx, vy, vz), chord(splat(cos_v)))
+    store(scratch, b + LANES * SELECT_THETA, half.theta_d * BINS_PER_RADIAN)
+    look_up_ranges(scratch, b, many, ranges)
+    cos_1, sin_1 = half_angle(half.sin_alone)
+    store(scratch, b + LANES * SELECT_H_COS, cos_1)
+    store(scratch, b + LANES * SELECT_H_SIN, sin_1)
+    (hx, hy, hz), cos_h, sin_h = half.axis, half.cos_h, half.sin_h
+    axis = fma(hx, nx, fma(hy, ny, hz * nz))
+    c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
+    weight = maximum(n_w, 0.0) * load(cones, o + LANES * CONE_ENERGY)
+    gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
+    bound_lobes(scratch, b, many, scratch, gammas, kappas, log2(c, 1.0 - c), weight)
+
+
+@inlined
+def list_blocks(
+    cones: np.ndarray,
+    wide_block: int,
+    room: int,
+    many: int,
+    threshold: float,
+    scratch: np.ndarray,
+    entry: int,
+    cuts: np.ndarray,
+    entries: np.ndarray,
+) -> int:
+    """Write the entries of those of sixteen blocks that the list needs, from `entry` on.
+
+    threshold  on the bounds of `bound_blocks`
+    Returns    the place of the next entry
+    """
+    b = SELECT_VIEW_STRIDE * wide_block
+    if not anywhere(highest_bound(scratch, b, many) > threshold):
+        return entry
+    cos_h, sin_h = load(scratch, b + LANES * SELECT_H_COS), load(scratch, b + LANES * SELECT_H_SIN)
+    gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
+    reach = cut_lobes(scratch, b, many, scratch, gammas, kappas, threshold, cos_h, sin_h)
+    store(scratch, b + LANES * SELECT_REACH, reach)
+    for lane in range(LANES):
+        block = LANES * wide_block + lane
+        if block < room and is_listed(scratch, b + LANES * SELECT_WEIGHT + lane, many):
+            to = VIEW_CUTS * entry
+            write_entry(scratch, b, lane, many, block, entry, cuts, to, entries)
+            for i in range(3):
+                axis_at = CONE_STRIDE * wide_block + LANES * (CONE_W_X + i) + lane
+                cuts[to + CUT_AXIS + i] = cones[axis_at]
+            entry += 1
+    return entry
 
 
 def select(
@@ -104,66 +235,13 @@ def select(
     for tile in range(first, last):
         start = tile * size
         count = min(size, pixels - start)
-        nx, ny, nz, cos_n, sin_n = cone_about(n, start, count)
-        vx, vy, vz, cos_v, _sin_v = cone_about(v, start, count)
-        gap_v = sqrt(splat(2.0) * maximum(splat(1.0) - cos_v, 0.0))
+        normals, views = cone_about(n, start, count), cone_about(v, start, count)
         for wide_block in range(wide_blocks):
-            o, b = CONE_STRIDE * wide_block, SELECT_VIEW_STRIDE * wide_block
-            axis = along_axis(cones, o + LANES * CONE_W_X, nx, ny, nz)
-            cos_w, sin_w = load(cones, o + LANES * CONE_W_COS), load(cones, o + LANES * CONE_W_SIN)
-            n_w = nearest_cosine(axis, cos_w, sin_w, cos_n, sin_n)
-            if not anywhere(n_w > 0.0):
-                clear(scratch, b + LANES * SELECT_BOUND, many)
-                continue
-            wx, wy, wz = w_of(cones, o + LANES * CONE_W_X)
-            sx, sy, sz = wx + vx, wy + vy, wz + vz
-            s_square = maximum(square(sx, sy, sz), LEAST_SQUARE)
-            inverse = 1.0 / sqrt(s_square)
-            hx, hy, hz = sx * inverse, sy * inverse, sz * inverse
-            gap = sqrt(2.0 * maximum(1.0 - cos_w, 0.0)) + gap_v
-            sin_h = fma(gap, inverse, 1e-6)
-            whole = sin_h > WHOLE_SPHERE
-            cos_h = choose(whole, -1.0, sqrt(maximum(1.0 - sin_h * sin_h, 0.0)))
-            sin_h = choose(whole, 0.0, sin_h)
-            theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
-            store(scratch, b + LANES * SELECT_THETA, theta_d * BINS_PER_RADIAN)
-            look_up_ranges(scratch, b, many, ranges)
-            # for one pixel's view the cone is narrower, and about another axis
-            alone = sqrt(2.0 * maximum(1.0 - cos_w, 0.0))
-            alone = alone / maximum(1.0 / inverse - gap, 1e-6) + 1e-6
-            beyond = alone > WHOLE_SPHERE
-            cos_1 = choose(beyond, -1.0, sqrt(maximum(1.0 - alone * alone, 0.0)))
-            store(scratch, b + LANES * SELECT_H_COS, cos_1)
-            store(scratch, b + LANES * SELECT_H_SIN, choose(beyond, 0.0, alone))
-            axis = fma(hx, nx, fma(hy, ny, hz * nz))
-            c = maximum(nearest_cosine(axis, cos_h, sin_h, cos_n, sin_n), 1e-12)
-            weight = maximum(n_w, 0.0) * load(cones, o + LANES * CONE_ENERGY)
-            gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
-            bound_lobes(scratch, b, many, scratch, gammas, kappas, log2(c, 1.0 - c), weight)
+            bound_blocks(cones, wide_block, ranges, normals, views, many, scratch)
         threshold = threshold_within(scratch, SELECT_VIEW_STRIDE, wide_blocks, many, budget[0])
-        length = 0
+        entry = room * tile
         for wide_block in range(wide_blocks):
-            b = SELECT_VIEW_STRIDE * wide_block
-            if not anywhere(highest_bound(scratch, b, many) > threshold):
-                continue
-            cos_h, sin_h = (
-                load(scratch, b + LANES * SELECT_H_COS),
-                load(scratch, b + LANES * SELECT_H_SIN),
+            entry = list_blocks(
+                cones, wide_block, room, many, threshold, scratch, entry, cuts, entries
             )
-            gammas, kappas = b + LANES * SELECT_GAMMA, b + LANES * SELECT_KAPPA
-            reach = cut_lobes(scratch, b, many, scratch, gammas, kappas, threshold, cos_h, sin_h)
-            store(scratch, b + LANES * SELECT_REACH, reach)
-            for lane in range(LANES):
-                block, q = LANES * wide_block + lane, b + LANES * SELECT_WEIGHT + lane
-                if block < room and is_listed(scratch, q, many):
-                    entry = room * tile + length
-                    entries[entry] = block
-                    to = VIEW_CUTS * entry
-                    for s in range(many):
-                        cuts[to + s] = scratch[q + LANES * s]
-                    cuts[to + CUT_REACH] = scratch[b + LANES * SELECT_REACH + lane]
-                    for i in range(3):
-                        axis_at = CONE_STRIDE * wide_block + LANES * (CONE_W_X + i) + lane
-                        cuts[to + CUT_AXIS + i] = cones[axis_at]
-                    length += 1
-        lengths[tile] = length
+        lengths[tile] = entry - room * tile

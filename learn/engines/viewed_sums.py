@@ -5,12 +5,26 @@ learn.engines.view_runs: pixels of similar view share h̄ and the spline values.
 limit    (1,) the longest difference of a view from that of its run
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.culled_sums import unpack
-from learn.engines.distant import LN2, add_to, clear, cosine, w_of, write_sums
+from learn.engines.distant import (
+    LN2,
+    Triple,
+    add_radiance,
+    add_to,
+    add_vector,
+    clear,
+    combined,
+    cosine,
+    vector_at,
+    w_of,
+    write_sums,
+)
 from learn.engines.exponentials import exp2, exp2m1
 from learn.engines.general import square
 from learn.engines.layout import (
@@ -41,6 +55,7 @@ from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,
     Lanes,
+    Vector,
     anywhere,
     bits,
     fma,
@@ -64,6 +79,68 @@ from learn.engines.view_runs import (
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9, *[INT_POINTER] * 2)
 BACKWARD = types.void(*[types.int64] * 11, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
+
+
+class Arrays(NamedTuple):
+    """What both passes read: the arrays of that name, cuts as of learn.engines.viewed_lists."""
+
+    n: np.ndarray
+    geometry: np.ndarray
+    energy: np.ndarray
+    values: np.ndarray
+    cuts: np.ndarray
+
+
+class Entry(NamedTuple):
+    """An entry of a tile's list: a block of lights that may matter to the tile.
+
+    place   its number in cuts
+    o, e    offsets of the block in geometry and in energy
+    lowest  the log2 c above which some lobe counts
+    """
+
+    place: int
+    o: int
+    e: int
+    lowest: float
+
+
+class Run(NamedTuple):
+    """Some pixels of a run, of which an entry's block can matter to.
+
+    start     number of the first pixel of the run's tile
+    first     number of the run's first pixel in the tile
+    near      which of the run's pixels, as bits
+    furthest  the largest ‖d‖
+    alone     whether the run is one pixel, whose lobes need no slopes
+    """
+
+    start: int
+    first: int
+    near: int
+    furthest: float
+    alone: bool
+
+
+class Gradients(NamedTuple):
+    """Where the backward pass reads and adds: g, energy_sums and m_sums as of `backward`.
+
+    energy_at, m_at  offsets of a chunk's part of energy_sums and of m_sums
+    """
+
+    g: np.ndarray
+    energy_sums: np.ndarray
+    m_sums: np.ndarray
+    energy_at: int
+    m_at: int
+
+
+@inlined
+def entry_at(place: int, entries: np.ndarray, cuts: np.ndarray, many: int) -> Entry:
+    """The list's entry of that number."""
+    block = entries[place]
+    lowest = lowest_cut(cuts, place, many)
+    return Entry(place, GENERAL_STRIDE * block, ENERGY_STRIDE * block, lowest)
 
 
 @inlined
@@ -151,6 +228,58 @@ def lowest_cut(cuts: np.ndarray, entry: int, many: int) -> float:
     return lowest
 
 
+@inlined
+def reflectance(
+    scratch: np.ndarray,
+    cuts: np.ndarray,
+    entry: Entry,
+    many: int,
+    nearest: float,
+    delta: Lanes,
+    log_c: Lanes,
+) -> Vector:
+    """F (3 channels) of one pixel at sixteen lights, by the run's lobes and their slopes.
+
+    nearest  the largest log2 c; delta: δ of the pixel
+    """
+    f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
+    for s in range(many):
+        if nearest > cuts[VIEW_CUTS * entry.place + s]:
+            t = VIEW_LOBES + RUN_LOBE_STRIDE * s
+            f0 = f0 + lobe(scratch, t, delta, log_c)
+            f1 = f1 + lobe(scratch, t + RUN_CHANNEL_STRIDE, delta, log_c)
+            f2 = f2 + lobe(scratch, t + 2 * RUN_CHANNEL_STRIDE, delta, log_c)
+    return f0, f1, f2
+
+
+@inlined
+def add_run(arrays: Arrays, entry: Entry, run: Run, many: int, scratch: np.ndarray) -> None:
+    """Add the radiance of an entry's block to the sums of a run's pixels.
+
+    The run's lobes are made for the first of its pixels that needs them.
+    """
+    geometry, o = arrays.geometry, entry.o
+    same = shared(geometry, o, scratch, VIEW_CENTRES + run.first, run.furthest)
+    near, made = run.near, False
+    while near:
+        j = run.first + lowest_bit(near)
+        near &= near - 1
+        normal = vector_at(arrays.n, 3 * (run.start + j))
+        n_w = cosine(geometry, o, normal)
+        if not anywhere(n_w > 0.0):
+            continue
+        log_c = of_pixel(same, scratch, VIEW_OFFSETS + j, normal)[3]
+        nearest = lane_max(log_c)
+        if not (nearest > entry.lowest):
+            continue
+        if not made:
+            made = True
+            make_lobes(geometry, o, same, run.furthest, run.alone, many, arrays.values, scratch, 0)
+        delta = turn(geometry, o, same, scratch, VIEW_OFFSETS + j)
+        f = reflectance(scratch, arrays.cuts, entry, many, nearest, delta, log_c)
+        add_radiance(scratch, ENERGY_STRIDE * j, f, n_w, arrays.energy, entry.e)
+
+
 def forward(
     first: int,
     last: int,
@@ -171,56 +300,156 @@ def forward(
     entries: np.ndarray,
 ) -> None:
     """Radiance (P, 3) of pixel tiles first … last − 1; scratch holds VIEW_SCRATCH floats."""
+    arrays = Arrays(n, geometry, energy, values, cuts)
     for tile in range(first, last):
         start = tile * size
         count = min(size, pixels - start)
         clear(scratch, 0, 3 * count)
         unpack(n, start, count, scratch, 0)
         unpack_views(v, start, count, scratch, VIEW_VIEWS)
-        run = make_runs(v, start, count, limit[0], scratch, 0)
+        length = make_runs(v, start, count, limit[0], scratch, 0)
         for i in range(room * tile, room * tile + lengths[tile]):
-            o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
-            lowest = lowest_cut(cuts, i, many)
+            entry = entry_at(i, entries, cuts, many)
             for group in range(0, count, LANES):
-                normals = CULLED_NORMALS + group
-                near = pixels_near(scratch, normals, count - group, cuts, i)
-                for part in range(group, min(group + LANES, count), run):
-                    of_run = (near >> (part - group)) & ((1 << run) - 1)
+                near = pixels_near(scratch, CULLED_NORMALS + group, count - group, cuts, i)
+                for part in range(group, min(group + LANES, count), length):
+                    of_run = (near >> (part - group)) & ((1 << length) - 1)
                     if of_run == 0:
                         continue
-                    furthest, made = distance(scratch, 0, part, min(run, count - part)), False
-                    same = shared(geometry, o, scratch, VIEW_CENTRES + part, furthest)
-                    while of_run:
-                        j = part + lowest_bit(of_run)
-                        of_run &= of_run - 1
-                        p = 3 * (start + j)
-                        nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                        n_w = cosine(geometry, o, nx, ny, nz)
-                        if not anywhere(n_w > 0.0):
-                            continue
-                        log_c = of_pixel(same, scratch, VIEW_OFFSETS + j, nx, ny, nz)[3]
-                        nearest = lane_max(log_c)
-                        if not (nearest > lowest):
-                            continue
-                        if not made:
-                            made = True
-                            make_lobes(
-                                geometry, o, same, furthest, run == 1, many, values, scratch, 0
-                            )
-                        delta = turn(geometry, o, same, scratch, VIEW_OFFSETS + j)
-                        f0, f1, f2 = splat(0.0), splat(0.0), splat(0.0)
-                        for s in range(many):
-                            if nearest > cuts[VIEW_CUTS * i + s]:
-                                t = VIEW_LOBES + RUN_LOBE_STRIDE * s
-                                f0 = f0 + lobe(scratch, t, delta, log_c)
-                                f1 = f1 + lobe(scratch, t + RUN_CHANNEL_STRIDE, delta, log_c)
-                                f2 = f2 + lobe(scratch, t + 2 * RUN_CHANNEL_STRIDE, delta, log_c)
-                        n_w = maximum(n_w, 0.0)
-                        a = ENERGY_STRIDE * j
-                        add_to(scratch, a, f0 * n_w * load(energy, e))
-                        add_to(scratch, a + LANES, f1 * n_w * load(energy, e + LANES))
-                        add_to(scratch, a + 2 * LANES, f2 * n_w * load(energy, e + 2 * LANES))
+                    furthest = distance(scratch, 0, part, min(length, count - part))
+                    run = Run(start, part, of_run, furthest, length == 1)
+                    add_run(arrays, entry, run, many, scratch)
         write_sums(scratch, 0, 3 * count, radiance, 3 * start)
+
+
+@inlined
+def reflectance_backward(
+    arrays: Arrays,
+    entry: Entry,
+    gradients: Gradients,
+    many: int,
+    scratch: np.ndarray,
+    base: int,
+    p: int,
+    n_w: Lanes,
+    nearest: float,
+    delta: Lanes,
+    log_c: Lanes,
+    with_n: int,
+) -> Vector:
+    """Derivatives of Σ_k g_k I_k of one pixel and block: by n·w, by c and by x; 0 unless with_n.
+
+    That by c is × c log2 e, and that by x, the spline's, is / ln 2. Those by energy are added to
+    the chunk's sums, those by the run's lobes to the sums in its scratch, which begins at `base`.
+
+    p        place of the pixel in n and g
+    n_w      max(0, n·w); nearest: the largest log2 c; delta: δ of the pixel
+    """
+    lobes, lobe_sums = base + VIEW_LOBES, base + VIEW_LOBE_SUMS
+    by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
+    for k in range(3):
+        energy_k = load(arrays.energy, entry.e + LANES * k)
+        g_k = gradients.g[p + k]
+        weight = n_w * g_k * energy_k
+        f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
+        for s in range(many):
+            if nearest > arrays.cuts[VIEW_CUTS * entry.place + s]:
+                t = RUN_LOBE_STRIDE * s + RUN_CHANNEL_STRIDE * k
+                lobe_f, lobe_c, lobe_x = lobe_backward(
+                    scratch, lobes + t, lobe_sums + t, delta, log_c, weight, with_n
+                )
+                f, d_c, d_x = f + lobe_f, d_c + lobe_c, d_x + lobe_x
+        to = gradients.energy_at + entry.e + LANES * k
+        add_to(gradients.energy_sums, to, f * n_w * g_k)
+        if with_n:
+            by_w = fma(f * g_k, energy_k, by_w)
+            by_c = fma(d_c, weight, by_c)
+            by_x = fma(d_x, weight, by_x)
+    return by_w, by_c, by_x
+
+
+@inlined
+def add_by_view(
+    sums: np.ndarray,
+    a: int,
+    n: Triple,
+    w: Vector,
+    offset: Vector,
+    inverse_s: Lanes,
+    by_c: Lanes,
+    by_x: Lanes,
+) -> None:
+    """Add the derivative by the view to the three rows from offset a on.
+
+    offset      h − n; inverse_s: 1/‖s‖
+    by_c, by_x  derivatives by c, and by w·d through x
+    ∂c/∂v as in learn.engines.general.add_by_view; ∂x/∂v = −w δ/(w·d).
+    """
+    (x, y, z), (wx, wy, wz) = offset, w
+    hx, hy, hz = x + n[0], y + n[1], z + n[2]
+    by_c = by_c * inverse_s
+    along = by_c * fma(x, hx, fma(y, hy, z * hz))
+    value = (
+        fma(along, hx, 0.0 - by_c * x) - by_x * wx,
+        fma(along, hy, 0.0 - by_c * y) - by_x * wy,
+        fma(along, hz, 0.0 - by_c * z) - by_x * wz,
+    )
+    add_vector(sums, a, value)
+
+
+@inlined
+def run_backward(
+    arrays: Arrays,
+    entry: Entry,
+    run: Run,
+    gradients: Gradients,
+    many: int,
+    scratch: np.ndarray,
+    base: int,
+    with_n: int,
+    with_view: int,
+) -> None:
+    """Add the derivatives of Σ g·I by an entry's block and a run's pixels to the chunk's sums.
+
+    base  where the chunk's scratch begins
+    """
+    geometry, o = arrays.geometry, entry.o
+    same = shared(geometry, o, scratch, base + VIEW_CENTRES + run.first, run.furthest)
+    near, made = run.near, False
+    while near:
+        j = run.first + lowest_bit(near)
+        near &= near - 1
+        p, d = 3 * (run.start + j), base + VIEW_OFFSETS + j
+        normal = vector_at(arrays.n, p)
+        n_w = cosine(geometry, o, normal)
+        visible = n_w > 0.0
+        if not anywhere(visible):
+            continue
+        offset, inverse_s, c, log_c = of_pixel(same, scratch, d, normal)
+        nearest = lane_max(log_c)
+        if not (nearest > entry.lowest):
+            continue
+        if not made:
+            made = True
+            values = arrays.values
+            make_lobes(geometry, o, same, run.furthest, run.alone, many, values, scratch, base)
+            clear(scratch, base + VIEW_LOBE_SUMS, RUN_LOBE_STRIDE // LANES * many)
+        delta = turn(geometry, o, same, scratch, d)
+        by_w, by_c, by_x = reflectance_backward(
+            arrays, entry, gradients, many, scratch, base, p, maximum(n_w, 0.0), nearest, delta,
+            log_c, with_n,
+        )  # fmt: skip
+        if not with_n:
+            continue
+        by_w = choose(visible, by_w, 0.0)
+        by_c = by_c * LN2 / c
+        w, a = w_of(geometry, o), base + ENERGY_STRIDE * j
+        add_vector(scratch, a, combined(by_w, w, by_c, offset))
+        if with_view:
+            by_x = by_x * LN2 * same[4]
+            add_by_view(scratch, a + VIEW_V_SUMS, normal, w, offset, inverse_s, by_c, by_x)
+    if made:
+        add_material(many, scratch, base, gradients.m_sums, gradients.m_at)
 
 
 def backward(
@@ -260,13 +489,11 @@ def backward(
     energy_sums  (chunks, blocks, 3, 16) out: Σ_p g F max(0, n·w)
     m_sums       (chunks, 108, 16) out, like values: derivatives by γ ln² 2 and by κ, in lanes
     """
+    arrays = Arrays(n, geometry, energy, values, cuts)
     for chunk in range(first, last):
-        base_e, by_m, base = (
-            ENERGY_STRIDE * blocks * chunk,
-            LANES * VALUES * chunk,
-            VIEW_SCRATCH * chunk,
-        )
-        lobes, lobe_sums = base + VIEW_LOBES, base + VIEW_LOBE_SUMS
+        base = VIEW_SCRATCH * chunk
+        base_e, by_m = ENERGY_STRIDE * blocks * chunk, LANES * VALUES * chunk
+        gradients = Gradients(g, energy_sums, m_sums, base_e, by_m)
         clear(energy_sums, base_e, 3 * blocks)
         clear(m_sums, by_m, VALUES)
         for tile in range(chunk * tiles // chunks, (chunk + 1) * tiles // chunks):
@@ -276,93 +503,21 @@ def backward(
             clear(scratch, base + VIEW_V_SUMS, 3 * count)
             unpack(n, start, count, scratch, base)
             unpack_views(v, start, count, scratch, base + VIEW_VIEWS)
-            run = make_runs(v, start, count, limit[0], scratch, base)
+            length = make_runs(v, start, count, limit[0], scratch, base)
+            alone = length == 1 and not with_view
             for i in range(room * tile, room * tile + lengths[tile]):
-                o, e = GENERAL_STRIDE * entries[i], ENERGY_STRIDE * entries[i]
-                lowest = lowest_cut(cuts, i, many)
+                entry = entry_at(i, entries, cuts, many)
                 for group in range(0, count, LANES):
                     normals = base + CULLED_NORMALS + group
                     near = pixels_near(scratch, normals, count - group, cuts, i)
-                    for part in range(group, min(group + LANES, count), run):
-                        of_run = (near >> (part - group)) & ((1 << run) - 1)
+                    for part in range(group, min(group + LANES, count), length):
+                        of_run = (near >> (part - group)) & ((1 << length) - 1)
                         if of_run == 0:
                             continue
-                        furthest = distance(scratch, base, part, min(run, count - part))
-                        same = shared(geometry, o, scratch, base + VIEW_CENTRES + part, furthest)
-                        made = False
-                        while of_run:
-                            j = part + lowest_bit(of_run)
-                            of_run &= of_run - 1
-                            p, d = 3 * (start + j), base + VIEW_OFFSETS + j
-                            nx, ny, nz = n[p], n[p + 1], n[p + 2]
-                            n_w = cosine(geometry, o, nx, ny, nz)
-                            visible = n_w > 0.0
-                            if not anywhere(visible):
-                                continue
-                            (x, y, z), scale, c, log_c = of_pixel(same, scratch, d, nx, ny, nz)
-                            nearest = lane_max(log_c)
-                            if not (nearest > lowest):
-                                continue
-                            if not made:
-                                made = True
-                                make_lobes(
-                                    geometry,
-                                    o,
-                                    same,
-                                    furthest,
-                                    run == 1 and not with_view,
-                                    many,
-                                    values,
-                                    scratch,
-                                    base,
-                                )
-                                clear(scratch, lobe_sums, RUN_LOBE_STRIDE // LANES * many)
-                            delta = turn(geometry, o, same, scratch, d)
-                            n_w = maximum(n_w, 0.0)
-                            by_w, by_c, by_x = splat(0.0), splat(0.0), splat(0.0)
-                            for k in range(3):
-                                energy_k = load(energy, e + LANES * k)
-                                weight = n_w * g[p + k] * energy_k
-                                f, d_c, d_x = splat(0.0), splat(0.0), splat(0.0)
-                                for s in range(many):
-                                    if nearest > cuts[VIEW_CUTS * i + s]:
-                                        t = RUN_LOBE_STRIDE * s + RUN_CHANNEL_STRIDE * k
-                                        value, by_log, by_turn = lobe_backward(
-                                            scratch, lobes + t, lobe_sums + t, delta, log_c,
-                                            weight, with_n,
-                                        )  # fmt: skip
-                                        f, d_c, d_x = f + value, d_c + by_log, d_x + by_turn
-                                add_to(energy_sums, base_e + e + LANES * k, f * n_w * g[p + k])
-                                if with_n:
-                                    by_w = fma(f * g[p + k], energy_k, by_w)
-                                    by_c = fma(d_c, weight, by_c)
-                                    by_x = fma(d_x, weight, by_x)
-                            if not with_n:
-                                continue
-                            by_w = choose(visible, by_w, 0.0)
-                            by_c = by_c * LN2 / c
-                            wx, wy, wz = w_of(geometry, o)
-                            a = base + ENERGY_STRIDE * j
-                            add_to(scratch, a, fma(by_w, wx, by_c * x))
-                            add_to(scratch, a + LANES, fma(by_w, wy, by_c * y))
-                            add_to(scratch, a + 2 * LANES, fma(by_w, wz, by_c * z))
-                            if with_view:
-                                # ∂c/∂v as in learn.engines.general.add_by_view; ∂x/∂v = −w δ/(w·d)
-                                hx, hy, hz = x + nx, y + ny, z + nz
-                                by_c = by_c * scale
-                                along = by_c * fma(x, hx, fma(y, hy, z * hz))
-                                by_x = by_x * LN2 * same[4]
-                                a += VIEW_V_SUMS
-                                add_to(scratch, a, fma(along, hx, 0.0 - by_c * x) - by_x * wx)
-                                add_to(
-                                    scratch, a + LANES, fma(along, hy, 0.0 - by_c * y) - by_x * wy
-                                )
-                                add_to(
-                                    scratch,
-                                    a + 2 * LANES,
-                                    fma(along, hz, 0.0 - by_c * z) - by_x * wz,
-                                )
-                        if made:
-                            add_material(many, scratch, base, m_sums, by_m)
+                        furthest = distance(scratch, base, part, min(length, count - part))
+                        run = Run(start, part, of_run, furthest, alone)
+                        run_backward(
+                            arrays, entry, run, gradients, many, scratch, base, with_n, with_view
+                        )
             write_sums(scratch, base, 3 * count * with_n, by_n, 3 * start)
             write_sums(scratch, base + VIEW_V_SUMS, 3 * count * with_view, by_v, 3 * start)
