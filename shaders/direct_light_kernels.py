@@ -757,6 +757,99 @@ def _picked(v, counts, shares):
         shares[k] /= max(several, np.float32(1e-30))
 
 
+@_inlined
+def _set_closures(n, tables, counts, v, axes, picked):
+    """Set what closures are at a normal (3,): v (K, 5), axes (K, 3) and picked (K,).
+
+    v       α, tilt and weights; axes: the tilted normals
+    counts  (K,) whether a closure may be drawn; picked: the chance of it
+    """
+    for k in range(len(v)):
+        _parameters(tables[k], abs(n[2]), v[k])
+        axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n, v[k, 1])
+    _picked(v, counts, picked)
+
+
+@_inlined
+def _list_lights(n, facet, away, lights, firsts, centres, sines, counted, eights, which):
+    """Set which (T,) to the lights above a normal (3,) and, unless away, below its facet (3,).
+
+    Lights and blocks as of `add_leaning`. Those of a block that lies wholly on one side are skipped
+    at once.
+
+    counted  (T,) uint8 room for marks, and eights the same eight by eight
+    Returns  how many they are
+    """
+    nx, ny, co = n[0], n[1], n[2]
+    fx, fy, fz = facet[0], facet[1], facet[2]
+    many = 0
+    for b in range(len(sines)):
+        cx, cy, cz = centres[b, 0], centres[b, 1], centres[b, 2]
+        if nx * cx + ny * cy + co * cz <= -sines[b]:
+            continue  # all of it is below the horizon
+        if not away and fx * cx + fy * cy + fz * cz > sines[b]:
+            continue  # all of it is above the facet
+        x, y, z = (
+            lights[0, firsts[b] : firsts[b + 1]],
+            lights[1, firsts[b] : firsts[b + 1]],
+            lights[2, firsts[b] : firsts[b + 1]],
+        )
+        for j in range(len(x)):
+            lit = nx * x[j] + ny * y[j] + co * z[j] > LEAST
+            below = fx * x[j] + fy * y[j] + fz * z[j] < 0
+            counted[j] = lit & (below | away)
+        for j in range(len(x), (len(x) + 7) // 8 * 8):
+            counted[j] = 0
+        for m in range((len(x) + 7) // 8):
+            if eights[m] == 0:
+                continue  # most do not count, and those that do are neighbours
+            for j in range(8 * m, 8 * m + 8):
+                which[many] = firsts[b] + j
+                many += counted[j]
+    return many
+
+
+@_inlined
+def _set_lights(r, which, first, many, lights, density):
+    """Set rows W, H, ENERGY, DENSITY and CD of the lanes r for listed lights from `first` on.
+
+    Lanes beyond the last of `many` repeat the first and have no energy. Rows P and SUM are cleared.
+    """
+    here = min(LANES, many - first)
+    for j in range(here, LANES):
+        which[first + j] = which[first]
+    for j in range(LANES):
+        at = np.intp(which[first + j])
+        for m in range(9):
+            r[m, j] = lights[m, at]
+        r[DENSITY, j] = density[at]
+    for j in range(here, LANES):
+        r[ENERGY, j] = r[ENERGY + 1, j] = r[ENERGY + 2, j] = np.float32(0)
+    for j in range(LANES):
+        r[CD, j] = max(r[H + 2, j], np.float32(1e-6))
+        r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
+
+
+@_inlined
+def _add_lost(r, facet, away, red, green, blue):
+    """Return the sums of three channels, plus what the lanes r reflect of what Cycles loses.
+
+    Below the facet (3,) the share p²/(p² + q²) of it is lost, p the density of the closures, and q
+    that of the light. away: what is reflected instead, which is all but that share.
+    """
+    fx, fy, fz = facet[0], facet[1], facet[2]
+    whole, sign = (ONE, -ONE) if away else (np.float32(0), ONE)
+    for j in range(LANES):
+        p2 = r[P, j] * r[P, j]
+        below = fx * r[W, j] + fy * r[W + 1, j] + fz * r[W + 2, j] < 0
+        share = p2 / max(p2 + r[DENSITY, j] * r[DENSITY, j], np.float32(1e-30))
+        share = whole + sign * (share if below else np.float32(0))
+        red += share * r[SUM, j] * r[ENERGY, j]
+        green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
+        blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+    return red, green, blue
+
+
 @_compiled
 def add_leaning(
     kinds: np.ndarray,
@@ -797,55 +890,16 @@ def add_leaning(
     ends = np.empty(closures, np.float32)
     picked = np.empty(closures, np.float32)
     counts = np.ones(closures, np.uint8)
-    # the share is p²/(p² + q²), or of light below the facet the rest
-    whole, sign = (ONE, -ONE) if away else (np.float32(0), ONE)
     for i in range(len(n)):
-        nx, ny, co = n[i, 0], n[i, 1], n[i, 2]
-        fx, fy, fz = facets[i, 0], facets[i, 1], facets[i, 2]
+        _set_closures(n[i], tables, counts, v, axes, picked)
         for k in range(closures):
-            _parameters(tables[k], abs(co), v[k])
-            axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
             ends[k] = _end(v[k, 0], extents[k])
-        _picked(v, counts, picked)
-        many = 0
-        for b in range(len(sines)):
-            cx, cy, cz = centres[b, 0], centres[b, 1], centres[b, 2]
-            if nx * cx + ny * cy + co * cz <= -sines[b]:
-                continue  # all of it is below the horizon
-            if not away and fx * cx + fy * cy + fz * cz > sines[b]:
-                continue  # all of it is above the facet
-            x, y, z = (
-                lights[0, firsts[b] : firsts[b + 1]],
-                lights[1, firsts[b] : firsts[b + 1]],
-                lights[2, firsts[b] : firsts[b + 1]],
-            )
-            for j in range(len(x)):
-                lit = nx * x[j] + ny * y[j] + co * z[j] > LEAST
-                below = fx * x[j] + fy * y[j] + fz * z[j] < 0
-                counted[j] = lit & (below | away)
-            for j in range(len(x), (len(x) + 7) // 8 * 8):
-                counted[j] = 0
-            for m in range((len(x) + 7) // 8):
-                if eights[m] == 0:
-                    continue  # most do not count, and those that do are neighbours
-                for j in range(8 * m, 8 * m + 8):
-                    which[many] = firsts[b] + j
-                    many += counted[j]
+        many = _list_lights(
+            n[i], facets[i], away, lights, firsts, centres, sines, counted, eights, which
+        )
         red = green = blue = np.float32(0)
         for first in range(0, many, LANES):
-            here = min(LANES, many - first)
-            for j in range(here, LANES):
-                which[first + j] = which[first]
-            for j in range(LANES):
-                at = np.intp(which[first + j])
-                for m in range(9):
-                    r[m, j] = lights[m, at]
-                r[DENSITY, j] = density[at]
-            for j in range(here, LANES):
-                r[ENERGY, j] = r[ENERGY + 1, j] = r[ENERGY + 2, j] = np.float32(0)
-            for j in range(LANES):
-                r[CD, j] = max(r[H + 2, j], np.float32(1e-6))
-                r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
+            _set_lights(r, which, first, many, lights, density)
             for k in range(closures):
                 matte = kinds[k] == DIFFUSE
                 # Cycles drops closures that it never draws
@@ -853,14 +907,7 @@ def add_leaning(
                     least = np.float32(-2) if matte else LEAST
                     ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
                     _add_lobe(kinds[k], r, v[k], ax, ay, az, least, ends[k], picked[k])
-            for j in range(LANES):
-                p2 = r[P, j] * r[P, j]
-                below = fx * r[W, j] + fy * r[W + 1, j] + fz * r[W + 2, j] < 0
-                share = p2 / max(p2 + r[DENSITY, j] * r[DENSITY, j], np.float32(1e-30))
-                share = whole + sign * (share if below else np.float32(0))
-                red += share * r[SUM, j] * r[ENERGY, j]
-                green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
-                blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+            red, green, blue = _add_lost(r, facets[i], away, red, green, blue)
         out[i, 0] += red
         out[i, 1] += green
         out[i, 2] += blue
@@ -903,6 +950,84 @@ def _draw_turned(r, n, facet, axis, least, exponent, drawn, first):
         r[BELOW, j] = np.float32(0) if counts else ONE
 
 
+@_inlined
+def _set_pattern(count, drawn):
+    """Set the first `count` of drawn (3, …) to log u, and cosine and sine of φ, evenly spread."""
+    for j in range(count):
+        phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
+        drawn[0, j] = math.log((np.float32(j) + HALF) / np.float32(count))
+        drawn[1, j], drawn[2, j] = math.cos(phi), math.sin(phi)
+
+
+@_inlined
+def _keep_turned(r, n, facet, axis, least, exponent, drawn, count, kept):
+    """Set kept (7, …) to rows W, H and CD of the half vectors that face away and count.
+
+    Arguments as of `_draw_turned`, of which `count` are drawn. Returns how many are kept.
+    """
+    many = 0
+    for first in range(0, count, LANES):
+        here = min(LANES, count - first)
+        _draw_turned(r, n, facet, axis, least, exponent, drawn, first)
+        for j in range(here):
+            for m in range(6):  # rows W and H
+                kept[m, many] = r[m, j]
+            kept[6, many] = r[CD, j]
+            many += r[BELOW, j] == 0
+    return many
+
+
+@_inlined
+def _set_kept(r, kept, first, many):
+    """Set rows W, H and CD of the lanes r to the kept half vectors from `first` on.
+
+    BELOW is 1 in lanes beyond the last of `many`. Rows P and SUM are cleared.
+    """
+    here = min(LANES, many - first)
+    for m in range(6):
+        for j in range(LANES):
+            r[m, j] = kept[m, first + j]
+    for j in range(LANES):
+        r[CD, j] = kept[6, first + j]
+        r[BELOW, j] = np.float32(0) if j < here else ONE
+        r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
+
+
+@_inlined
+def _look_up_light(r, light, density, rotation, height, width, texels):
+    """Set rows ENERGY and DENSITY of the lanes r to the light's in directions W of any length.
+
+    light     (T, 3) radiance of the map's texels; density (T,); texels (LANES,) room
+    rotation  nine numbers, from the camera frame to the light frame
+    """
+    for j in range(LANES):
+        wx, wy, wz = r[W, j], r[W + 1, j], r[W + 2, j]
+        length = math.sqrt(max(wx * wx + wy * wy + wz * wz, np.float32(1e-24)))
+        wx, wy, wz = wx / length, wy / length, wz / length
+        row, column = _texel(rotation, wx, wy, wz, height, width)
+        texels[j] = row * width + column
+    for j in range(LANES):
+        r[DENSITY, j] = density[texels[j]]
+        for c in range(3):
+            r[ENERGY + c, j] = light[texels[j], c]
+
+
+@_inlined
+def _add_weighted(r, red, green, blue):
+    """Return the sums of three channels, plus the lanes' f cos_i L p/(p² + q²) where BELOW is 0.
+
+    That is the weight of a sample that is drawn by the density p beside those by the light's q.
+    """
+    for j in range(LANES):
+        p, q = r[P, j], r[DENSITY, j]
+        share = p / max(p * p + q * q, np.float32(1e-30))
+        share = share if r[BELOW, j] == 0 else np.float32(0)
+        red += share * r[SUM, j] * r[ENERGY, j]
+        green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
+        blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+    return red, green, blue
+
+
 @_compiled
 def add_misdirected(
     kinds: np.ndarray,
@@ -938,20 +1063,14 @@ def add_misdirected(
     picked = np.empty(closures, np.float32)
     counts = np.ones(closures, np.uint8)
     padded = (count + LANES - 1) // LANES * LANES
-    drawn = np.zeros((3, padded), np.float32)  # log u, and cosine and sine of φ
-    kept = np.ones((7, padded + LANES), np.float32)  # rows W, H and CD of those that count
-    for j in range(count):
-        phi = np.float32(2) * PI * ((np.float32(j) * GOLDEN) % ONE)
-        drawn[0, j] = math.log((np.float32(j) + HALF) / np.float32(count))
-        drawn[1, j], drawn[2, j] = math.cos(phi), math.sin(phi)
+    drawn = np.zeros((3, padded), np.float32)
+    kept = np.ones((7, padded + LANES), np.float32)
+    _set_pattern(count, drawn)
     for i in range(len(n)):
-        co = n[i, 2]
+        _set_closures(n[i], tables, counts, v, axes, picked)
         for k in range(closures):
-            _parameters(tables[k], abs(co), v[k])
-            axes[k, 0], axes[k, 1], axes[k, 2] = _axis(n[i], v[k, 1])
             if kinds[k] == DIFFUSE:
-                axes[k, 0], axes[k, 1], axes[k, 2] = n[i, 0], n[i, 1], co
-        _picked(v, counts, picked)
+                axes[k, 0], axes[k, 1], axes[k, 2] = n[i, 0], n[i, 1], n[i, 2]
         for k in range(closures):
             if kinds[k] != ASHIKHMIN_SHIRLEY or picked[k] <= 0 or axes[k, 2] <= LEAST:
                 continue
@@ -961,46 +1080,16 @@ def add_misdirected(
             chance = np.float32(least**exponent)
             if chance < np.float32(1e-4):
                 continue  # hardly any half vector faces away
-            many = 0
-            for first in range(0, count, LANES):
-                here = min(LANES, count - first)
-                _draw_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, first)
-                for j in range(here):
-                    for m in range(6):  # rows W and H
-                        kept[m, many] = r[m, j]
-                    kept[6, many] = r[CD, j]
-                    many += r[BELOW, j] == 0
+            many = _keep_turned(r, n[i], facets[i], axes[k], least, exponent, drawn, count, kept)
             red = green = blue = np.float32(0)
             for first in range(0, many, LANES):
-                here = min(LANES, many - first)
-                for m in range(6):
-                    for j in range(LANES):
-                        r[m, j] = kept[m, first + j]
-                for j in range(LANES):
-                    r[CD, j] = kept[6, first + j]
-                    r[BELOW, j] = np.float32(0) if j < here else ONE
-                    r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
+                _set_kept(r, kept, first, many)
                 for m in range(closures):
                     bx, by, bz = axes[m, 0], axes[m, 1], axes[m, 2]
                     if bz > LEAST:
                         _add_lobe(kinds[m], r, v[m], bx, by, bz, LEAST, np.float32(0), picked[m])
-                for j in range(LANES):
-                    wx, wy, wz = r[W, j], r[W + 1, j], r[W + 2, j]
-                    length = math.sqrt(max(wx * wx + wy * wy + wz * wz, np.float32(1e-24)))
-                    wx, wy, wz = wx / length, wy / length, wz / length
-                    row, column = _texel(rotation, wx, wy, wz, height, width)
-                    texels[j] = row * width + column
-                for j in range(LANES):
-                    r[DENSITY, j] = other[texels[j]]
-                    for c in range(3):
-                        r[ENERGY + c, j] = flat[texels[j], c]
-                for j in range(LANES):
-                    p, q = r[P, j], r[DENSITY, j]
-                    share = p / max(p * p + q * q, np.float32(1e-30))
-                    share = share if r[BELOW, j] == 0 else np.float32(0)
-                    red += share * r[SUM, j] * r[ENERGY, j]
-                    green += share * r[SUM + 1, j] * r[ENERGY + 1, j]
-                    blue += share * r[SUM + 2, j] * r[ENERGY + 2, j]
+                _look_up_light(r, flat, other, rotation, height, width, texels)
+                red, green, blue = _add_weighted(r, red, green, blue)
             scale = picked[k] * chance / np.float32(count)
             out[i, 0] += scale * red
             out[i, 1] += scale * green

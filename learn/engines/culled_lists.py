@@ -34,7 +34,6 @@ from learn.engines.block_cuts import (
     write_entry,
 )
 from learn.engines.cones import along_axis, cone_about, nearest_cosine
-from learn.engines.distant import clear
 from learn.engines.exponentials import log2
 from learn.engines.layout import (
     CONE_ENERGY,
@@ -54,6 +53,7 @@ from learn.engines.layout import (
     SELECT_STRIDE,
     SELECT_WEIGHT,
 )
+from learn.engines.triples import clear
 from learn.engines.vector import FLOAT_POINTER, INT_POINTER, anywhere, load, maximum, store
 
 SELECT = types.void(*[types.int64] * 7, *[FLOAT_POINTER] * 5, *[INT_POINTER] * 2)

@@ -12,18 +12,12 @@ from learn.engines.compilation import inlined
 from learn.engines.distant import (
     add_by_n,
     add_radiance,
-    add_vector,
-    clear,
     cosine,
     half_offset,
     peak_cosine,
-    product,
     reflectance,
     reflectance_backward,
-    scaled,
-    vector_at,
     w_of,
-    write_sums,
 )
 from learn.engines.layout import (
     CULLED_SCRATCH,
@@ -35,6 +29,7 @@ from learn.engines.layout import (
     LANES,
     LOBE_STRIDE,
 )
+from learn.engines.triples import add_vector, clear, product, scaled, vector_at, write_sums
 from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,

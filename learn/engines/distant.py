@@ -44,6 +44,18 @@ from learn.engines.layout import (
     W_Y,
     W_Z,
 )
+from learn.engines.triples import (
+    Triple,
+    add_to,
+    add_vector,
+    clear,
+    combined,
+    dot,
+    product,
+    scaled,
+    vector_at,
+    write_sums,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
@@ -52,7 +64,6 @@ from learn.engines.vector import (
     anywhere,
     fma,
     lane_max,
-    lane_sum,
     load,
     maximum,
     select,
@@ -66,38 +77,6 @@ LN2 = 0.6931471805599453
 
 FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 11)
-
-Triple = tuple[float, float, float]  # a vector that all lanes share
-
-
-@inlined
-def vector_at(vectors: np.ndarray, p: int) -> Triple:
-    """The vector whose three floats begin at place p of an array (P, 3)."""
-    return vectors[p], vectors[p + 1], vectors[p + 2]
-
-
-@inlined
-def dot(a: Vector, b: Vector) -> Lanes:
-    """The scalar product a·b."""
-    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
-
-
-@inlined
-def combined(p: Lanes, a: Vector, q: Lanes, b: Vector) -> Vector:
-    """p a + q b."""
-    return fma(p, a[0], q * b[0]), fma(p, a[1], q * b[1]), fma(p, a[2], q * b[2])
-
-
-@inlined
-def scaled(a: Lanes, b: Vector) -> Vector:
-    """a b."""
-    return a * b[0], a * b[1], a * b[2]
-
-
-@inlined
-def product(a: Vector, b: Vector) -> Vector:
-    """The products of the components of a and b."""
-    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @inlined
@@ -152,34 +131,6 @@ def is_seen(nearest: float, least: np.ndarray, o: int, cut: float) -> bool:
     nearest  the largest log2 c of the block's lights
     """
     return nearest * min(least[o], least[o + 1], least[o + 2]) > cut
-
-
-@inlined
-def add_to(pointer: np.ndarray, o: int, value: Lanes) -> None:
-    """Add sixteen floats to those at offset o."""
-    store(pointer, o, load(pointer, o) + value)
-
-
-@inlined
-def add_vector(pointer: np.ndarray, o: int, value: Vector) -> None:
-    """Add three rows of sixteen floats to those from offset o on."""
-    add_to(pointer, o, value[0])
-    add_to(pointer, o + LANES, value[1])
-    add_to(pointer, o + 2 * LANES, value[2])
-
-
-@inlined
-def clear(pointer: np.ndarray, o: int, count: int) -> None:
-    """Write zeros into `count` rows from offset o on."""
-    for i in range(count):
-        store(pointer, o + LANES * i, splat(0.0))
-
-
-@inlined
-def write_sums(sums: np.ndarray, o: int, count: int, out: np.ndarray, to: int) -> None:
-    """Write the sums over lanes of `count` rows."""
-    for i in range(count):
-        out[to + i] = lane_sum(load(sums, o + LANES * i))
 
 
 @inlined

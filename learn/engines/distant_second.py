@@ -30,22 +30,7 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import (
-    LN2,
-    Triple,
-    add_to,
-    add_vector,
-    clear,
-    cosine,
-    dot,
-    first_block,
-    half_offset,
-    is_seen,
-    peak_cosine,
-    vector_at,
-    w_of,
-    write_sums,
-)
+from learn.engines.distant import LN2, cosine, first_block, half_offset, is_seen, peak_cosine, w_of
 from learn.engines.exponentials import exp2, exp2m1
 from learn.engines.layout import (
     CHANNEL_STRIDE,
@@ -59,6 +44,7 @@ from learn.engines.layout import (
     LOBE_STRIDE,
     LOBES_STRIDE,
 )
+from learn.engines.triples import Triple, add_to, add_vector, clear, dot, vector_at, write_sums
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,

@@ -11,33 +11,17 @@ cut       (blocks,): a lobe with log2 c^γ below it everywhere in a block is lef
 
     s = w + v, t = w − v, h = s/‖s‖, θ_d = arctan(‖t‖/‖s‖), c = n·h = 1 − ½‖h − n‖²;   the sum as in
     learn.engines.distant
-
-s is kept as a float and its rounding error, and v's length is set right, so that h − n is right to
-its own size: a lobe of γ = 1e5 needs it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numba import float32, float64, types
+from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import (
-    LN2,
-    Triple,
-    add_to,
-    add_vector,
-    clear,
-    combined,
-    dot,
-    first_block,
-    is_seen,
-    peak_cosine,
-    vector_at,
-    w_of,
-    write_sums,
-)
+from learn.engines.distant import LN2, first_block, is_seen, w_of
 from learn.engines.exponentials import angle, exp2, exp2m1
+from learn.engines.halfway import LEAST_SQUARE, HalfVectors, half_vectors, view_at
 from learn.engines.layout import (
     CHANNEL_VALUES,
     CONTROL_VALUES,
@@ -50,11 +34,19 @@ from learn.engines.layout import (
     LOBE_VALUES,
     STEPS_OF_CURVE,
     VALUES,
-    W_REST_X,
-    W_REST_Y,
-    W_REST_Z,
 )
 from learn.engines.splines import ANGLE_TO_X, Basis, Tents, add_curve, basis, curve, slope, tents
+from learn.engines.triples import (
+    Triple,
+    add_to,
+    add_vector,
+    clear,
+    combined,
+    difference,
+    dot,
+    vector_at,
+    write_sums,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
@@ -70,27 +62,8 @@ from learn.engines.vector import (
     sqrt,
 )
 
-LEAST_SQUARE = 1e-9  # of ‖s‖: where the light is in front of the horizon it is above HORIZON²
-
 FORWARD = types.void(*[types.int64] * 4, *[FLOAT_POINTER] * 8)
 BACKWARD = types.void(*[types.int64] * 5, *[FLOAT_POINTER] * 14)
-
-
-class HalfVectors(NamedTuple):
-    """Half vectors of one pixel's view with sixteen lights, camera frame.
-
-    s          w + v, and s_square its ‖s‖², at least LEAST_SQUARE
-    inverse_s  1/‖s‖
-    offset     h − n
-    c, log_c   c = n·h, and log2 c
-    """
-
-    s: Vector
-    s_square: Lanes
-    inverse_s: Lanes
-    offset: Vector
-    c: Lanes
-    log_c: Lanes
 
 
 class Material(NamedTuple):
@@ -109,76 +82,6 @@ class Spline(NamedTuple):
 
     basis: Basis
     tents: Tents
-
-
-@inlined
-def two_sum(a: Lanes, b: Lanes) -> tuple[Lanes, Lanes]:
-    """a + b and its rounding error."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
-
-
-@inlined
-def shortfall(x: float, y: float, z: float) -> np.float32:
-    """1/‖v‖ − 1 of a vector that was scaled to unit length in float32."""
-    x64, y64, z64 = float64(x), float64(y), float64(z)
-    return float32(0.5 * (1.0 - (x64 * x64 + y64 * y64 + z64 * z64)))
-
-
-@inlined
-def view_at(v: np.ndarray, p: int) -> tuple[Vector, np.float32]:
-    """The view at place p of an array (P, 3), in all lanes, and by which part it is too short."""
-    x, y, z = v[p], v[p + 1], v[p + 2]
-    return (splat(x), splat(y), splat(z)), shortfall(x, y, z)
-
-
-@inlined
-def square(x: Lanes, y: Lanes, z: Lanes) -> Lanes:
-    """x² + y² + z²."""
-    return fma(x, x, fma(y, y, z * z))
-
-
-@inlined
-def difference(a: Vector, b: Vector) -> Vector:
-    """a − b."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
-def w_plus_v(geometry: np.ndarray, o: int, v: Vector, v_short: np.float32) -> tuple[Vector, Vector]:
-    """s = w + v as three floats and their three rounding errors; v_short: of `view_at`."""
-    wx, wy, wz = w_of(geometry, o)
-    sx, rx = two_sum(wx, v[0])
-    sy, ry = two_sum(wy, v[1])
-    sz, rz = two_sum(wz, v[2])
-    rx = fma(v[0], v_short, rx + load(geometry, o + LANES * W_REST_X))
-    ry = fma(v[1], v_short, ry + load(geometry, o + LANES * W_REST_Y))
-    rz = fma(v[2], v_short, rz + load(geometry, o + LANES * W_REST_Z))
-    return (sx, sy, sz), (rx, ry, rz)
-
-
-@inlined
-def offset(s: Lanes, rest: Lanes, n: Lanes, inverse: Lanes) -> Lanes:
-    """One component of h − n, inverse = 1/‖s‖."""
-    return fma(rest, inverse, fma(s, inverse, 0.0 - n))
-
-
-@inlined
-def half_vectors(
-    geometry: np.ndarray, o: int, n: Triple, v: Vector, v_short: np.float32
-) -> HalfVectors:
-    """A pixel's half vectors h = (w + v)/‖w + v‖ with the lights of the block at offset o."""
-    (sx, sy, sz), (rx, ry, rz) = w_plus_v(geometry, o, v, v_short)
-    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
-    inverse = 1.0 / sqrt(s_square)
-    from_n = (
-        offset(sx, rx, n[0], inverse),
-        offset(sy, ry, n[1], inverse),
-        offset(sz, rz, n[2], inverse),
-    )
-    c, log_c = peak_cosine(from_n)
-    return HalfVectors((sx, sy, sz), s_square, inverse, from_n, c, log_c)
 
 
 @inlined
@@ -234,7 +137,7 @@ def forward(
             if not is_seen(nearest, least, 0, cut[block]):
                 continue
             t = difference(w, view)
-            b = basis(angle(square(t[0], t[1], t[2]), half.s_square))
+            b = basis(angle(dot(t, t), half.s_square))
             f0, f1, f2 = reflectance(m, least, cut[block], nearest, half.log_c, b)
             n_w = maximum(n_w, 0.0)
             i0 = fma(f0 * n_w, load(energy, e), i0)
@@ -452,7 +355,7 @@ def backward(
                     if not is_seen(nearest, least, 0, cut[block]):
                         continue
                     t = difference(w, view)
-                    t_square = square(t[0], t[1], t[2])
+                    t_square = dot(t, t)
                     theta_d = angle(t_square, half.s_square)
                     by_w, by_c, by_x = block_backward(
                         material, cut[block], nearest, half.log_c,

@@ -30,17 +30,7 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import (
-    LN2,
-    Triple,
-    add_vector,
-    clear,
-    combined,
-    dot,
-    is_seen,
-    vector_at,
-    write_sums,
-)
+from learn.engines.distant import LN2, is_seen
 from learn.engines.exponentials import angle
 from learn.engines.footprints import (
     TINY,
@@ -53,16 +43,8 @@ from learn.engines.footprints import (
     store_footprint,
     texel_of,
 )
-from learn.engines.general import (
-    LEAST_SQUARE,
-    Material,
-    Spline,
-    by_s_and_t,
-    channel_backward,
-    difference,
-    reflectance,
-    square,
-)
+from learn.engines.general import Material, Spline, by_s_and_t, channel_backward, reflectance
+from learn.engines.halfway import LEAST_SQUARE
 from learn.engines.layout import (
     FOOTPRINT_BY_M,
     FOOTPRINT_BY_N,
@@ -82,6 +64,16 @@ from learn.engines.layout import (
     VALUES,
 )
 from learn.engines.splines import basis, tents
+from learn.engines.triples import (
+    Triple,
+    add_vector,
+    clear,
+    combined,
+    difference,
+    dot,
+    vector_at,
+    write_sums,
+)
 from learn.engines.vector import (
     FLOAT_POINTER,
     Lanes,
@@ -398,7 +390,7 @@ def backward(
                     at = footprint(ray.w, ray.spread, rotation, height, width)
                     texel = look_up_light(scratch, work, texels, at)
                     t = difference(ray.w, view)
-                    t_square = square(t[0], t[1], t[2])
+                    t_square = dot(t, t)
                     s_square = maximum(4.0 * ray.cos_d * ray.cos_d, LEAST_SQUARE)
                     theta_d = angle(t_square, s_square)
                     by_w, by_c, by_x = samples_backward(

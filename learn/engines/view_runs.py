@@ -18,9 +18,9 @@ A run's part of the scratch is described in learn.engines.layout (VIEW_…).
 import numpy as np
 
 from learn.engines.compilation import inlined
-from learn.engines.distant import Triple, peak_cosine, w_of
+from learn.engines.distant import peak_cosine, w_of
 from learn.engines.exponentials import angle
-from learn.engines.general import LEAST_SQUARE, shortfall, square, two_sum
+from learn.engines.halfway import LEAST_SQUARE, shortfall, two_sum
 from learn.engines.layout import (
     BASIS_STRIDE,
     CHANNEL_VALUES,
@@ -42,6 +42,7 @@ from learn.engines.layout import (
     W_REST_Z,
 )
 from learn.engines.splines import ANGLE_TO_X, Basis, add_curve, basis, curve, tents
+from learn.engines.triples import Triple, dot
 from learn.engines.vector import (
     Lanes,
     Vector,
@@ -128,14 +129,15 @@ def shared(geometry: np.ndarray, o: int, scratch: np.ndarray, c: int, furthest: 
     rx = rx + load(geometry, o + LANES * W_REST_X)
     ry = ry + load(geometry, o + LANES * W_REST_Y)
     rz = rz + load(geometry, o + LANES * W_REST_Z)
-    s_square = maximum(square(sx + rx, sy + ry, sz + rz), LEAST_SQUARE)
+    s, t = (sx + rx, sy + ry, sz + rz), (wx - vx, wy - vy, wz - vz)
+    s_square = maximum(dot(s, s), LEAST_SQUARE)
     inverse = 1.0 / sqrt(s_square)
     hx, hy, hz = sx * inverse, sy * inverse, sz * inverse
     # what rounding took off: fma(s, inverse, −h) is exact
     lx = fma(rx, inverse, fma(sx, inverse, 0.0 - hx))
     ly = fma(ry, inverse, fma(sy, inverse, 0.0 - hy))
     lz = fma(rz, inverse, fma(sz, inverse, 0.0 - hz))
-    t_square = square(wx - vx, wy - vy, wz - vz)
+    t_square = dot(t, t)
     # sin 2θ_d is held at ‖d‖: near its ends θ_d changes by ‖d‖/2 at most
     sine = maximum(sqrt(s_square * t_square), 2.0 * furthest)
     close = lane_max(inverse) * furthest < CLOSE
@@ -192,8 +194,8 @@ def make_lobes(
     """
     wx, wy, wz = w_of(geometry, o)
     vx, vy, vz = run[0]
-    s_square = maximum(square(wx + vx, wy + vy, wz + vz), LEAST_SQUARE)
-    theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
+    s, t = (wx + vx, wy + vy, wz + vz), (wx - vx, wy - vy, wz - vz)
+    theta_d = angle(dot(t, t), maximum(dot(s, s), LEAST_SQUARE))
     b, t = basis(theta_d), tents(theta_d)
     slopes = (
         -2.0 * t[0],

@@ -30,9 +30,9 @@ from learn.engines.block_cuts import (
 )
 from learn.engines.compilation import inlined
 from learn.engines.cones import Cone, along_axis, cone_about, nearest_cosine
-from learn.engines.distant import Triple, clear, w_of
+from learn.engines.distant import w_of
 from learn.engines.exponentials import angle, log2
-from learn.engines.general import LEAST_SQUARE, square
+from learn.engines.halfway import LEAST_SQUARE
 from learn.engines.layout import (
     CONE_ENERGY,
     CONE_STRIDE,
@@ -53,6 +53,7 @@ from learn.engines.layout import (
     THETA_BINS,
     VIEW_CUTS,
 )
+from learn.engines.triples import Triple, clear, dot
 from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,
@@ -128,12 +129,13 @@ def cone_of_h(w: Vector, chord_w: Lanes, v: Triple, chord_v: Lanes) -> Halfway:
     """
     (wx, wy, wz), (vx, vy, vz) = w, v
     sx, sy, sz = wx + vx, wy + vy, wz + vz
-    s_square = maximum(square(sx, sy, sz), LEAST_SQUARE)
+    t = wx - vx, wy - vy, wz - vz
+    s_square = maximum(dot((sx, sy, sz), (sx, sy, sz)), LEAST_SQUARE)
     inverse = 1.0 / sqrt(s_square)
     axis = sx * inverse, sy * inverse, sz * inverse
     gap = chord_w + chord_v
     cos_h, sin_h = half_angle(fma(gap, inverse, 1e-6))
-    theta_d = angle(square(wx - vx, wy - vy, wz - vz), s_square)
+    theta_d = angle(dot(t, t), s_square)
     # for one pixel's view the cone is narrower, and about another axis
     alone = chord_w / maximum(1.0 / inverse - gap, 1e-6) + 1e-6
     return Halfway(axis, cos_h, sin_h, theta_d, alone)

@@ -12,28 +12,11 @@ from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.culled_sums import unpack
-from learn.engines.distant import (
-    LN2,
-    Triple,
-    add_radiance,
-    add_to,
-    add_vector,
-    clear,
-    combined,
-    cosine,
-    vector_at,
-    w_of,
-    write_sums,
-)
+from learn.engines.distant import LN2, add_radiance, cosine, w_of
 from learn.engines.exponentials import exp2, exp2m1
-from learn.engines.general import square
 from learn.engines.layout import (
     CULLED_NORMALS,
-    CULLED_TILE,
-    CUT_AXIS,
-    CUT_REACH,
     ENERGY_STRIDE,
-    GENERAL_STRIDE,
     LANES,
     RUN_CHANNEL_STRIDE,
     RUN_GAMMA,
@@ -51,20 +34,19 @@ from learn.engines.layout import (
     VIEW_V_SUMS,
     VIEW_VIEWS,
 )
+from learn.engines.triples import Triple, add_to, add_vector, clear, combined, vector_at, write_sums
 from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,
     Lanes,
     Vector,
     anywhere,
-    bits,
     fma,
     lane_max,
     load,
     lowest_bit,
     maximum,
     splat,
-    sqrt,
 )
 from learn.engines.vector import select as choose
 from learn.engines.view_runs import (
@@ -76,50 +58,10 @@ from learn.engines.view_runs import (
     shared,
     turn,
 )
+from learn.engines.viewed_entries import Arrays, Entry, Run, entry_at, pixels_near, unpack_views
 
 FORWARD = types.void(*[types.int64] * 6, *[FLOAT_POINTER] * 9, *[INT_POINTER] * 2)
 BACKWARD = types.void(*[types.int64] * 11, *[FLOAT_POINTER] * 13, *[INT_POINTER] * 2)
-
-
-class Arrays(NamedTuple):
-    """What both passes read: the arrays of that name, cuts as of learn.engines.viewed_lists."""
-
-    n: np.ndarray
-    geometry: np.ndarray
-    energy: np.ndarray
-    values: np.ndarray
-    cuts: np.ndarray
-
-
-class Entry(NamedTuple):
-    """An entry of a tile's list: a block of lights that may matter to the tile.
-
-    place   its number in cuts
-    o, e    offsets of the block in geometry and in energy
-    lowest  the log2 c above which some lobe counts
-    """
-
-    place: int
-    o: int
-    e: int
-    lowest: float
-
-
-class Run(NamedTuple):
-    """Some pixels of a run, of which an entry's block can matter to.
-
-    start     number of the first pixel of the run's tile
-    first     number of the run's first pixel in the tile
-    near      which of the run's pixels, as bits
-    furthest  the largest ‖d‖
-    alone     whether the run is one pixel, whose lobes need no slopes
-    """
-
-    start: int
-    first: int
-    near: int
-    furthest: float
-    alone: bool
 
 
 class Gradients(NamedTuple):
@@ -133,40 +75,6 @@ class Gradients(NamedTuple):
     m_sums: np.ndarray
     energy_at: int
     m_at: int
-
-
-@inlined
-def entry_at(place: int, entries: np.ndarray, cuts: np.ndarray, many: int) -> Entry:
-    """The list's entry of that number."""
-    block = entries[place]
-    lowest = lowest_cut(cuts, place, many)
-    return Entry(place, GENERAL_STRIDE * block, ENERGY_STRIDE * block, lowest)
-
-
-@inlined
-def pixels_near(scratch: np.ndarray, o: int, count: int, cuts: np.ndarray, entry: int) -> int:
-    """Which of sixteen pixels (at most `count`) an entry's block can matter to, as bits.
-
-    o  offset of their normals; their views are VIEW_VIEWS − CULLED_NORMALS behind
-    """
-    x, y, z = load(scratch, o), load(scratch, o + CULLED_TILE), load(scratch, o + 2 * CULLED_TILE)
-    a, v = VIEW_CUTS * entry + CUT_AXIS, o + VIEW_VIEWS - CULLED_NORMALS
-    sx = cuts[a] + load(scratch, v)
-    sy = cuts[a + 1] + load(scratch, v + CULLED_TILE)
-    sz = cuts[a + 2] + load(scratch, v + 2 * CULLED_TILE)
-    along = fma(x, sx, fma(y, sy, z * sz))
-    near = along > sqrt(square(sx, sy, sz)) * cuts[VIEW_CUTS * entry + CUT_REACH]
-    return bits(near) & ((1 << min(LANES, count)) - 1)
-
-
-@inlined
-def unpack_views(v: np.ndarray, start: int, count: int, scratch: np.ndarray, o: int) -> None:
-    """Write a tile's views as three rows at offset o."""
-    for j in range(CULLED_TILE):
-        for i in range(3):
-            scratch[o + CULLED_TILE * i + j] = (
-                v[3 * (start + j) + i] if j < count else types.float32(0.0)
-            )
 
 
 @inlined
@@ -217,15 +125,6 @@ def lobe_backward(
         by_c = slope * gamma
         by_x = fma(by_gamma * LN2, gamma_slope, by_kappa * kappa_slope)
     return value, by_c, by_x
-
-
-@inlined
-def lowest_cut(cuts: np.ndarray, entry: int, many: int) -> float:
-    """The log2 c above which some lobe of a list's entry counts."""
-    lowest = cuts[VIEW_CUTS * entry]
-    for s in range(1, many):
-        lowest = min(lowest, cuts[VIEW_CUTS * entry + s])
-    return lowest
 
 
 @inlined

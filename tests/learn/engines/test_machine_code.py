@@ -128,9 +128,11 @@ def test_the_key_covers_every_module_that_a_kernel_is_made_of():
         "distant",
         "exponentials",
         "general",
+        "halfway",
         "layout",
         "machine_code",
         "splines",
+        "triples",
         "vector",
     ]
 
