@@ -43,6 +43,9 @@ ACROSS, DOWN = 3, 7  # of `interpolate`: four rows each, of a spline's weights
 ROWS = 26
 
 _inlined = njit(forceinline=True, fastmath=True, error_model="numpy")
+# a step of one loop only, which becomes part of it before it is compiled: compiled by itself first,
+# it would add in another order
+_merged = njit(inline="always", fastmath=True, error_model="numpy")
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
@@ -757,7 +760,7 @@ def _picked(v, counts, shares):
         shares[k] /= max(several, np.float32(1e-30))
 
 
-@_inlined
+@_merged
 def _set_closures(n, tables, counts, v, axes, picked):
     """Set what closures are at a normal (3,): v (K, 5), axes (K, 3) and picked (K,).
 
@@ -770,7 +773,7 @@ def _set_closures(n, tables, counts, v, axes, picked):
     _picked(v, counts, picked)
 
 
-@_inlined
+@_merged
 def _list_lights(n, facet, away, lights, firsts, centres, sines, counted, eights, which):
     """Set which (T,) to the lights above a normal (3,) and, unless away, below its facet (3,).
 
@@ -809,7 +812,7 @@ def _list_lights(n, facet, away, lights, firsts, centres, sines, counted, eights
     return many
 
 
-@_inlined
+@_merged
 def _set_lights(r, which, first, many, lights, density):
     """Set rows W, H, ENERGY, DENSITY and CD of the lanes r for listed lights from `first` on.
 
@@ -830,7 +833,7 @@ def _set_lights(r, which, first, many, lights, density):
         r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
 
 
-@_inlined
+@_merged
 def _add_lost(r, facet, away, red, green, blue):
     """Return the sums of three channels, plus what the lanes r reflect of what Cycles loses.
 
@@ -950,7 +953,7 @@ def _draw_turned(r, n, facet, axis, least, exponent, drawn, first):
         r[BELOW, j] = np.float32(0) if counts else ONE
 
 
-@_inlined
+@_merged
 def _set_pattern(count, drawn):
     """Set the first `count` of drawn (3, …) to log u, and cosine and sine of φ, evenly spread."""
     for j in range(count):
@@ -959,7 +962,7 @@ def _set_pattern(count, drawn):
         drawn[1, j], drawn[2, j] = math.cos(phi), math.sin(phi)
 
 
-@_inlined
+@_merged
 def _keep_turned(r, n, facet, axis, least, exponent, drawn, count, kept):
     """Set kept (7, …) to rows W, H and CD of the half vectors that face away and count.
 
@@ -977,7 +980,7 @@ def _keep_turned(r, n, facet, axis, least, exponent, drawn, count, kept):
     return many
 
 
-@_inlined
+@_merged
 def _set_kept(r, kept, first, many):
     """Set rows W, H and CD of the lanes r to the kept half vectors from `first` on.
 
@@ -993,7 +996,7 @@ def _set_kept(r, kept, first, many):
         r[P, j] = r[SUM, j] = r[SUM + 1, j] = r[SUM + 2, j] = np.float32(0)
 
 
-@_inlined
+@_merged
 def _look_up_light(r, light, density, rotation, height, width, texels):
     """Set rows ENERGY and DENSITY of the lanes r to the light's in directions W of any length.
 
@@ -1012,7 +1015,7 @@ def _look_up_light(r, light, density, rotation, height, width, texels):
             r[ENERGY + c, j] = light[texels[j], c]
 
 
-@_inlined
+@_merged
 def _add_weighted(r, red, green, blue):
     """Return the sums of three channels, plus the lanes' f cos_i L p/(p² + q²) where BELOW is 0.
 
