@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from learn.data import shadow_kernels, shadows
+from learn.data import shadows
 from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data
@@ -38,7 +38,7 @@ def corner():
     n = np.zeros((SIZE, SIZE, 3), np.float32)
     n[..., 2] = 1
     depth = np.zeros((SIZE, SIZE), np.float32)
-    depth[:, : SIZE // 2] = -shadow_kernels.THICKNESS
+    depth[:, : SIZE // 2] = -shadows.THICKNESS
     return n, depth, np.ones((SIZE, SIZE), bool)
 
 
@@ -49,7 +49,7 @@ def test_a_wall_takes_the_share_of_light_that_its_form_factor_says():
     for beside in (4, 8):
         distance = (beside + 0.5) * pixel
         # a long wall of height h at distance d takes (1 - d / sqrt(d^2 + h^2)) / 2 of a floor's sky
-        height = shadow_kernels.THICKNESS
+        height = shadows.THICKNESS
         expected = 1 - (1 - distance / np.hypot(distance, height)) / 2
         value = result[SIZE // 2, SIZE // 2 + beside, 0]
         assert abs(value - expected) < 0.05, (beside, value, expected)
