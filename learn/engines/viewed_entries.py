@@ -49,7 +49,7 @@ class Entry(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Some pixels of a run, of which an entry's block can matter to.
+    """The pixels of a run that an entry's block can matter to.
 
     start     number of the first pixel of the run's tile
     first     number of the run's first pixel in the tile
