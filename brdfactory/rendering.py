@@ -12,7 +12,6 @@ from shaders import envmap
 from shaders.frames import ELEVATION
 
 PICTURE = "bf.decompose(photo, mask).light is the light of a picture"
-MOST_PIXELS = 64_000_000
 
 
 def light(text: str | Path, rotation_deg: float = 0.0) -> np.ndarray:

@@ -249,12 +249,12 @@ def write_figure(path: str | os.PathLike, figure: Any, **options: Any) -> None:
     write_with(path, lambda file: figure.savefig(file, format="png", **options))
 
 
-def npz_bytes(arrays: Mapping[str, Any], compressed: bool = True) -> bytes:
-    """Return the bytes of an .npz file of `arrays`, {name: array}."""
+def npz_bytes(arrays: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a compressed .npz file of `arrays`, {name: array}."""
     import numpy as np
 
     buffer = io.BytesIO()
-    (np.savez_compressed if compressed else np.savez)(buffer, **arrays)
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 

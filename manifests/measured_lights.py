@@ -21,7 +21,6 @@ from shaders import envmap
 
 FOLDER = Path(__file__).resolve().parent / "measured-lights"
 MAPS, CREDITS = FOLDER / "maps.npz", FOLDER / "maps.json"
-NOT_RECORDED = "author not recorded"
 
 
 class Credit(Struct, frozen=True, forbid_unknown_fields=True):

@@ -15,7 +15,6 @@ from manifests.wording import number_of
 if TYPE_CHECKING:
     from factory.shapes.mesh import Mesh
 
-CATEGORIES = ("car", "chair", "sofa", "monitor")
 EPILOG = """examples:
   python -m factory shapes list
   python -m factory shapes list --category chair ~/meshes

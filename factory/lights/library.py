@@ -40,7 +40,7 @@ def read_list(folder: str | Path) -> dict[str, dict[str, str]]:
         raise InputError(problem.where, problem.expected, problem.found, remedy) from None
 
 
-def add(path: str | Path, folder: str | Path, licence: str, source: str | None = None) -> str:
+def add(path: str | Path, folder: str | Path, licence: str) -> str:
     """Check a map, copy it into the folder and list it; return its name.
 
     The name is the file's, in lower case with dashes, or the older name of the same map. Raises
@@ -55,7 +55,7 @@ def add(path: str | Path, folder: str | Path, licence: str, source: str | None =
             return name
     data = path.read_bytes()
     target = _free(path, path.stem, path.suffix.lower(), folder, listed, data)
-    return _place(target, data, licence, source or path.name, listed)
+    return _place(target, data, licence, path.name, listed)
 
 
 def add_maps(

@@ -134,11 +134,3 @@ def looks_like_eight_bits(pixels: np.ndarray) -> bool:
         if max(len(known) for known in levels) > 256:
             return False
     return max(len(known) for known in levels) > 16
-
-
-def to_file_columns(L: np.ndarray) -> np.ndarray:
-    """Return a light-frame map (H, W, 3) with the columns of a file.
-
-    An image viewer, and Blender at rotation 0, expect these columns.
-    """
-    return envmap.roll(L, L.shape[1] // 4)

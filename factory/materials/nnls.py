@@ -24,19 +24,17 @@ def normal_equations(
     return weighted @ columns[:, None], (weighted @ target[..., None])[..., 0]
 
 
-def solve(
-    G: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def solve(G: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the minimisers, and which of their numbers are above 0.
 
-    G (N, K, K) positive semi-definite, b (N, K); initial (N, K) bool: a guess of those above 0
+    G (N, K, K) positive semi-definite, b (N, K)
     Returns  x (N, K) ≥ 0, active (N, K) bool
     """
     n, k = b.shape
     scale = 1 / np.sqrt(np.einsum("nkk->nk", G) + 1e-300)
     G = G * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
     b = b * scale
-    active = np.ones((n, k), bool) if initial is None else initial.copy()
+    active = np.ones((n, k), bool)
     fewest, patience = np.full(n, k + 1), np.full(n, 3)
     x, todo = np.zeros((n, k)), np.arange(n)
     for _ in range(20 * k):

@@ -31,7 +31,6 @@ def posts(
     rear: float,
     top: float,
     lean: float,
-    square: float = 5.0,
 ) -> BackPoint:
     """Add two rear posts that extend upwards from the seat; return `at` of their back."""
     size, curve = rng.uniform(0.014, 0.021), rng.uniform(-0.02, 0.05)
@@ -50,9 +49,7 @@ def posts(
         path = np.array([at(z, side) for z in np.linspace(h - 0.04, top, 12)])
         a.add(
             "post",
-            tube(
-                path, np.linspace(size * 1.1, size * 0.8, 12), around=14, square=square, bevel=0.8
-            ),
+            tube(path, np.linspace(size * 1.1, size * 0.8, 12), around=14, square=5.0, bevel=0.8),
             FRAME,
         )
     return at
@@ -94,22 +91,12 @@ def upright_bars(
     count: int,
     size: ArrayLike,
     share: float,
-    fan: float = 1.0,
-    segment: int = SOFT,
     square: float = 2.0,
 ) -> None:
-    """Add `count` bars from the seat (height low) to the top rail (high).
-
-    fan  how much wider they stand at the top
-    """
+    """Add `count` bars from the seat (height low) to the top rail (high)."""
     for s in np.linspace(-share, share, count):
-        path = np.array(
-            [
-                at(z, s * (1 + (fan - 1) * t))
-                for t, z in zip(np.linspace(0, 1, 9), np.linspace(low, high, 9), strict=True)
-            ]
-        )
-        a.add(part, tube(path, size, around=10, square=square), segment)
+        path = np.array([at(z, s) for z in np.linspace(low, high, 9)])
+        a.add(part, tube(path, size, around=10, square=square), SOFT)
 
 
 def hoop_path(

@@ -85,8 +85,9 @@ def stretchers(a: Assembly, rng: np.random.Generator, ends: Ends) -> None:
             )
 
 
-def apron(a: Assembly, w: float, d: float, h: float, rear: float, inset: float = 0.045) -> None:
+def apron(a: Assembly, w: float, d: float, h: float, rear: float) -> None:
     """Add the four boards under a wooden seat."""
+    inset = 0.045
     corner = {
         (f, s): np.array(
             [f * (d / 2 - inset), s * ((w if f > 0 else w * rear) / 2 - inset), h - 0.055]

@@ -27,7 +27,6 @@ SIZE, COVER = 256, 0.4
 LIGHT = (64, 128)
 FOV = np.radians(35.0)
 EAGER_CHUNK = 4  # pixels at a time: the fastest of 2, 4, 16, 64 on the machine it was tried on
-ENGINES = ("engine", "torch, tuned", "torch, plain")
 
 
 @dataclass(frozen=True)

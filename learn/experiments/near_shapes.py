@@ -47,11 +47,11 @@ def near(
     return torch.as_tensor(n)[None].float(), torch.as_tensor(view)[None].float()
 
 
-def far(size: int, depth: float = 0.0, seed: int = 0) -> torch.Tensor:
+def far(size: int, depth: float = 0.0) -> torch.Tensor:
     """Return normals (1, size, size, 3) of the same sphere for a distant viewer."""
     sphere = chart_cases.sphere(size)
     if not depth:
         return sphere
-    n = torch.as_tensor(dented(sphere[0].double().numpy(), depth, seed))[None].float()
+    n = torch.as_tensor(dented(sphere[0].double().numpy(), depth, 0))[None].float()
     seen = (sphere != 0).any(-1, keepdim=True) & (n[..., 2:] > 1e-3)
     return torch.where(seen, n, torch.zeros(()))

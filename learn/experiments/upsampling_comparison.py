@@ -28,9 +28,7 @@ from manifests.errors import InputError
 from manifests.store import file_hash
 
 
-def compare(
-    records: Records, weights: Path, out: Path, count: int, seed: int = 0
-) -> dict[str, Any]:
+def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str, Any]:
     """Return the report: each strategy's figures, and ratios to the strategy in use.
 
     Rows that `out` has are not measured again. Raises InputError where pictures have several
@@ -38,7 +36,7 @@ def compare(
     """
     network, metadata = checkpoint.load_parts(weights)
     size = metadata["size"]
-    edits = pairs.chosen(records.records, count, seed)
+    edits = pairs.chosen(records.records, count, 0)
     if any(edit.several for edit in edits):
         raise InputError(
             records.folder,

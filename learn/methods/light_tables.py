@@ -56,13 +56,13 @@ def padded(w: np.ndarray) -> np.ndarray:
     return np.concatenate([w, np.broadcast_to(w[-1], (-len(w) % LANES, 3))])
 
 
-def lights_at(w: np.ndarray, viewer: np.ndarray = VIEWER) -> Lights:
-    """The `Lights` of directions (T, 3), as a distant viewer sees them from direction `viewer`.
+def lights_at(w: np.ndarray) -> Lights:
+    """The `Lights` of directions (T, 3), as a distant viewer at VIEWER sees them.
 
     Neighbours in order should be neighbours on the sphere.
     """
     filled = padded(w)
-    h, theta_d = half_angles(filled, viewer)
+    h, theta_d = half_angles(filled, VIEWER)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
     rows = np.zeros((CONE_ROWS, len(cones) + -len(cones) % LANES))

@@ -33,9 +33,9 @@ def _one_draw(rng: np.random.Generator, groups: Groups) -> np.ndarray:
     return weight
 
 
-def draws(groups: Groups, count: int = DRAWS, seed: int = 0) -> np.ndarray:
+def draws(groups: Groups, count: int = DRAWS) -> np.ndarray:
     """Return weights (D, P) of D ≤ count draws; draws without any picture are left out."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = np.stack([_one_draw(rng, groups) for _ in range(count)])
     return weights[weights.sum(1) > 0]
 
@@ -54,14 +54,12 @@ def relative(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> list[float]:
     return [float(b.mean() / a.mean()), *(float(x) for x in np.percentile(result, LEVELS))]
 
 
-def ratio(
-    a: np.ndarray, b: np.ndarray, groups: Groups, count: int = DRAWS, seed: int = 0
-) -> list[float]:
+def ratio(a: np.ndarray, b: np.ndarray, groups: Groups, count: int = DRAWS) -> list[float]:
     """Return [mean b / mean a, low, high] of values (P,), or (R, P) of R runs.
 
     Runs, where there are several, are drawn with replacement too.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     A, B = np.atleast_2d(a), np.atleast_2d(b)
     results = []
     for _ in range(count):

@@ -31,7 +31,6 @@ DIFFUSE_ALBEDO = 0.8
 SILVER_ALPHA = 0.25  # its lobe is 5 texels wide, so that a sum over texels holds
 SILVER_F0 = 0.9
 SPHERES = ("diffuse", "silver", "mirror")
-FIGURES = ("rmse", "si_rmse", "angular_deg")
 
 
 def compare(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, float]:
@@ -48,7 +47,7 @@ def compare(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, 
 
 
 def errors(picture: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Return {figure of FIGURES: value} of radiance (P, 3) against the true radiance (P, 3)."""
+    """Return {figure: value} of radiance (P, 3) against the true radiance (P, 3)."""
     square = float((picture**2).sum())
     factor = float((picture * truth).sum()) / square if square > 0 else 0.0
     seen = picture.any(-1) & truth.any(-1)  # black has no colour

@@ -27,7 +27,6 @@ from manifests.errors import InputError
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 # three of the picture and zeros: oneDNN's backward pass for three takes twenty times as long
 CHANNELS = 16
-FEATURE_LAYERS = ("relu1_2", "relu2_2", "relu3_1")
 NUMBERS = (0, 2, 5, 7, 10)  # of these convolutions in torchvision's `features`
 HED_SHA256 = "ea4b07593b25591cb55be26ee4260a4cf8804462ca1f5e461c5a12c463496e33"
 HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0 … 255; the network takes BGR
@@ -79,7 +78,7 @@ class Features(nn.Module):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """Return [(B, C, h, w)] at the layers FEATURE_LAYERS, in the device's reduced type."""
+        """Return [(B, C, h, w)] at relu1_2, relu2_2 and relu3_1, in the device's reduced type."""
         kind = devices.reduced_type(x.device)
         self.convolutions.to(kind)
         x = F.pad((x - self.mean) / self.deviation, (0, 0, 0, 0, 0, CHANNELS - 3))

@@ -246,14 +246,14 @@ def _training_labels(stored: tensor_file.Stored) -> np.ndarray | None:
     return labels.numpy()
 
 
-def fill(network: torch.nn.Module, stored: tensor_file.Stored, prefix: str = "") -> None:
-    """Give a network the tensors of a file that have its own tensors' names after a prefix.
+def fill(network: torch.nn.Module, stored: tensor_file.Stored) -> None:
+    """Give a network the tensors of a file that have the names of its own.
 
     They must have been required before. Raises InputError for numbers that are not finite.
     """
     state = network.state_dict()
     network.load_state_dict(
-        {name: stored.tensor(prefix + name).to(mine.dtype) for name, mine in state.items()}
+        {name: stored.tensor(name).to(mine.dtype) for name, mine in state.items()}
     )
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 from factory.commands import lights as command
 from factory.lights import files, library, load, names, procedural
 from factory.lights.catalogue import wheel_maps
-from factory.lights.light import from_pixels, to_file_columns
+from factory.lights.light import from_pixels
 from factory.lights.preview import diffuse_sphere, mirror_sphere, sphere_normals
 from manifests.cli import main
 from manifests.errors import InputError
@@ -28,6 +28,11 @@ def encode(pixels):
     mantissa = np.floor(pixels / 2.0 ** exponent[..., None] * 256)
     bytes_ = np.concatenate([mantissa, exponent[..., None] + 128], axis=-1)
     return np.where(brightest[..., None] > 0, bytes_, 0).astype(np.uint8)
+
+
+def in_file(L):
+    """A light-frame map (H, W, 3) with the columns that it has in a file."""
+    return envmap.roll(L, L.shape[1] // 4)
 
 
 def header(height, width, extra=""):
@@ -164,7 +169,7 @@ def test_the_layers_map_is_the_full_map_averaged_by_solid_angle():
 
 def test_scale_times_map_gives_back_the_file(tmp_path, drawn):
     light = load(write_exr(tmp_path / "a.exr", drawn))
-    np.testing.assert_allclose(to_file_columns(light.L_full) * light.scale, drawn, rtol=1e-5)
+    np.testing.assert_allclose(in_file(light.L_full) * light.scale, drawn, rtol=1e-5)
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 180.0, 285.0])
@@ -409,7 +414,7 @@ def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_na
     tmp_path, rng, capsys
 ):
     fresh = np.exp(rng.standard_normal((64, 128, 3))).astype(np.float32)
-    turned = envmap.roll(3 * to_file_columns(load("city").L64), 40)
+    turned = envmap.roll(3 * in_file(load("city").L64), 40)
     np.savez(tmp_path / "maps.npz", Lagoon=fresh, copy=turned, again=fresh * 2)
     home = tmp_path / "library"
     assert run("add", tmp_path / "maps.npz", "--library", home, "--licence", "CC0") == 0
@@ -418,7 +423,7 @@ def test_add_takes_every_map_of_an_npz_but_those_that_are_there_under_another_na
     assert sorted(p.name for p in home.iterdir()) == ["lagoon.npz", "lights.json"]
     light = load("lagoon", library=home)
     assert light.licence == "CC0"
-    np.testing.assert_allclose(light.scale * to_file_columns(light.L_full), fresh, rtol=1e-5)
+    np.testing.assert_allclose(light.scale * in_file(light.L_full), fresh, rtol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["exr", "npz"])

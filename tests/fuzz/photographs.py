@@ -24,7 +24,6 @@ EIGHTH = 8
 ROLES = ("photograph", "mask", "regions", "material")
 BALANCES = ("none", "grey", (1.5, 1.0, 0.5), (0.01, 1.0, 100.0), (100.0, 100.0, 0.01))
 EXPOSURES = (None, None, None, None, 1.0, 1e-38, 1e-12, 1e-6, 30.0, 1e6, 1e12, 1e38)
-BOUND_MB = 1024
 
 
 def prepare(folder: Path) -> None:

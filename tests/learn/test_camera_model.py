@@ -12,7 +12,6 @@ from shaders.tone import LUMINANCE
 SIDE = 64
 ROWS, COLUMNS = np.mgrid[0:SIDE, 0:SIDE]
 DISK = np.hypot(ROWS - 31.5, COLUMNS - 31.5) < 25
-Number = tuple[np.ndarray, np.ndarray]
 
 
 def shaded() -> np.ndarray:

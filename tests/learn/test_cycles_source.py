@@ -195,11 +195,6 @@ def of_training(store, data, maps=None):
 # Bad data
 
 
-def rewrite(store, records):
-    (path,) = store.record_files()
-    path.write_bytes(b"".join(msgspec.json.encode(record) + b"\n" for record in records))
-
-
 @pytest.mark.parametrize("kind", ["missing", "truncated", "not finite"])
 def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, kind):
     path = damage(store, kind)

@@ -362,10 +362,6 @@ def circle(path):
     path.symlink_to(path)
 
 
-def endless(path):
-    path.symlink_to("/dev/zero")
-
-
 @pytest.mark.parametrize(
     ("make", "found"),
     [

@@ -58,14 +58,12 @@ def open_scene(blend: str) -> Any:
     return scene
 
 
-def render(scene: Any, folder: Path, pictures: int, file_format: str = "OPEN_EXR") -> list[Path]:
+def render(scene: Any, folder: Path, pictures: int) -> list[Path]:
     """Render pictures of seeds 0, 1, … into a folder, and return their files."""
     import bpy
 
     image = scene.render.image_settings
-    image.file_format = file_format
-    if file_format == "OPEN_EXR":
-        image.color_depth = "32"
+    image.file_format, image.color_depth = "OPEN_EXR", "32"
     files = []
     for seed in range(pictures):
         scene.cycles.seed = seed

@@ -14,7 +14,7 @@ from factory.render.camera import view_vectors
 from factory.render.studio import Studio
 from factory.render.validation import reference
 from factory.shapes.primitives import sphere
-from manifests.schema import Camera, Tier
+from manifests.schema import Camera
 from shaders import envmap, frames
 from shaders.mixture import Mixture
 
@@ -49,12 +49,10 @@ def _sphere(
     studio.set_view(azimuth)
 
 
-def _takes(
-    studio: Studio, samples: int, count: int, tier: Tier = "direct"
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _takes(studio: Studio, samples: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mean, variance (height, width, 3) and all of `count` pictures of different seeds."""
     pictures = np.array(
-        [studio.render(samples, seed, tier) for seed in range(count)], dtype=np.float64
+        [studio.render(samples, seed, "direct") for seed in range(count)], dtype=np.float64
     )
     return pictures.mean(0), pictures.var(0, ddof=1), pictures
 

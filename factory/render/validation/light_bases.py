@@ -65,7 +65,7 @@ def harmonics() -> Basis:
     return Basis(f"{len(maps)} harmonics", maps, weights)
 
 
-def factors(lights: Sequence[np.ndarray], count: int, seed: int = 0) -> Basis:
+def factors(lights: Sequence[np.ndarray], count: int) -> Basis:
     """Return the maps whose sums are nearest to given lights (non-negative factorisation).
 
     The weights hold for these lights alone. Nearest is by energy (Kullback-Leibler), so that lamps
@@ -75,7 +75,7 @@ def factors(lights: Sequence[np.ndarray], count: int, seed: int = 0) -> Basis:
     _, solid_angle = envmap.directions(height, width)
     energy = np.concatenate([np.moveaxis(L, -1, 0) for L in lights]) * solid_angle
     x = energy.reshape(len(energy), -1).astype(np.float32)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     w = rng.uniform(0.5, 1.5, (len(x), count)).astype(np.float32)
     h = x[rng.integers(len(x), size=count)] + x.mean(0)
     h /= h.sum(1, keepdims=True)

@@ -42,7 +42,7 @@ def shoe(a: Assembly, rng: Generator) -> None:
     inner = foot(wall)
     if kind == "boot":
         top = rng.uniform(1.0, 1.9)
-        shaft = [_shaft(top, width * rng.uniform(0.85, 1.1), inset) for inset in (0.0, wall)]
+        shaft = [_shaft(width * rng.uniform(0.85, 1.1), inset) for inset in (0.0, wall)]
         body = fields.union([foot(0.0), shaft[0]], 0.25)
         inner = fields.union([inner, shaft[1]], 0.25)
         opened = [fields.half_space((0, 0, -1), -top), inner]
@@ -91,8 +91,8 @@ def _highest(values, blend):
     return result
 
 
-def _shaft(top, half, inset):
-    """The leg of a boot: an oval column about the heel that ends at `top`."""
+def _shaft(half, inset):
+    """The leg of a boot: an oval column about the heel."""
 
     def field(p: np.ndarray) -> np.ndarray:
         widen = 1 + 0.12 * np.maximum(p[..., 2] - 0.6, 0)

@@ -218,13 +218,12 @@ def turned(field: Field, rotation: np.ndarray) -> Field:
     return lambda p: field(p @ rotation)
 
 
-def mirrored(field: Field, axis: int = 1) -> Field:
-    """The solid's half at positive coordinates, and its mirror image."""
-    sign = np.array([1.0, 1.0, 1.0])
+def mirrored(field: Field) -> Field:
+    """The solid's half at positive y, and its mirror image."""
 
     def mirrored_field(p: np.ndarray) -> np.ndarray:
-        q = p * sign
-        q[..., axis] = np.abs(q[..., axis])
+        q = np.copy(p)
+        q[..., 1] = np.abs(q[..., 1])
         return field(q)
 
     return mirrored_field

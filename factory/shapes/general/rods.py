@@ -140,7 +140,7 @@ def cycle(a: Assembly, rng: Generator) -> None:
     {"bicycle": _bicycle, "tricycle": _tricycle, "penny": _penny, "scooter": _scooter}[kind](a, rng)
 
 
-def _wheel(a, rng, at, radius, tyre, spokes, wide=0.06):
+def _wheel(a, at, radius, tyre, spokes, wide=0.06):
     """A wheel in the x–z plane about `at`: tyre, rim, hub and spokes, or a disc without them."""
     t = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     circle = np.stack([np.cos(t), 0 * t, np.sin(t)], 1)
@@ -174,7 +174,7 @@ def _bicycle(a, rng):
     neck = head + (front - head) * 0.27
     size = rng.uniform(0.03, 0.042)
     for at in (rear, front):
-        _wheel(a, rng, at, radius, tyre, int(rng.choice([16, 20, 24])))
+        _wheel(a, at, radius, tyre, int(rng.choice([16, 20, 24])))
     under = seat + (crank - seat) * 0.15
     low = rng.random() < 0.35  # a step-through frame
     cross = seat + (crank - seat) * (0.6 if low else 0.15)
@@ -239,10 +239,10 @@ def _bars(a, rng, at):
 def _tricycle(a, rng):
     big, small = rng.uniform(0.36, 0.46), rng.uniform(0.2, 0.28)
     front, rear = np.array([0.55, 0, big]), np.array([-0.55, 0, small])
-    _wheel(a, rng, front, big, 0.05, int(rng.choice([0, 10, 14])))
+    _wheel(a, front, big, 0.05, int(rng.choice([0, 10, 14])))
     spokes = int(rng.choice([0, 8, 12]))
     for side in LEFT_RIGHT:
-        _wheel(a, rng, rear + np.array([0, 0.38 * side, 0]), small, 0.045, spokes)
+        _wheel(a, rear + np.array([0, 0.38 * side, 0]), small, 0.045, spokes)
         a.add(
             "fork",
             rod(front + np.array([0, 0.09 * side, 0]), [0.36, 0.05 * side, 1.0], 0.025),
@@ -265,8 +265,8 @@ def _tricycle(a, rng):
 def _penny(a, rng):
     big, small = rng.uniform(0.68, 0.85), rng.uniform(0.2, 0.28)
     front, rear = np.array([0.3, 0, big]), np.array([-0.75, 0, small])
-    _wheel(a, rng, front, big, 0.025, 28)
-    _wheel(a, rng, rear, small, 0.022, 14)
+    _wheel(a, front, big, 0.025, 28)
+    _wheel(a, rear, small, 0.022, 14)
     top = np.array([0.24, 0, 2 * big + 0.1])
     arc = np.linspace(0.45 * np.pi, 0.98 * np.pi, 20)
     bow = (big + 0.1) * np.stack([np.cos(arc), 0 * arc, np.sin(arc)], 1) + front
@@ -288,7 +288,7 @@ def _scooter(a, rng):
     front, rear = np.array([0.6, 0, radius]), np.array([-0.6, 0, radius])
     spokes = int(rng.choice([0, 6, 10]))
     for at in (front, rear):
-        _wheel(a, rng, at, radius, 0.035, spokes, 0.05)
+        _wheel(a, at, radius, 0.035, spokes, 0.05)
     board = rounded_box([0.85, rng.uniform(0.2, 0.3), 0.05], 0.02, edge=4)
     a.add("deck", board.moved(-0.03, 0, deck), FRAME)
     top = np.array([0.36, 0, rng.uniform(1.2, 1.6)])
