@@ -6,10 +6,10 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 
 from manifests import cli
 from manifests.help_format import HelpFormatter
+from manifests.provenance import own_version
 
 DESCRIPTION = (
     "Changes the material of an object in a photograph, and makes the data sets and networks that"
@@ -53,7 +53,7 @@ def run(arguments: list[str] | None = None) -> int:
         prepare=_prepare,
         prog="brdfactory",
         groups={title: tuple(group) for title, group in GROUPS.items()},
-        version=_version(),
+        version=own_version(),
         reword=reworded,
     )
 
@@ -125,11 +125,3 @@ def _prepare() -> None:
         from learn.__main__ import prepare
 
         prepare()
-
-
-def _version() -> str:
-    """Return the installed version, and "from a source tree" where nothing is installed."""
-    try:
-        return version("brdfactory")
-    except PackageNotFoundError:
-        return "from a source tree"

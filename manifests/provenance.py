@@ -94,6 +94,14 @@ def versions() -> dict:
     return result
 
 
+def own_version() -> str:
+    """Return the program's installed version, "from a source tree" where nothing is installed."""
+    try:
+        return importlib.metadata.version("brdfactory")
+    except importlib.metadata.PackageNotFoundError:
+        return "from a source tree"
+
+
 def processor() -> str:
     """Return the processor's name and its widest vector instructions."""
     try:

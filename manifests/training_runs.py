@@ -12,6 +12,17 @@ VERSION = 3  # of Run
 LARGEST_COUNT = 100_000_000
 
 Part = Literal["normals", "material", "light"]
+NetworkName = Literal[
+    "compact",
+    "compact-wrapped",
+    "compact-pretrained",
+    "two-encoders",
+    "joint-encoders",
+    "joint-wide",
+    "paper",
+    "separate",
+    "encoder-decoder",
+]
 # auto: the paper's sum over the texels of the light, in the way that takes least time; quadrature:
 # the integral over the map, which is what a camera sees of lobes that are narrower than texels
 LayerMethod = Literal["auto", "quadrature"]
@@ -203,17 +214,7 @@ class Run(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     version: Literal[1, 2, 3] = 3
     name: str
     about: str = ""
-    network: Literal[
-        "compact",
-        "compact-wrapped",
-        "compact-pretrained",
-        "two-encoders",
-        "joint-encoders",
-        "joint-wide",
-        "paper",
-        "separate",
-        "encoder-decoder",
-    ] = "compact"
+    network: NetworkName = "compact"
     size: Size = 128
     parts: Annotated[tuple[Part, ...], Meta(min_length=1)] = ("normals", "material", "light")
     data: Data = Data()

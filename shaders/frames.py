@@ -18,6 +18,7 @@ roll       radians by which the camera's contents turn counter-clockwise in the 
 import numpy as np
 
 ELEVATION = np.radians(20.0)  # our choice: the paper says "fixed elevation" and gives no number
+ORTHOGRAPHIC_DISTANCE = 4.0  # outside the unit sphere, near enough for float32 depths good to 5e-7
 
 
 def world_from_light(azimuth: float) -> np.ndarray:
@@ -53,6 +54,17 @@ def camera_from_world(
 ) -> np.ndarray:
     """Return the rotation (3, 3) that takes world vectors to the camera frame."""
     return camera_from_light(elevation, roll) @ world_from_light(azimuth).T
+
+
+def camera_distance(half_extent: float, fov_deg: float | None = None) -> float:
+    """Return the distance from the camera's plane to the object's centre, in world units.
+
+    It is arbitrary for an orthographic camera (fov_deg None). For a perspective one the frame spans
+    2 half_extent at the object's centre.
+    """
+    if fov_deg is None:
+        return ORTHOGRAPHIC_DISTANCE
+    return half_extent / np.tan(np.radians(fov_deg) / 2)
 
 
 def pixel_grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,6 @@ are added to a library.
 """
 
 import contextlib
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from manifests.errors import InputError
 from manifests.exr import parts_of
 from manifests.inputs import require_file
 from manifests.quiet import silenced
+from manifests.store import file_hash
 from shaders import envmap
 
 SUFFIXES = (".hdr", ".exr", ".npz")
@@ -79,7 +79,7 @@ def read(path: str | Path) -> tuple[np.ndarray, str]:
             )
 
     pixels = {"hdr": rgbe.read, "exr": _read_exr, "npz": _read_npz}[kind](path, check_size)
-    return pixels, digest(path)
+    return pixels, file_hash(path)
 
 
 def is_collection(path: str | Path) -> bool:
@@ -161,12 +161,6 @@ def _read_npz(path, check_size):
             "put them into a library: python -m factory lights add",
         )
     return pixels
-
-
-def digest(path: str | Path) -> str:
-    """Return the SHA-256 of a file, hex."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _kind(path):

@@ -1,9 +1,4 @@
-"""The camera's pose: at azimuth 0, at its elevation and roll; the object turns.
-
-distance  from the camera to the object's centre, in world units. It is arbitrary for an
-          orthographic camera. For a perspective one it follows from fov and half_extent: the frame
-          spans 2 half_extent at the object's centre.
-"""
+"""The camera's pose: at azimuth 0, at its elevation and roll; the object turns."""
 
 import bpy
 import mathutils
@@ -13,14 +8,10 @@ from factory.render.settings import assign
 from manifests.schema import Camera
 from shaders import frames
 
-ORTHOGRAPHIC_DISTANCE = 4.0  # outside the unit sphere, near enough for float32 depths good to 5e-7
-
 
 def distance(camera: Camera) -> float:
     """Return the distance from the camera to the object's centre."""
-    if camera.fov_deg is None:
-        return ORTHOGRAPHIC_DISTANCE
-    return camera.half_extent / np.tan(np.radians(camera.fov_deg) / 2)
+    return frames.camera_distance(camera.half_extent, camera.fov_deg)
 
 
 def camera_from_fixed_world(camera: Camera) -> np.ndarray:

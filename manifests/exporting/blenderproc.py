@@ -17,7 +17,6 @@ linear Rec.709), `labels` (segments × L float32) and `record`, the line of the 
 """
 
 import io
-import math
 import os
 from collections.abc import Iterator
 from typing import Any, BinaryIO, NamedTuple
@@ -29,10 +28,10 @@ from manifests.errors import InputError
 from manifests.exporting.samples import Sample, Samples
 from manifests.inputs import require_file
 from manifests.picture_files import Geometry
-from manifests.schema import Camera, Record
+from manifests.schema import Record
+from shaders.frames import camera_distance
 
 FAR = 1e10  # depth of the background
-ORTHOGRAPHIC_DISTANCE = 4.0  # of factory.render.camera, which needs Blender; a test compares them
 MOST_FILE_BYTES = 1 << 30
 MOST_SIDE = 8192
 BACKGROUND_DEPTH = 1e5  # depths above it are no surface: BlenderProc's clip ends before
@@ -68,13 +67,6 @@ def require_package() -> None:
         ) from None
 
 
-def camera_distance(camera: Camera) -> float:
-    """Return the distance from the camera's plane to the object's centre, in radii."""
-    if camera.fov_deg is None:
-        return ORTHOGRAPHIC_DISTANCE
-    return camera.half_extent / math.tan(math.radians(camera.fov_deg) / 2)
-
-
 def write_frame(file: BinaryIO, samples: Iterator[Sample], source: Samples) -> None:
     """Write one sample to a stream as one HDF5 file."""
     import h5py
@@ -86,7 +78,7 @@ def write_frame(file: BinaryIO, samples: Iterator[Sample], source: Samples) -> N
     if sample.display is not None:
         arrays["colors"] = sample.display
     arrays["normals"] = (geometry.normals + 1) / 2
-    away = np.float32(camera_distance(line.camera))
+    away = np.float32(camera_distance(line.camera.half_extent, line.camera.fov_deg))
     arrays["depth"] = np.where(mask, geometry.depth + away, np.float32(FAR))
     arrays["instance_segmaps"] = geometry.segments.astype(np.int32)
     extra = sample.arrays()

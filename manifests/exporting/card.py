@@ -2,10 +2,10 @@
 
 import re
 from collections.abc import Iterable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 
 from manifests.exporting import card_errors
 from manifests.exporting.samples import Samples, licences
+from manifests.provenance import own_version
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 CONTENTS = {
@@ -104,7 +104,7 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
     yield from card_errors.section(counts.errors)
     yield "## Rendered by"
     yield ""
-    programs = {"brdfactory": _version(), **dataset.versions}
+    programs = {"brdfactory": own_version(), **dataset.versions}
     if author:
         yield f"{plain(author)}, with:"
         yield ""
@@ -127,11 +127,3 @@ def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[
 
 def _licence_rows(kind: str, counts: Iterable[tuple[str, int]]) -> Iterator[str]:
     yield from (f"| {kind} | {plain(licence)} | {count} |" for licence, count in counts)
-
-
-def _version() -> str:
-    """Return the installed version, and "from a source tree" where nothing is installed."""
-    try:
-        return version("brdfactory")
-    except PackageNotFoundError:
-        return "from a source tree"

@@ -243,7 +243,8 @@ def test_the_code_of_the_page_runs(root, whole, tmp_path, monkeypatch):
 @pytest.mark.parametrize("fov", [None, 40.0])
 def test_hdf5_has_the_keys_of_blenderproc_and_is_read_back(whole, tmp_path, fov):
     h5py = package("h5py")
-    from manifests.exporting.blenderproc import FAR, camera_distance, read_frame
+    from manifests.exporting.blenderproc import FAR, read_frame
+    from shaders.frames import camera_distance
 
     camera = Camera(size=(16, 16), fov_deg=fov)
     store = Store(whole(segments=2, camera=camera))
@@ -267,17 +268,8 @@ def test_hdf5_has_the_keys_of_blenderproc_and_is_read_back(whole, tmp_path, fov)
         assert np.array_equal(frame.geometry.segments, geometry.segments)
         # the reader makes normals unit again, which their rounding to steps of 2^-15 had altered
         assert np.allclose(frame.geometry.normals, geometry.normals, rtol=0, atol=2**-15)
-        away = camera_distance(line.camera)
+        away = camera_distance(line.camera.half_extent, line.camera.fov_deg)
         assert np.allclose(frame.geometry.depth[mask] - away, geometry.depth[mask], atol=1e-5)
-
-
-@pytest.mark.blender
-def test_the_camera_distance_is_that_of_the_factory():
-    from factory.render import camera as placed
-    from manifests.exporting.blenderproc import camera_distance
-
-    for camera in (Camera(), Camera(fov_deg=40.0, half_extent=1.1)):
-        assert camera_distance(camera) == pytest.approx(placed.distance(camera), rel=1e-12)
 
 
 def test_a_file_of_blenderproc_itself_is_read(tmp_path):

@@ -35,8 +35,8 @@ def means(lit, n, facets):
     shared = lit.at(
         n,
         facets=facets,
-        cells=direct_light._similar(one, n),
-        patches=direct_light._patches(one, facets),
+        cells=direct_light.similar(one, n, direct_light.SIMILAR),
+        patches=direct_light.similar(one, facets, direct_light.FACET_STEPS),
     )
     return shared.mean(0), lit.at(n, facets=facets).mean(0)
 
@@ -76,5 +76,6 @@ def test_normals_of_a_facet_that_turn_away_share_what_the_same_closures_reflect(
 def test_other_normals_of_a_facet_share_what_it_takes_away(lit, monkeypatch):
     n = turning([0.6, 0.4, 0.5], [0.7, 0.3, 0.5])
     facets = np.tile(unit([[0.8, 0.4, 0.4]]), (len(n), 1))
-    assert len(set(direct_light._patches(np.zeros(len(n), int), facets))) == 1
-    assert len(set(direct_light._patches(np.arange(len(n)), facets))) == len(n)
+    steps = direct_light.FACET_STEPS
+    assert len(set(direct_light.similar(np.zeros(len(n), int), facets, steps))) == 1
+    assert len(set(direct_light.similar(np.arange(len(n)), facets, steps))) == len(n)
