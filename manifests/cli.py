@@ -24,10 +24,13 @@ OUTPUT = "standard output"
 READER_GONE = 141  # what a shell reports of a program that SIGPIPE ends
 
 
+Commands = Sequence[str] | Mapping[str, Callable[[argparse._SubParsersAction], None]]
+
+
 def main(
     program: str,
     description: str,
-    commands: Sequence[str] | Mapping[str, Callable[[argparse._SubParsersAction], None]],
+    commands: Commands,
     arguments: list[str] | None = None,
     moved: Mapping[str, str] | None = None,
     prepare: Callable[[], Any] | None = None,
@@ -54,30 +57,14 @@ def main(
     # as for stderr, characters that the terminal lacks are escaped and are no error
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
-    layout = (
-        argparse.RawDescriptionHelpFormatter if "\n\n" in description else argparse.HelpFormatter
-    )
-    parser = argparse.ArgumentParser(
-        prog=prog or f"python -m {program}",
-        description=description[:1].upper() + description[1:],
-        formatter_class=layout,
-    )
-    parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
-    if version is not None:
-        parser.add_argument("--version", action="version", version=f"{program} {version}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     words = sys.argv[1:] if arguments is None else arguments
     # one command needs only its own module; --help and mistakes need all
     named = [word for word in words if word in commands][:1]
-    first = next((word for word in words if not word.startswith("-")), None)
-    if moved and not named and first is not None and first in moved:
-        print(line_of(f"'{first}' has a new name; type `{moved[first]}`"), file=sys.stderr)
+    if (mistake := _mistaken_name(words, commands, {} if named else moved or {})) is not None:
+        print(line_of(mistake), file=sys.stderr)
         return 2
-    if first and first not in commands:
-        shown = printable(first)
-        remedy = closest(shown, commands)
-        print(line_of(f"no command '{shown}' ({remedy} --help lists all)"), file=sys.stderr)
-        return 2
+    parser = _parser(program, description, prog, version)
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for name in named or commands:
         if isinstance(commands, Mapping):
             commands[name](subparsers)
@@ -89,11 +76,46 @@ def main(
     if not words:  # of which the usage would say only that a command is missing
         parser.print_help(sys.stderr)
         return 2
+    return _run(parser, words, prepare)
+
+
+def _mistaken_name(words: list[str], commands: Commands, moved: Mapping[str, str]) -> str | None:
+    """Return what to say of a command that has a new name or is unknown, None if it is right."""
+    first = next((word for word in words if not word.startswith("-")), None)
+    if first is not None and first in moved:
+        return f"'{first}' has a new name; type `{moved[first]}`"
+    if first and first not in commands:
+        shown = printable(first)
+        return f"no command '{shown}' ({closest(shown, commands)} --help lists all)"
+    return None
+
+
+def _parser(
+    program: str, description: str, prog: str | None, version: str | None
+) -> argparse.ArgumentParser:
+    """Return the parser of a program, without its commands; arguments are those of `main`."""
+    parser = argparse.ArgumentParser(
+        prog=prog or f"python -m {program}",
+        description=description[:1].upper() + description[1:],
+        formatter_class=argparse.RawDescriptionHelpFormatter
+        if "\n\n" in description
+        else argparse.HelpFormatter,
+    )
+    parser.add_argument("--debug", action="store_true", help="show the whole trace of an error")
+    if version is not None:
+        parser.add_argument("--version", action="version", version=f"{program} {version}")
+    return parser
+
+
+def _run(
+    parser: argparse.ArgumentParser, words: list[str], prepare: Callable[[], Any] | None
+) -> int:
+    """Parse the words, run the command and return the exit status."""
     debug, options = "--debug" in words, None
     try:
         try:
             _refuse_empty(parser, words)
-            options = parser.parse_args(arguments)
+            options = parser.parse_args(words)
             if prepare:
                 prepare()
             return options.run(options) or 0

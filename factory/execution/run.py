@@ -179,42 +179,17 @@ def _made(
     prefix       of the workers' names
     descriptors  the locks, which workers hold too
     """
-    done, hashes = store.known("records" if plan.job.pictures else "views")
+    known = store.known("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
-
-    is_noted = False
-
-    def missing() -> Iterator[Shot | None]:
-        nonlocal is_noted
-        given = 0
-        for part in parts:
-            if part is None:
-                yield None
-                continue
-            sources.update(shape_sources(part.shapes))
-            note = None if is_noted else note_on_materials(part.shapes)
-            if note is not None:
-                is_noted = True
-                watch("note", note)
-            for shot in part.shots:
-                if shot.id in done:
-                    counts["already_there"] += 1
-                    watch("already_there", 1)
-                    continue
-                if given == run_options.limit:
-                    return
-                given += 1
-                known = hashes.get(geometry_path(shot.geometry))
-                yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
-
+    missing = _missing(parts, known, sources, counts, run_options.limit, watch)
     assignment = assign(plan, run_options.library)
 
     def config(number: int) -> WorkerConfig:
         return worker_config(store, f"{prefix}{number:02d}", assignment, run_options)
 
     failures = None
-    replies = _replies(missing(), config, sources, store, run_options, descriptors, watch)
+    replies = _replies(missing, config, sources, store, run_options, descriptors, watch)
     with closing(replies):
         for shot, reply in replies:
             if reply.settings:
@@ -227,14 +202,54 @@ def _made(
                 watch("made", reply)
                 continue
             failure = _failure(shot, reply.reason)
-            failures = failures or Lines(
-                store.folder
-                / f"failures{prefix.removeprefix('worker').removesuffix('ray-').rstrip('-')}.jsonl"
-            )
+            failures = failures or Lines(_failures_file(store, prefix))
             failures.append(failure)
             counts["failed"] += 1
             watch("failed", failure)
     return Outcome(**counts)
+
+
+def _failures_file(store: Store, prefix: str) -> Path:
+    """Return the file of shots that failed, by the prefix of the workers' names."""
+    part = prefix.removeprefix("worker").removesuffix("ray-").rstrip("-")
+    return store.folder / f"failures{part}.jsonl"
+
+
+def _missing(
+    parts: Iterable[Part | None],
+    known: tuple[set[str], dict[str, str]],
+    sources: dict[str, ShapeSource],
+    counts: dict[str, int],
+    limit: int | None,
+    watch: Watch,
+) -> Iterator[Shot | None]:
+    """Yield the shots that are still to be made, at most `limit`; None: the next is not known yet.
+
+    known    ids of lines that are there, and hashes of their geometry files
+    sources  those of the parts' shapes are added
+    counts   `already_there` is counted
+    """
+    done, hashes = known
+    given, is_noted = 0, False
+    for part in parts:
+        if part is None:
+            yield None
+            continue
+        sources.update(shape_sources(part.shapes))
+        note = None if is_noted else note_on_materials(part.shapes)
+        if note is not None:
+            is_noted = True
+            watch("note", note)
+        for shot in part.shots:
+            if shot.id in done:
+                counts["already_there"] += 1
+                watch("already_there", 1)
+                continue
+            if given == limit:
+                return
+            given += 1
+            made = hashes.get(geometry_path(shot.geometry))
+            yield shot if made is None else msgspec.structs.replace(shot, geometry_hash=made)
 
 
 def _replies(

@@ -62,16 +62,8 @@ def data_splits(
     """
     geometry = Geometry(folder, progress, skip_bad, depth=data.shadows > 0)
     records = Records(folder)
-    maps = {name: records.light(name) for name in records.dataset.lights}
-    if data.measured_lights:
-        where, remedy = "data: measured_lights", "leave it out: the data set has one of that name"
-        maps = joined(maps, measured_lights.load_all(), where, remedy)
-    if maps_file is not None:
-        where = f"--lights {maps_file}"
-        remedy = "rename it: the data set or the program has one of that name"
-        maps = joined(maps, read_maps(maps_file), where, remedy)
-    all_maps = maps
-    maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
+    all_maps = _all_maps(data, records, maps_file)
+    maps = without_duplicates(all_maps, (*data.validation_lights, *data.test_lights))
     held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
     materials, bad = materials_of(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
@@ -94,12 +86,7 @@ def data_splits(
                 "render more shapes: about one in five is for testing, and of the others one in"
                 f" {VALIDATION_SHAPES} for validation",
             )
-        names = [name for name in maps if held.get(name, "train") == side]
-        # without maps training draws computed light, never a held-out map
-        if not names and side == "validation":
-            names = [name for name in maps if held.get(name) != "test"]
-        if not names and side != "train":
-            names = list(maps)
+        names = _lights_of(side, maps, held)
         labels = {
             m.name: m.label.reshape(-1).astype(np.float32)
             for m in materials[side] or materials["train"]
@@ -108,14 +95,43 @@ def data_splits(
             geometry,
             views,
             labels,
-            [maps[name] for name in sorted(names)],
+            [maps[name] for name in names],
             side,
             rendered_splits.get(side),
             bad,
             tuple(map_hash(L) for name, L in copies.items() if side_of_copy[name] == side),
-            tuple(sorted(names)),
+            tuple(names),
         )
     return result
+
+
+def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dict[str, np.ndarray]:
+    """Return {name: light map} of the data set, the program and a file, as far as a run has them.
+
+    Raises InputError for two of one name.
+    """
+    maps = {name: records.light(name) for name in records.dataset.lights}
+    if data.measured_lights:
+        where, remedy = "data: measured_lights", "leave it out: the data set has one of that name"
+        maps = joined(maps, measured_lights.load_all(), where, remedy)
+    if maps_file is not None:
+        where = f"--lights {maps_file}"
+        remedy = "rename it: the data set or the program has one of that name"
+        maps = joined(maps, read_maps(maps_file), where, remedy)
+    return maps
+
+
+def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
+    """Return the sorted names of the maps that light a side; held: {name: side} of `_held_out`.
+
+    Without maps training draws computed light, never a held-out map.
+    """
+    names = [name for name in maps if held.get(name, "train") == side]
+    if not names and side == "validation":
+        names = [name for name in maps if held.get(name) != "test"]
+    if not names and side != "train":
+        names = list(maps)
+    return sorted(names)
 
 
 def source_of(

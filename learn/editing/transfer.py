@@ -5,28 +5,33 @@ the material of picture j; on the diagonal is the picture itself.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from learn.data.devices import array
-from learn.editing import decomposition, desired_light, drawing, photograph, region_masks, targets
-from learn.editing.compositor import Compositor
+from learn.editing import (
+    decomposition,
+    desired_light,
+    drawing,
+    photograph,
+    region_masks,
+    transfer_grids,
+)
 from learn.editing.decomposition import Decomposition
 from learn.editing.edit import EditOptions
 from learn.editing.edit_files import save
 from learn.editing.photograph import Photograph
 from learn.figures import montage
-from learn.figures.montage import Tile
 from learn.networks import weights as checkpoint
 from manifests import earlier_results, files, outputs
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.notices import notice
 from manifests.progress import tqdm
-from shaders import envmap, tone
+from shaders import envmap
 
 REMEDY = (
     "put NAME.mask.png beside it, white where the object is, or name a folder of masks:"
@@ -100,24 +105,8 @@ def run(
             str(per_grid),
             "more become several grids",
         )
-    groups = grouped(paths, per_grid)
-    grids = (
-        ["grid.png"]
-        if len(groups) == 1
-        else [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
-    )
-    if lights:
-        labels = light_names(lights)
-        grids = [f"{Path(name).stem}-under-{label}.png" for name in grids for label in labels]
-        names = [
-            relit_name(shape, material, label)
-            for group in groups
-            for shape in group
-            for material in group
-            for label in labels
-        ]
-    else:
-        names = [pair_name(*pair) for group in groups for pair in pairs_of(group)]
+    groups, labels = transfer_grids.grouped(paths, per_grid), transfer_grids.light_names(lights)
+    grids, names = transfer_grids.files_of(groups, labels)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
@@ -143,22 +132,17 @@ def run(
             name = grids[number * max(len(maps), 1)]
             pictures = {path: opened(path, mask_folder, edit_options) for path in group}
             decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
-            report += metadata_of(decompositions, name)
+            report += transfer_grids.metadata_of(decompositions, name)
             if maps:
                 of_group = grids[number * len(maps) : (number + 1) * len(maps)]
                 for label, light, grid in zip(labels, maps, of_group, strict=True):
-                    rows = relit_rows(out, decompositions, label, light, edit_options, progress)
+                    rows = transfer_grids.relit_rows(
+                        out, decompositions, label, light, edit_options, progress
+                    )
                     save(out / grid, montage.contact_sheet(rows, drawing.TILE))
                 continue
-            tiles_by_row = [head(decompositions)]
-            for shape in group:
-                tiles = {}
-                for material, picture in edits_of(shape, decompositions, edit_options):
-                    save_edit(out / pair_name(shape, material), picture, pictures[shape])
-                    tiles[material] = tile(picture, decompositions[shape])
-                    progress.update()
-                tiles_by_row.append(row(shape, decompositions, tiles))
-            save(out / name, montage.contact_sheet(tiles_by_row, drawing.TILE))
+            rows = transfer_grids.edited_rows(out, pictures, decompositions, edit_options, progress)
+            save(out / name, montage.contact_sheet(rows, drawing.TILE))
         about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
         written = earlier_results.written()
         files.write_json(
@@ -171,68 +155,10 @@ def run(
             notice(line)
 
 
-def light_names(lights: Sequence[str]) -> list[str]:
-    """Return what desired lights are called in names of files. Raises InputError for duplicates."""
-    names = []
-    for text in lights:
-        path, _, member = text.partition("#")
-        stem = member or (text if text.startswith(desired_light.COMPUTED) else Path(path).stem)
-        names.append(re.sub(r"[^A-Za-z0-9._-]+", "-", stem)[:80] or "light")
-    if len(set(names)) < len(names):
-        raise InputError(
-            "--light", "lights of different names", ", ".join(names), "rename or drop one"
-        )
-    return names
-
-
-def relit_name(shape: Path, material: Path, light: str) -> str:
-    """Return the file name of one picture's object in another's material under a desired light."""
-    return f"{shape.stem}-in-{material.stem}-under-{light}.png"
-
-
 def light_in(decomposed: Decomposition) -> np.ndarray:
     """Return the light (64, 128, 3) of a decomposed picture, at unit mean."""
     L = array(decomposed.parts.light[0].movedim(0, -1))
     return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)
-
-
-def relit_rows(
-    out: Path,
-    decompositions: Mapping[Path, Decomposition],
-    label: str,
-    light: np.ndarray,
-    edit_options: EditOptions,
-    progress: tqdm,
-) -> list[list[Tile]]:
-    """Write the pictures of one grid under a desired light; return the grid's rows.
-
-    Each object is exposed as a light meter at its place would say: a white diffuse object of its
-    shape is just not clipped, so that dark and bright materials keep their brightness.
-    """
-    white = targets.label_of("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
-    assert white is not None
-    above = head(decompositions)
-    above[0] = (label, montage.light_picture(light))
-    rows: list[list[Tile]] = [above]
-    for shape, decomposed in decompositions.items():
-        compositor = Compositor(decomposed, edit_options.tolerance)
-        photo = decomposed.photograph
-        exposure = tone.auto_exposure(compositor.relit(white, light), photo.mask)
-        before = tile(photo.radiance, decomposed)
-        row: list[Tile] = [(shape.stem, before)]
-        for material, other in decompositions.items():
-            chosen = decomposed.label if material is shape else other.label[:1]
-            shown = tone.display(compositor.relit(chosen, light, list(chosen)), exposure)
-            alpha = 255.0 * photo.coverage[..., None]
-            save(
-                out / relit_name(shape, material, label),
-                np.concatenate([shown, alpha], -1),
-            )
-            ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
-            row.append(("", drawing.cropped(ground, decomposed)))
-            progress.update()
-        rows.append(row)
-    return rows
 
 
 def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
@@ -260,24 +186,6 @@ def masks(path: Path, folder: Path | None) -> list[Path]:
     return [] if beside is None else [beside]
 
 
-def grouped(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
-    """Return lists of at most `per_grid` pictures, in order, none with a single picture."""
-    groups = [list(paths[i : i + per_grid]) for i in range(0, len(paths), per_grid)]
-    if len(groups) > 1 and len(groups[-1]) == 1:
-        groups[-1].insert(0, groups[-2].pop())
-    return groups
-
-
-def pairs_of(group: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """Return the pairs (object, material) of a grid, row by row."""
-    return [(shape, material) for shape in group for material in group if shape is not material]
-
-
-def pair_name(shape: Path, material: Path) -> str:
-    """Return the file name of one picture's object in another's material."""
-    return f"{shape.stem}-in-{material.stem}.png"
-
-
 def compute(
     pictures: Mapping[Path, Photograph],
     network: torch.nn.Module,
@@ -292,65 +200,3 @@ def compute(
         decompositions[path] = decomposition.decompose(photo, network, size, edit_options.settings)
         progress.update()
     return decompositions
-
-
-def edits_of(
-    shape: Path, decompositions: Mapping[Path, Decomposition], edit_options: EditOptions
-) -> Iterator[tuple[Path, np.ndarray]]:
-    """Yield (path of the material, edited picture (H, W, 3), linear) of one picture's object."""
-    compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
-    for material, other in decompositions.items():
-        if material is not shape:
-            yield material, compositor.edited([other.label[0]], [other.label[0]])
-
-
-def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
-    """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
-    shown = tone.display(picture, drawing.exposure_of(photo))
-    save(path, drawing.with_alpha(shown, photo))
-
-
-def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
-    """Return the object's square of a linear picture, as a contact sheet shows it."""
-    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
-    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
-
-
-def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
-    """Return a grid's first row: a material sphere above each column."""
-    corner: Tile = ("", np.full((8, 8, 3), montage.GROUND / 2))
-    return [
-        corner,
-        *(
-            (path.stem, drawing.material_sphere(each.label[0], each))
-            for path, each in decompositions.items()
-        ),
-    ]
-
-
-def row(
-    shape: Path, decompositions: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
-) -> list[Tile]:
-    """Return a grid's row of one object; tiles: {path of the material: tile of the edit}."""
-    before = tile(decompositions[shape].photograph.radiance, decompositions[shape])
-    return [
-        (shape.stem, before),
-        *(("", tiles.get(material, before)) for material in decompositions),
-    ]
-
-
-def metadata_of(decompositions: Mapping[Path, Decomposition], name: str) -> list[dict]:
-    """Return what transfer.json says of the pictures of the grid `name`."""
-    report = []
-    for path, each in decompositions.items():
-        refined = each.refined
-        energies = None if refined is None else [refined.before["total"], refined.after["total"]]
-        report.append(
-            {
-                "name": path.stem,
-                "grid": name,
-                "exposure": each.framed.exposure,
-                "energy": energies,
-            }
-        )
-    return report

@@ -28,7 +28,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import ablation_options, runner
@@ -132,7 +132,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import functools
     import shutil
 
-    import msgspec
     import torch
 
     from learn.data import sources
@@ -144,7 +143,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.layer import predictions
     from manifests import outputs
     from manifests.progress import tqdm
-    from manifests.store import file_hash
 
     names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
     _require_order(names)
@@ -153,20 +151,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     left_out = _left_out(names, arguments.features)
     names = [name for name in names if name not in left_out]
     torch.set_num_threads(1)
-    pinned = {
-        "run": msgspec.to_builtins(run),
-        "steps": arguments.steps,
-        "start": file_hash(arguments.start) if FROM_WEIGHTS in arguments.initialisations else None,
-        "features": arguments.features,
-        "batches": arguments.batches,
-        "size": arguments.size,
-        "seed": arguments.seed,
-        "data": file_hash(arguments.data / "dataset.json"),
-        "lights": None if arguments.lights is None else arguments.lights.name,
-    }
-    if arguments.glossy:  # only then: folders of before have no such key
-        pinned["glossy"] = True
-    outputs.pin_settings(arguments.out / "settings.json", pinned)
+    outputs.pin_settings(arguments.out / "settings.json", _pinned(run, arguments))
     data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
     policy, tested = predictions.VALIDATION, run
     if arguments.glossy:
@@ -232,6 +217,28 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "test": data_splits["test"].sizes(),
     }
     return summary(results, about) | {"left_out": left_out, "seen": seen}
+
+
+def _pinned(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what determines the rows of a folder, and so may not change."""
+    import msgspec
+
+    from manifests.store import file_hash
+
+    pinned = {
+        "run": msgspec.to_builtins(run),
+        "steps": arguments.steps,
+        "start": file_hash(arguments.start) if FROM_WEIGHTS in arguments.initialisations else None,
+        "features": arguments.features,
+        "batches": arguments.batches,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "data": file_hash(arguments.data / "dataset.json"),
+        "lights": None if arguments.lights is None else arguments.lights.name,
+    }
+    if arguments.glossy:  # only then: folders of before have no such key
+        pinned["glossy"] = True
+    return pinned
 
 
 def _require_order(names: list[str]) -> None:

@@ -1,0 +1,198 @@
+"""The grids of `learn transfer`: which pictures share one, its files, and its rows."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from learn.editing import desired_light, drawing, targets
+from learn.editing.compositor import Compositor
+from learn.editing.decomposition import Decomposition
+from learn.editing.edit import EditOptions
+from learn.editing.edit_files import save
+from learn.editing.photograph import Photograph
+from learn.figures import montage
+from learn.figures.montage import Tile
+from manifests.errors import InputError
+from manifests.progress import tqdm
+from shaders import tone
+
+
+def files_of(
+    groups: Sequence[Sequence[Path]], labels: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return the names of the grids and of the edits of groups of pictures.
+
+    labels  of the desired lights; none: the edits keep the light of their objects' pictures
+    """
+    grids = [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
+    if len(groups) == 1:
+        grids = ["grid.png"]
+    if not labels:
+        return grids, [pair_name(*pair) for group in groups for pair in pairs_of(group)]
+    names = [
+        relit_name(shape, material, label)
+        for group in groups
+        for shape in group
+        for material in group
+        for label in labels
+    ]
+    return [f"{Path(name).stem}-under-{label}.png" for name in grids for label in labels], names
+
+
+def light_names(lights: Sequence[str]) -> list[str]:
+    """Return what desired lights are called in names of files. Raises InputError for duplicates."""
+    names = []
+    for text in lights:
+        path, _, member = text.partition("#")
+        stem = member or (text if text.startswith(desired_light.COMPUTED) else Path(path).stem)
+        names.append(re.sub(r"[^A-Za-z0-9._-]+", "-", stem)[:80] or "light")
+    if len(set(names)) < len(names):
+        raise InputError(
+            "--light", "lights of different names", ", ".join(names), "rename or drop one"
+        )
+    return names
+
+
+def relit_name(shape: Path, material: Path, light: str) -> str:
+    """Return the file name of one picture's object in another's material under a desired light."""
+    return f"{shape.stem}-in-{material.stem}-under-{light}.png"
+
+
+def edited_rows(
+    out: Path,
+    pictures: Mapping[Path, Photograph],
+    decompositions: Mapping[Path, Decomposition],
+    edit_options: EditOptions,
+    progress: tqdm,
+) -> list[list[Tile]]:
+    """Write the edits of one grid, each in its object's own picture; return the grid's rows."""
+    rows = [head(decompositions)]
+    for shape, photo in pictures.items():
+        tiles = {}
+        for material, picture in edits_of(shape, decompositions, edit_options):
+            save_edit(out / pair_name(shape, material), picture, photo)
+            tiles[material] = tile(picture, decompositions[shape])
+            progress.update()
+        rows.append(row(shape, decompositions, tiles))
+    return rows
+
+
+def relit_rows(
+    out: Path,
+    decompositions: Mapping[Path, Decomposition],
+    label: str,
+    light: np.ndarray,
+    edit_options: EditOptions,
+    progress: tqdm,
+) -> list[list[Tile]]:
+    """Write the pictures of one grid under a desired light; return the grid's rows.
+
+    Each object is exposed as a light meter at its place would say: a white diffuse object of its
+    shape is just not clipped, so that dark and bright materials keep their brightness.
+    """
+    white = targets.label_of("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
+    assert white is not None
+    above = head(decompositions)
+    above[0] = (label, montage.light_picture(light))
+    rows: list[list[Tile]] = [above]
+    for shape, decomposed in decompositions.items():
+        compositor = Compositor(decomposed, edit_options.tolerance)
+        photo = decomposed.photograph
+        exposure = tone.auto_exposure(compositor.relit(white, light), photo.mask)
+        before = tile(photo.radiance, decomposed)
+        row: list[Tile] = [(shape.stem, before)]
+        for material, other in decompositions.items():
+            chosen = decomposed.label if material is shape else other.label[:1]
+            shown = tone.display(compositor.relit(chosen, light, list(chosen)), exposure)
+            alpha = 255.0 * photo.coverage[..., None]
+            save(
+                out / relit_name(shape, material, label),
+                np.concatenate([shown, alpha], -1),
+            )
+            ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
+            row.append(("", drawing.cropped(ground, decomposed)))
+            progress.update()
+        rows.append(row)
+    return rows
+
+
+def grouped(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
+    """Return lists of at most `per_grid` pictures, in order, none with a single picture."""
+    groups = [list(paths[i : i + per_grid]) for i in range(0, len(paths), per_grid)]
+    if len(groups) > 1 and len(groups[-1]) == 1:
+        groups[-1].insert(0, groups[-2].pop())
+    return groups
+
+
+def pairs_of(group: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Return the pairs (object, material) of a grid, row by row."""
+    return [(shape, material) for shape in group for material in group if shape is not material]
+
+
+def pair_name(shape: Path, material: Path) -> str:
+    """Return the file name of one picture's object in another's material."""
+    return f"{shape.stem}-in-{material.stem}.png"
+
+
+def edits_of(
+    shape: Path, decompositions: Mapping[Path, Decomposition], edit_options: EditOptions
+) -> Iterator[tuple[Path, np.ndarray]]:
+    """Yield (path of the material, edited picture (H, W, 3), linear) of one picture's object."""
+    compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
+    for material, other in decompositions.items():
+        if material is not shape:
+            yield material, compositor.edited([other.label[0]], [other.label[0]])
+
+
+def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
+    """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
+    shown = tone.display(picture, drawing.exposure_of(photo))
+    save(path, drawing.with_alpha(shown, photo))
+
+
+def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
+    """Return the object's square of a linear picture, as a contact sheet shows it."""
+    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
+    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
+
+
+def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
+    """Return a grid's first row: a material sphere above each column."""
+    corner: Tile = ("", np.full((8, 8, 3), montage.GROUND / 2))
+    return [
+        corner,
+        *(
+            (path.stem, drawing.material_sphere(each.label[0], each))
+            for path, each in decompositions.items()
+        ),
+    ]
+
+
+def row(
+    shape: Path, decompositions: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
+) -> list[Tile]:
+    """Return a grid's row of one object; tiles: {path of the material: tile of the edit}."""
+    before = tile(decompositions[shape].photograph.radiance, decompositions[shape])
+    return [
+        (shape.stem, before),
+        *(("", tiles.get(material, before)) for material in decompositions),
+    ]
+
+
+def metadata_of(decompositions: Mapping[Path, Decomposition], name: str) -> list[dict]:
+    """Return what transfer.json says of the pictures of the grid `name`."""
+    report = []
+    for path, each in decompositions.items():
+        refined = each.refined
+        energies = None if refined is None else [refined.before["total"], refined.after["total"]]
+        report.append(
+            {
+                "name": path.stem,
+                "grid": name,
+                "exposure": each.framed.exposure,
+                "energy": energies,
+            }
+        )
+    return report
