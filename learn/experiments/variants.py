@@ -97,7 +97,7 @@ def trained(
     network, of_batch = training.averaged(), measured or rows
     result = {
         "steps": training.step,
-        "seconds": training.used,
+        "seconds": training.clock.used,
         "run": msgspec.to_builtins(run),
         "rows": [row for batch in tests for row in of_batch(training, network, batch)],
     }

@@ -25,7 +25,7 @@ from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import source_of
 from learn.networks import features, weights
 from learn.networks.coding import Ranges
-from learn.networks.prediction import Coded, Prediction
+from learn.networks.prediction import Coded
 from learn.training import (
     checkpoints,
     losses,
@@ -37,6 +37,8 @@ from learn.training import (
     validation,
 )
 from learn.training.beginning import begin
+from learn.training.buffers import StoredBuffers
+from learn.training.clock import Clock
 from learn.training.journal import Journal
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
@@ -87,7 +89,8 @@ class Training:
         self.network = self._new_network(Ranges.of(labels))
         self.average = _copies(self.network)
         self.optimiser = schedule.optimiser(self.network, run.schedule)
-        self.step, self.skipped, self.used, self.passed = 0, 0, 0.0, 0.0
+        self.step, self.skipped = 0, 0
+        self.clock = Clock(run.schedule, self.world > 1, self.device)
         self.features = self._features()
         self.seen = drawn_from(
             [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
@@ -97,7 +100,7 @@ class Training:
                 self.out / "checkpoint.safetensors", run, self.network, self.average, self.optimiser
             )
             self.step, self.skipped = progress.step, progress.skipped
-            self.used, self.passed = progress.used, progress.passed
+            self.clock.used, self.clock.passed = progress.used, progress.passed
             self.seen = self.seen.joined(before)
         else:
             self.seen = begin(self.network, run, self.seen)
@@ -105,7 +108,7 @@ class Training:
                 self._revive()
             self.average = _copies(self.network)
         self.journal = Journal(self.out, self.step, tensorboard) if self.rank == 0 else None
-        self._stored_buffers: list[torch.Tensor] = []
+        self.buffers = StoredBuffers(self.network)
         self.model: torch.nn.Module = self.network
         if self.world > 1:
             torch.distributed.init_process_group(devices.process_group_backend(self.device))
@@ -116,7 +119,8 @@ class Training:
 
     def train(self) -> dict[str, float]:
         """Make all steps that are left; return the last validation's figures."""
-        run, last, before = self.run, time.monotonic(), time.monotonic()
+        run, last = self.run, time.monotonic()
+        self.clock.start()
         figures: dict[str, float] = {}
         if self.rank == 0:
             write_bytes(
@@ -127,12 +131,8 @@ class Training:
             total=total, initial=self.step, unit="step", desc=run.name, disable=self.rank > 0
         )
         for batch in self._batches() if not self._is_done() else ():
-            begun = time.process_time()
-            record = self._one_step(batch)
-            self.used += time.process_time() - begun
-            now = time.monotonic()
-            self.passed, before = self.passed + now - before, now
-            self._share_clocks()
+            with self.clock.step():
+                record = self._one_step(batch)
             self.step += 1
             bar.update()
             bar.set_postfix_str(
@@ -147,7 +147,7 @@ class Training:
                     record |= {"validation": figures}
                 elif done:
                     self._save_weights()
-                self.journal.write(record | {"cpu_seconds": round(self.used, 2)})
+                self.journal.write(record | {"cpu_seconds": round(self.clock.used, 2)})
             due = (
                 self.step % self.checkpoint_every == 0
                 if self.checkpoint_every
@@ -216,26 +216,7 @@ class Training:
         return None
 
     def _is_done(self) -> bool:
-        return self.step >= schedule.steps(self.run) or self._share_of_time() >= 1
-
-    def _share_of_time(self) -> float:
-        """Return how much of the time that the run may take is over; 0 where only steps count."""
-        limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
-        return max(
-            0.0 if limit is None else spent / limit
-            for spent, limit in zip((self.used, self.passed), limits, strict=True)
-        )
-
-    def _share_clocks(self) -> None:
-        """Give all processes of a run that ends by a clock the first one's times.
-
-        They follow them with the learning rate and the end, which must be the same in all.
-        """
-        limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
-        if self.world > 1 and any(limit is not None for limit in limits):
-            times = torch.tensor([self.used, self.passed], dtype=torch.float64, device=self.device)
-            torch.distributed.broadcast(times, 0)
-            self.used, self.passed = times.tolist()
+        return self.step >= schedule.steps(self.run) or self.clock.share() >= 1
 
     def _source_of_examples(self) -> str:
         """Return "relit", "pictures" or "mix"."""
@@ -273,12 +254,11 @@ class Training:
         torch.manual_seed(seed)  # dropout
         rng = torch.Generator().manual_seed(seed)  # sampled pixels
         self.model.train()
-        # running statistics, which the forward pass changes
-        self._copy_buffers(back=False)
+        self.buffers.store()  # the forward pass changes running statistics
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
         after_network = time.process_time()
-        if _is_finite(prediction):
+        if validation.is_finite(prediction):
             terms = self._terms(prediction, batch, phase.losses, rng)
             loss = losses.total(terms, phase.losses)
         # the layer would refuse it; gradients that are not finite let all processes of a run skip
@@ -299,7 +279,7 @@ class Training:
                 self.average, self.network, self.step, self.run.schedule.ema_decay
             )
         else:
-            self._copy_buffers(back=True)
+            self.buffers.restore()
             self._skip(batch, record)
         times = {
             "network": after_network - start,
@@ -307,19 +287,7 @@ class Training:
             "backward": time.process_time() - after_losses,
         }
         milliseconds = {f"{name}_ms": round(1e3 * seconds, 1) for name, seconds in times.items()}
-        return record | _saturation(prediction) | milliseconds
-
-    def _copy_buffers(self, back: bool) -> None:
-        """Store the network's buffers, or give it back those that were stored."""
-        own = list(self.network.buffers())
-        stored = self._stored_buffers or [buffer.clone() for buffer in own]
-        self._stored_buffers = stored
-        for kind in {buffer.dtype for buffer in own}:  # one launch for all of a type
-            pairs = [(a, b) for a, b in zip(own, stored, strict=True) if a.dtype == kind]
-            source, target = zip(*pairs, strict=True)
-            if back:
-                source, target = target, source
-            torch._foreach_copy_(list(target), list(source))
+        return record | validation.saturation(prediction) | milliseconds
 
     def _terms(
         self, prediction: Any, batch: ExampleBatch, loss_weights: Losses, rng: torch.Generator
@@ -329,7 +297,7 @@ class Training:
         )
 
     def _set_learning_rate(self, phase: schedule.Phase) -> None:
-        done = max((self.step - phase.first) / phase.steps, self._share_of_time())
+        done = max((self.step - phase.first) / phase.steps, self.clock.share())
         learning_rate, beta = schedule.learning_rate(self.run, phase, self.step, done)
         schedule.set_learning_rate(self.optimiser, learning_rate, beta)
 
@@ -365,7 +333,7 @@ class Training:
     def _predicted(self, network: torch.nn.Module, batch: ExampleBatch) -> Any:
         """Return a Prediction for people and figures. Raises InputError if it is not finite."""
         prediction = self.predict(network, batch)
-        if not _is_finite(prediction):
+        if not validation.is_finite(prediction):
             where = f"{self.out}: validation after step {self.step}"
             remedy = "lower schedule.learning_rate in the run, and give another --out"
             raise InputError(where, "finite predictions", "NaN or infinity", remedy)
@@ -422,8 +390,8 @@ class Training:
         progress = {
             "step": self.step,
             "skipped": self.skipped,
-            "used": self.used,
-            "passed": self.passed,
+            "used": self.clock.used,
+            "passed": self.clock.passed,
         }
         path = self.out / "checkpoint.safetensors"
         checkpoints.write(
@@ -434,18 +402,3 @@ class Training:
 def _copies(network: torch.nn.Module) -> dict[str, torch.Tensor]:
     """Return {name: copy} of a network's tensors."""
     return {name: t.detach().clone() for name, t in network.state_dict().items()}
-
-
-def _is_finite(prediction: Any) -> bool:
-    """Return whether all parts of a Prediction that are there are finite."""
-    return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
-
-
-def _saturation(prediction: Prediction) -> dict[str, float]:
-    """Return shares of outputs that no longer learn: codes at the ends of tanh, dark texels."""
-    result = {}
-    if prediction.code is not None:
-        result["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
-    if prediction.light_code is not None:
-        result["dark_texels"] = (prediction.light_code.detach() < 1e-4).float().mean().item()
-    return result

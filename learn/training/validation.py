@@ -50,6 +50,21 @@ def over(
     return {name: _mean(np.concatenate([f[name] for f in results])) for name in results[0]}
 
 
+def is_finite(prediction: Any) -> bool:
+    """Return whether all parts of a Prediction that are there are finite."""
+    return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
+
+
+def saturation(prediction: Prediction) -> dict[str, float]:
+    """Return shares of outputs that no longer learn: codes at the ends of tanh, dark texels."""
+    result = {}
+    if prediction.code is not None:
+        result["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
+    if prediction.light_code is not None:
+        result["dark_texels"] = (prediction.light_code.detach() < 1e-4).float().mean().item()
+    return result
+
+
 def _mean(values: np.ndarray) -> float:
     """Return the mean of the finite values; NaN if there are none."""
     finite = np.isfinite(values)

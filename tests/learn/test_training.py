@@ -26,7 +26,7 @@ from learn.networks.coding import REACH, Ranges, unit_mean
 from learn.networks.compact import CELLS, Compact, CompactWrapped, reflectance_map
 from learn.networks.paper import Paper
 from learn.networks.prediction import Prediction
-from learn.training import loop, losses, rerendering, validation
+from learn.training import clock, loop, losses, rerendering, validation
 from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
@@ -344,18 +344,19 @@ def test_a_run_ends_by_the_clock_with_its_learning_rate_at_its_end(
     not count.
     """
     ticks = itertools.count()
-    clock = SimpleNamespace(monotonic=lambda: float(next(ticks)), process_time=time.process_time)
-    monkeypatch.setattr(loop, "time", clock)
+    ticking = SimpleNamespace(monotonic=lambda: float(next(ticks)), process_time=time.process_time)
+    for module in (loop, clock):
+        monkeypatch.setattr(module, "time", ticking)
     schedule = Schedule(steps=1000, batch=4, warm_up=1, clock_seconds=20.0)
     own = run(schedule=schedule, parts=("normals",))
     first = Training(own, data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0)
     first._is_done = lambda: first.step >= 3
     first.train()
-    assert first.step == 3 and 3 <= first.passed < 15
+    assert first.step == 3 and 3 <= first.clock.passed < 15
     second = Training(own, data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0)
-    assert second.passed == first.passed
+    assert second.clock.passed == first.clock.passed
     second.train()
-    assert 20 <= second.passed < 25 and 3 < second.step <= 20
+    assert 20 <= second.clock.passed < 25 and 3 < second.step <= 20
     last = second.optimiser.param_groups[0]["lr"]
     assert last < 0.3 * own.schedule.learning_rate
 
