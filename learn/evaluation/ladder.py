@@ -7,88 +7,28 @@ OUT/report.json, report.md, chart.png
 The same command continues a stopped run, and a larger --scenes or --refined adds to it.
 """
 
-import functools
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import torch
-from msgspec import Struct, to_builtins
+from msgspec import to_builtins
 
-from learn.data.batch import ExampleBatch
-from learn.data.devices import array
 from learn.data.records import Records
 from learn.data.seen import DIGITS, label_hash, map_hash
-from learn.editing.decomposition import Parts, parts_of
-from learn.evaluation import ladder_design, ladder_report, methods, overlap
+from learn.evaluation import ladder_design, ladder_report, overlap
+from learn.evaluation.ladder_bench import Bench, Line
 from learn.evaluation.ladder_design import RUNGS, Rung, Scene
-from learn.evaluation.ladder_pictures import Shown, shown
-from learn.evaluation.rows import Figure
 from learn.layer.predictions import MEASURED
-from learn.metrics.pictures import aligned, display_l2
-from learn.metrics.radiometry import irradiance_error
-from learn.networks import weights as checkpoint
-from learn.networks.prediction import Prediction
-from learn.refinement import RefinementSettings, refine
+from learn.refinement import RefinementSettings
 from manifests import files, lock, outputs, ray_tasks
 from manifests.cached_store import open_store
 from manifests.line_files import Lines
 from manifests.progress import tqdm
 from manifests.provenance import provenance
 from manifests.store import file_hash
-
-
-class Measured(Struct, frozen=True):
-    """Figures of one decomposition and the edit made from it.
-
-    normals_mean_deg, normals_median_deg  angle to the true normals over the mask
-    irradiance         relative root mean square error of the light's irradiance
-    edit_l2            display L2 of the edit against its truth
-    edit_l2_aligned    the same after the factor on the edit's radiance that makes it least
-    edit_l2_three_factors  the same after such a factor for each channel; None in lines of before
-    """
-
-    normals_mean_deg: Figure
-    normals_median_deg: Figure
-    irradiance: Figure
-    edit_l2: Figure
-    edit_l2_aligned: Figure
-    edit_l2_three_factors: Figure | None = None
-
-
-class Line(Struct, frozen=True, kw_only=True):
-    """A line of lines.jsonl: one scene on one rung.
-
-    facing_deg       angle of normals that all face the viewer, mean over the mask
-    constant_irradiance  irradiance error of the same light from everywhere
-    unchanged_l2     display L2 of the input picture itself
-    floor_l2         of the edit from true normals, light and label; None on rungs of other cameras
-    metal            whether the target material is a metal
-    refined          None where the scene was not refined
-    """
-
-    id: str
-    scene: str
-    rung: str
-    group: str
-    family: str
-    shape: str
-    light: str
-    source: str
-    target: str
-    metal: bool
-    exposure: Figure
-    facing_deg: Figure
-    constant_irradiance: Figure
-    unchanged_l2: Figure
-    floor_l2: Figure | None
-    predicted: Measured
-    refined: Measured | None = None
-    commit: str = "none"
-
 
 # a scene, the name of a rung, and whether it is refined too
 Piece = tuple[Scene, str, bool]
@@ -223,7 +163,7 @@ def rows_of(out: Path) -> dict[str, dict]:
     return {row["id"]: row for row in outputs.read_lines(Path(out) / "lines.jsonl", Line)}
 
 
-def measure(options: Options, bench: "Bench", scenes: Sequence[Scene], to_refine: set[str]) -> None:
+def measure(options: Options, bench: Bench, scenes: Sequence[Scene], to_refine: set[str]) -> None:
     """Measure every scene on every rung that has no line yet, or one without refinement.
 
     to_refine  ids of the scenes that are refined
@@ -248,7 +188,7 @@ def measure(options: Options, bench: "Bench", scenes: Sequence[Scene], to_refine
                 bar.update()
 
 
-def _lines(options: Options, bench: "Bench", todo: Sequence[Piece]) -> Generator[Line, None, None]:
+def _lines(options: Options, bench: Bench, todo: Sequence[Piece]) -> Generator[Line, None, None]:
     """Yield the lines, in the order they are finished."""
     if options.ray is None:
         for piece in todo:
@@ -274,92 +214,3 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
         return msgspec.json.encode(bench.line(*msgspec.json.decode(piece, type=Piece)))
 
     return work
-
-
-class Bench:
-    """Records and a network, which measure scenes.
-
-    Raises  InputError for unusable weights
-    """
-
-    def __init__(self, records: Records, weights: Path, device: str = "cpu"):
-        network, metadata = checkpoint.load_parts(weights, device)
-        self.records, self.size, self.device = records, metadata["size"], torch.device(device)
-        self.predict = methods.network(network)
-        self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
-        self.commit = provenance()["commit"]
-
-    def line(self, scene: Scene, name: str, refined: bool) -> Line:
-        """Return the figures of a scene on a rung; refined: whether those of refinement too."""
-        (rung,) = (each for each in RUNGS if each.name == name)
-        picture = shown(self.records, scene, rung, self.size)
-        batch = picture.batch.to(self.device)
-        source = array((batch.image * batch.mask)[0].movedim(0, -1))
-        prediction = self.predict(batch)
-        facing = torch.zeros_like(batch.n)
-        facing[:, 2] = 1.0
-        floor = None
-        if not rung.eight_bit:
-            true = Parts(batch.n, batch.label, batch.light)
-            floor = display_l2(_edited(true, picture, batch), picture.target, picture.mask)
-        names = {key: of[rung.name].materials[0] for key, of in _sides(scene).items()}
-        return Line(
-            id=f"{scene.id}-{rung.name}",
-            scene=scene.id,
-            rung=rung.name,
-            group=scene.group,
-            family=scene.family,
-            shape=scene.shape,
-            light=scene.light,
-            metal=self.records.material(names["target"]).family == "metal",
-            exposure=picture.exposure,
-            facing_deg=angles(facing, batch)[0],
-            constant_irradiance=float(irradiance_error(torch.ones_like(batch.light), batch.light)),
-            unchanged_l2=display_l2(source, picture.target, picture.mask),
-            floor_l2=floor,
-            predicted=measured(parts_of(prediction), picture, batch),
-            refined=(
-                measured(parts_of(self.refine(batch, prediction).prediction), picture, batch)
-                if refined
-                else None
-            ),
-            commit=self.commit,
-            **names,
-        )
-
-
-def _sides(scene: Scene) -> dict[str, Mapping]:
-    return {"source": scene.source, "target": scene.truth}
-
-
-def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
-    """Return the figures of a decomposition of a picture; batch: the picture's, on the device."""
-    mean, median = angles(parts.n, batch)
-    edited = _edited(parts, picture, batch)
-    forgiving = aligned(edited, picture.target, picture.mask)
-    return Measured(
-        mean,
-        median,
-        float(irradiance_error(parts.light, batch.light)),
-        display_l2(edited, picture.target, picture.mask),
-        forgiving["l2_one_factor"],
-        forgiving["l2_three_factors"],
-    )
-
-
-def rendered_again(prediction: Prediction, picture: Shown) -> float:
-    """Return the display L2 of the picture's re-rendering by the integral against the picture."""
-    parts, batch = parts_of(prediction), picture.batch
-    again = methods.rendered(parts.n, parts.label, parts.light, batch)
-    return display_l2(again, array((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
-
-
-def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:
-    return methods.rendered(parts.n, torch.from_numpy(picture.label), parts.light, batch)
-
-
-def angles(n: torch.Tensor, batch: ExampleBatch) -> tuple[float, float]:
-    """Return the mean and median angle in degrees of normals (1, 3, H, W) over the mask."""
-    cosine = (n * batch.n).sum(1)[batch.segments > 0].double().clamp(-1, 1)
-    degrees = cosine.arccos().rad2deg()
-    return float(degrees.mean()), float(degrees.median())

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from learn.editing.decomposition import Parts
-    from learn.evaluation.ladder import Bench
+    from learn.evaluation.ladder_bench import Bench
     from learn.evaluation.ladder_design import Scene
     from learn.evaluation.ladder_pictures import Shown
 
@@ -50,7 +50,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     Raises InputError for a data set without pictures of the rungs.
     """
-    from learn.evaluation.ladder import Bench
+    from learn.evaluation.ladder_bench import Bench
     from learn.experiments import drawn_edits
 
     edits = drawn_edits.opened(arguments)

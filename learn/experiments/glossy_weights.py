@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     Raises InputError for a data set without pictures in glossy materials beside others, and for two
     weights of one name.
     """
-    from learn.evaluation import ladder
+    from learn.evaluation import ladder_bench
     from learn.experiments import drawn_edits
     from learn.experiments.refinement_methods import glossy
     from manifests.errors import InputError
@@ -94,7 +94,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         names=list(named),
         size=arguments.size,
     )
-    benches = {name: ladder.Bench(edits.records, path) for name, path in named.items()}
+    benches = {name: ladder_bench.Bench(edits.records, path) for name, path in named.items()}
     for bench in benches.values():
         bench.size = arguments.size or bench.size
     todo = [
@@ -123,7 +123,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     bench  of learn.evaluation.ladder
     """
     from learn.editing.decomposition import parts_of
-    from learn.evaluation import ladder
+    from learn.evaluation import ladder_bench
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
     from learn.training.validation import albedos
@@ -132,7 +132,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     picture = of_size(shown(bench.records, scene, known, bench.size), bench.size)
     prediction = bench.predict(picture.batch)
     parts = parts_of(prediction)
-    of_parts = ladder.measured(parts, picture, picture.batch)
+    of_parts = ladder_bench.measured(parts, picture, picture.batch)
     return {
         "shape": scene.shape,
         "light": scene.light,
@@ -141,7 +141,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
         "normals_mean_deg": of_parts.normals_mean_deg,
         "albedo": float(albedos(parts.label, picture.batch)["albedo"][0]),
         "irradiance": of_parts.irradiance,
-        "image_l2": ladder.rendered_again(prediction, picture),
+        "image_l2": ladder_bench.rendered_again(prediction, picture),
         "edit_l2": of_parts.edit_l2,
         "edit_l2_aligned": of_parts.edit_l2_aligned,
     }

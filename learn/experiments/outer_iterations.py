@@ -50,14 +50,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     from dataclasses import asdict, replace
 
-    from learn.evaluation import ladder
+    from learn.evaluation import ladder_bench
     from learn.experiments import drawn_edits
     from learn.refinement import RefinementSettings
 
     settings = replace(RefinementSettings(), outer_iterations=1)
     edits = drawn_edits.opened(arguments, settings=asdict(settings))
     scenes = edits.scenes
-    bench = ladder.Bench(edits.records, arguments.weights)
+    bench = ladder_bench.Bench(edits.records, arguments.weights)
     numbers = list(dict.fromkeys(arguments.outer_iterations))
     todo = [
         ({"scene": scene.id, "rung": rung, "number": number}, (scene, rung, number))

@@ -70,7 +70,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     from dataclasses import asdict
 
-    from learn.evaluation import ladder
+    from learn.evaluation import ladder_bench
     from learn.experiments import drawn_edits, ladder_scenes
 
     settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in ladder_scenes.RUNGS}
@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         argparse.Namespace(**vars(arguments) | most), sources=glossy, settings=settings
     )
     counts = {TRUE_LIGHT: arguments.true_light, PREDICTED: arguments.scenes}
-    bench = ladder.Bench(edits.records, arguments.weights)
+    bench = ladder_bench.Bench(edits.records, arguments.weights)
     todo = [
         (
             {"scene": scene.id, "rung": rung, "start": start, "method": method},

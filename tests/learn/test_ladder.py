@@ -14,7 +14,14 @@ import torch
 
 from learn.commands import evaluate_ladder
 from learn.data.records import Records
-from learn.evaluation import ladder, ladder_design, ladder_lines, ladder_pictures, ladder_report
+from learn.evaluation import (
+    ladder,
+    ladder_bench,
+    ladder_design,
+    ladder_lines,
+    ladder_pictures,
+    ladder_report,
+)
 from learn.evaluation.ladder_design import OWN_GROUP, PARTS, RUNGS
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -303,7 +310,7 @@ def test_a_run_and_its_continuation(options, monkeypatch):
     def never(*_):
         raise AssertionError("measured twice")
 
-    monkeypatch.setattr(ladder.Bench, "line", never)
+    monkeypatch.setattr(ladder_bench.Bench, "line", never)
     assert ladder.make(options)["tables"] == report["tables"]
 
 
@@ -336,7 +343,7 @@ def test_more_refined_scenes_are_added(options, monkeypatch):
     def unrefined(batch, prediction, labels):
         return SimpleNamespace(prediction=prediction)
 
-    monkeypatch.setattr(ladder, "refine", unrefined)
+    monkeypatch.setattr(ladder_bench, "refine", unrefined)
     report = ladder.make(replace(options, refined=1))
     lines = ladder.rows_of(options.out).values()
     assert all(line["refined"] == line["predicted"] for line in lines)
