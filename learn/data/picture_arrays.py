@@ -9,10 +9,10 @@ import numpy as np
 from learn.data.photographs import (
     LARGEST_RADIANCE,
     MASK_REMEDY,
-    MOST_PIXELS,
     MOST_REGIONS,
     require_object,
 )
+from learn.data.picture_decoding import MOST_PIXELS
 from manifests.errors import InputError
 from shaders import tone
 

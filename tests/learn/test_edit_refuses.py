@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from learn.__main__ import COMMANDS
-from learn.data import framing, photographs
+from learn.data import framing, photographs, picture_decoding
 from learn.editing import photograph, targets
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -387,7 +387,7 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
 
 
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
-    monkeypatch.setattr(photographs, "MOST_PIXELS", 1000)
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 1000)
     with pytest.raises(InputError, match="megapixels"):
         photograph.opened(files / "photo.png", [files / "mask.png"])
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from learn.__main__ import COMMANDS
-from learn.data import framing, photographs
+from learn.data import framing, photographs, picture_decoding
 from learn.editing import edit_files, photograph
 from manifests import cli, exr
 from manifests.errors import InputError
@@ -270,7 +270,7 @@ def test_formats_that_are_not_on_the_list_are_refused_with_the_list(
 
 @pytest.mark.parametrize("format_", ["PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF", "MPO"])
 def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
-    if format_ == "AVIF" and format_ not in photographs._formats():
+    if format_ == "AVIF" and format_ not in picture_decoding.formats():
         pytest.skip("this Pillow has no AVIF")
     (tmp_path / "photo.bin").write_bytes(encoded(bytes_of(ball), format_))
     result = photograph.opened(tmp_path / "photo.bin", [mask_file])
