@@ -554,6 +554,7 @@ REPORTS = {
 }
 NOT_PUBLISHED = {
     "compare-weights",  # its reports are named by what they compare
+    "step-profile",  # and its reports by how a step renders
     "calibrate-auto",  # its result is learn/methods/calibration.json
 }
 
