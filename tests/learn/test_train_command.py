@@ -18,7 +18,7 @@ import hashlib, itertools, json, os, sys, time
 from pathlib import Path
 from types import SimpleNamespace
 import torch
-from learn.training import loop
+from learn.training import clock, loop
 from manifests.cli import main
 
 step = loop.Training._one_step
@@ -35,7 +35,8 @@ def watched(self, batch):
 loop.Training._one_step = watched
 if os.environ.get("UNEQUAL_CLOCKS"):  # a step takes each process longer than the one before it
     readings = (0.1 * k * (1 + int(os.environ["RANK"])) for k in itertools.count())
-    loop.time = SimpleNamespace(process_time=lambda: next(readings), monotonic=time.monotonic)
+    unequal = SimpleNamespace(process_time=lambda: next(readings), monotonic=time.monotonic)
+    clock.time = loop.time = unequal
 sys.exit(main("learn", "", ("train",), sys.argv[2:]))
 """
 
