@@ -42,7 +42,7 @@ from manifests.files import write_json
 from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from manifests.verification import faults_of
-from tests.endurance.kill_and_resume import compared
+from tests.endurance.kill_and_resume import compared, recorded
 from tests.support.jumping_clock import JumpingClock
 from tests.support.tetrahedron import ROOT, lines
 
@@ -187,11 +187,6 @@ def ray(runs, folder, patience):
 
 
 CASES = {f.__name__: f for f in (running, continued, parts, refused, store, ray)}
-
-
-def recorded(folder):
-    """How many pictures there are."""
-    return sum(path.read_bytes().count(b"\n") for path in Store(folder).record_files())
 
 
 def bars(logs):

@@ -100,6 +100,11 @@ def compared(whole, killed):
     return lines
 
 
+def recorded(folder):
+    """How many pictures there are."""
+    return sum(path.read_bytes().count(b"\n") for path in Store(folder).record_files())
+
+
 def _same_accuracy(one, other):
     """Whether two records of one shot had the same estimator and errors, in whatever time."""
     if one is None or other is None:

@@ -22,8 +22,7 @@ import psutil
 
 from manifests.files import write_json
 from manifests.provenance import provenance, shortened
-from manifests.store import Store
-from tests.endurance.kill_and_resume import compared
+from tests.endurance.kill_and_resume import compared, recorded
 
 
 def workers_of(run):
@@ -36,11 +35,6 @@ def workers_of(run):
         except psutil.Error:  # it has just ended
             continue
     return found
-
-
-def recorded(folder):
-    """How many pictures there are."""
-    return sum(path.read_bytes().count(b"\n") for path in Store(folder).record_files())
 
 
 def disturbed(command, folder, kills, most, seed):

@@ -37,7 +37,7 @@ from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.full_disk import Disk, bad_records, drafts
-from tests.endurance.kill_and_resume import compared
+from tests.endurance.kill_and_resume import compared, recorded
 from tests.support.tetrahedron import ROOT, lines
 
 JOB = {
@@ -120,11 +120,6 @@ class Command:
             "pictures_per_second": round((made - first[1]) / (now - first[0]), 2),
             "most_memory_mb": round(most / 2**20),
         }
-
-
-def recorded(folder):
-    """How many pictures there are."""
-    return sum(path.read_bytes().count(b"\n") for path in Store(folder).record_files())
 
 
 def killed(command, folder, kills, pictures, draw):

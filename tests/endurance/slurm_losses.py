@@ -20,16 +20,11 @@ from pathlib import Path
 
 from manifests.store import Store
 from manifests.verification import faults_of
-from tests.endurance.kill_and_resume import compared
+from tests.endurance.kill_and_resume import compared, recorded
 from tests.support import small_slurm
 from tests.support.tetrahedron import ROOT
 
 SCRIPTS = ROOT / "docs" / "jobs" / "slurm"
-
-
-def count(folder):
-    """Number of a folder's records."""
-    return sum(path.read_bytes().count(b"\n") for path in Store(folder).record_files())
 
 
 class Losses:
@@ -43,11 +38,11 @@ class Losses:
 
     def after(self, pictures, what, act):
         """Do something once so many pictures more have been made."""
-        goal, end = count(self.folder) + pictures, time.monotonic() + 300
-        while count(self.folder) < goal:
+        goal, end = recorded(self.folder) + pictures, time.monotonic() + 300
+        while recorded(self.folder) < goal:
             assert time.monotonic() < end, "the job makes no pictures"
             time.sleep(0.1)
-        self.made.append((what, count(self.folder)))
+        self.made.append((what, recorded(self.folder)))
         act()
 
     def control(self, *words):
@@ -115,13 +110,13 @@ def main():
         small_slurm.started(folder) as slurm,
     ):
         report = {"slurm": small_slurm.said(slurm, "sbatch", "--version")}
-        report["shots"] = count(out / "whole")
+        report["shots"] = recorded(out / "whole")
         for name, disturb in (("array", array_disturbed), ("ray", cluster_disturbed)):
             begun = time.monotonic()
             made = disturb(slurm, job, out / name)
             report[name] = {
                 "losses": [{"what": what, "pictures": pictures} for what, pictures in made],
-                "records": count(out / name),
+                "records": recorded(out / name),
                 "seconds": round(time.monotonic() - begun, 1),
                 "differences": compared(out / "whole", out / name)[:10],
                 "faults": [fault.text for fault in faults_of(Store(out / name))][:10],

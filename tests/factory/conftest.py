@@ -2,6 +2,7 @@
 
 import hashlib
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -42,6 +43,14 @@ def small_job(light_file):
         views=(0, 6),
         samples=1,
         camera=Camera(size=(16, 16)),
+    )
+
+
+@pytest.fixture
+def job(small_job, tmp_path):
+    """A job of the meshes in tmp_path/meshes, two views each, without pictures."""
+    return msgspec.structs.replace(
+        small_job, shapes=(f"{tmp_path}/meshes/",), materials=("small",), pictures=False
     )
 
 

@@ -26,14 +26,6 @@ from tests.support.tetrahedron import ROOT, TETRAHEDRON, lines, written
 
 
 @pytest.fixture
-def job(small_job, tmp_path):
-    """A job of the meshes in tmp_path/meshes, two views each, without pictures."""
-    return msgspec.structs.replace(
-        small_job, shapes=(f"{tmp_path}/meshes/",), materials=("small",), pictures=False
-    )
-
-
-@pytest.fixture
 def read(monkeypatch):
     """The names of the files that this process reads, which are few enough to be read here.
 

@@ -90,6 +90,9 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
     assert not (tmp_path / "data").exists()
 
 
+ONE_CUBE = ["render", "--mesh", "cube", "--material", "m", "--light", "l", "--out", "X"]
+
+
 @pytest.mark.parametrize(
     ("words", "says", "status"),
     [
@@ -111,75 +114,11 @@ def test_a_bad_job_file_is_refused_in_one_line_before_anything_is_written(
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
         (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N, found '²/3'", 1),
         (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
-        (
-            [
-                "render",
-                "--mesh",
-                "cube",
-                "--material",
-                "m",
-                "--light",
-                "l",
-                "--size",
-                "9" * 5000,
-                "--out",
-                "X",
-            ],
-            "pixels from 4 to 8192",
-            1,
-        ),
-        (
-            [
-                "render",
-                "--mesh",
-                "cube",
-                "--material",
-                "m",
-                "--light",
-                "l",
-                "--views",
-                "9" * 5000,
-                "--out",
-                "X",
-            ],
-            "numbers from 0 to 23",
-            1,
-        ),
+        ([*ONE_CUBE, "--size", "9" * 5000], "pixels from 4 to 8192", 1),
+        ([*ONE_CUBE, "--views", "9" * 5000], "numbers from 0 to 23", 1),
         (["render", "demo", "--out", "X", "--device", "abacus"], "--device", 2),
-        (
-            [
-                "render",
-                "--mesh",
-                "cube",
-                "--material",
-                "m",
-                "--light",
-                "l",
-                "--views",
-                "24",
-                "--out",
-                "X",
-            ],
-            "numbers from 0 to 23",
-            1,
-        ),
-        (
-            [
-                "render",
-                "--mesh",
-                "cube",
-                "--material",
-                "m",
-                "--light",
-                "l",
-                "--size",
-                "0",
-                "--out",
-                "X",
-            ],
-            "pixels from 4 to 8192",
-            1,
-        ),
+        ([*ONE_CUBE, "--views", "24"], "numbers from 0 to 23", 1),
+        ([*ONE_CUBE, "--size", "0"], "pixels from 4 to 8192", 1),
         (["plan"], "expected a job", 1),
         (
             ["plan", "nowhere.json"],

@@ -8,7 +8,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from pathlib import Path
 
 import msgspec
@@ -28,6 +27,7 @@ from manifests.verification import faults_of
 from tests.endurance.kill_and_resume import compared, disturbed
 from tests.support import s3_server
 from tests.support.network_faults import KINDS, Proxy
+from tests.support.store_content import content
 from tests.support.tetrahedron import FAKE, ROOT
 
 pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
@@ -50,13 +50,6 @@ def url(request, monkeypatch, tmp_path):
     files = fsspec.filesystem("memory")
     if files.exists(result):
         files.rm(result, recursive=True)
-
-
-def content(store):
-    """{id: record without its seconds} of a store; each id is there once."""
-    records = list(store.records())
-    assert max(Counter(record.id for record in records).values(), default=1) == 1
-    return {record.id: msgspec.structs.replace(record, seconds=0.0) for record in records}
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -37,14 +37,6 @@ def old_files(monkeypatch):
     monkeypatch.setattr(facts, "RECENT", 0.0)
 
 
-@pytest.fixture
-def job(small_job, tmp_path):
-    """A job of the meshes in tmp_path/meshes, two views each, without pictures."""
-    return msgspec.structs.replace(
-        small_job, shapes=(f"{tmp_path}/meshes/",), materials=("small",), pictures=False
-    )
-
-
 @pytest.mark.parametrize("pictures", [False, True])
 def test_the_records_are_those_of_a_job_that_is_read_whole(
     stream, render, job, tmp_path, in_processes, pictures

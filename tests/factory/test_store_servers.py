@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 
 import msgspec
 import pytest
@@ -24,6 +23,7 @@ from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support import s3_server, store_servers
 from tests.support.network_faults import KINDS, Proxy
+from tests.support.store_content import content
 from tests.support.tetrahedron import ROOT
 
 pytest.importorskip("fsspec", reason="fsspec is not installed (extra stores)")
@@ -78,13 +78,6 @@ def server(running, monkeypatch, tmp_path):
 def url(server, request):
     """The URL of an empty data set there."""
     return server.url(request.node.originalname)
-
-
-def content(store):
-    """{id: record without its seconds} of a store; each id is there once."""
-    records = list(store.records())
-    assert max(Counter(record.id for record in records).values(), default=1) == 1
-    return {record.id: msgspec.structs.replace(record, seconds=0.0) for record in records}
 
 
 def test_objects_are_listed_read_replaced_and_removed(url):

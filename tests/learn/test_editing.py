@@ -305,16 +305,14 @@ def test_a_record_that_has_a_target_material_already_is_edited_only_if_there_is_
     assert photograph.opened(tmp_path, targets=["a", "b"]).record.materials == (first,)
 
 
+def write_two_materials(folder, rng, rotations):
+    """A data set of the materials a and b."""
+    both = [matte("a", 0.2), matte("b", 0.6)]
+    write_dataset(folder, both, rng, size=32, seeds=1, rotations=rotations, method="quadrature")
+
+
 def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
-    write_dataset(
-        tmp_path,
-        [matte("a", 0.2), matte("b", 0.6)],
-        rng,
-        size=32,
-        seeds=1,
-        rotations=(0, 5),
-        method="quadrature",
-    )
+    write_two_materials(tmp_path, rng, (0, 5))
     records = Records(tmp_path)
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
@@ -324,15 +322,7 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
-    write_dataset(
-        tmp_path,
-        [matte("a", 0.2), matte("b", 0.6)],
-        rng,
-        size=32,
-        seeds=1,
-        rotations=(0,),
-        method="quadrature",
-    )
+    write_two_materials(tmp_path, rng, (0,))
     result = photograph.opened(tmp_path)
     of = {
         key: msgspec.structs.replace(result.record, id=" ".join(key), materials=key)
@@ -354,15 +344,7 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
 
 
 def test_a_datasets_own_materials_are_known(tmp_path, rng):
-    write_dataset(
-        tmp_path,
-        [matte("a", 0.2), matte("b", 0.6)],
-        rng,
-        size=32,
-        seeds=1,
-        rotations=(0,),
-        method="quadrature",
-    )
+    write_two_materials(tmp_path, rng, (0,))
     label = Records(tmp_path).label("b")
     np.testing.assert_array_equal(edit.labels_of("b", 1, None, {"b": label})[0], label)
     with pytest.raises(ValueError, match="none of that name"):

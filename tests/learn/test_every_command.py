@@ -9,17 +9,10 @@ import importlib
 import io
 import json
 
-import numpy as np
 import pytest
-import torch
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
-from learn.networks.coding import Ranges
-from learn.networks.compact import Compact
-from learn.networks.weights import save_weights
-from tests.support.full_disk_case import RUN as SETTINGS
-from tests.support.full_disk_case import SIZE, done, pictures
-from tests.support.synthetic import add_shape, matte, write_dataset
+from tests.support import command_inputs
+from tests.support.full_disk_case import done
 
 PROGRAMS = ("factory", "learn")
 RUN = {  # command: its words, and a file that it must leave; None: it writes nothing
@@ -80,30 +73,7 @@ def room(tmp_path_factory):
     run, untrained weights.
     """
     room = tmp_path_factory.mktemp("room")
-    pictures(room)
-    (room / "run.json").write_text(json.dumps(SETTINGS | {"network": "compact"}))
-    both = [matte("dark", 0.2), matte("light", 0.8)]
-    store = write_dataset(
-        room / "data",
-        both,
-        np.random.default_rng(3),
-        SIZE,
-        1,
-        0.0,
-        rotations=(0,),
-        category="sphere",
-    )
-    add_shape(
-        store,
-        next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0),
-        "train",
-    )
-    add_shape(store, "cube:1", "test")
-    torch.manual_seed(0)
-    network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
-    save_weights(
-        room / "weights.safetensors", network, network.state_dict(), json.dumps(SETTINGS), SIZE
-    )
+    command_inputs.write(room, room / "weights.safetensors")
     return room
 
 

@@ -12,7 +12,6 @@ import torch
 
 import learn.__main__
 import learn.experiments.__main__
-from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.experiments import auto_calibration, edit_brightness, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.metrics import bootstrap
@@ -24,7 +23,7 @@ from manifests import allocator
 from manifests.cli import main
 from tests.support import ladder_rungs, room_scenes, stereo_sphere
 from tests.support.full_disk_case import RUN as SETTINGS
-from tests.support.synthetic import add_shape, glossy, matte, write_dataset
+from tests.support.synthetic import add_sides, glossy, matte, write_dataset
 from tests.support.two_materials import written
 
 SIZE = 32
@@ -369,9 +368,7 @@ def room(tmp_path_factory):
             room / name, both, rng, size, 1, 0.0, rotations=(0,), category="sphere"
         )
         if name == "data":
-            validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-            add_shape(store, f"ball:{next(validation)}", "train")
-            add_shape(store, "cube:1", "test")
+            add_sides(store)
     written(room / "exposed")
     (room / "trained").mkdir()
     (room / "trained" / "run.json").write_text(json.dumps(SETTINGS))

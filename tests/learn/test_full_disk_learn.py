@@ -7,19 +7,13 @@ on real small file systems.
 
 import json
 
-import numpy as np
 import pytest
-import torch
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.editing import drawing
 from learn.evaluation import bench
 from learn.layer import predictions
-from learn.networks.coding import Ranges
-from learn.networks.compact import Compact
-from learn.networks.weights import save_weights
-from tests.support.full_disk_case import RUN, SIZE, check, check_read_only, pictures
-from tests.support.synthetic import add_shape, matte, write_dataset
+from tests.support import command_inputs
+from tests.support.full_disk_case import check, check_read_only
 
 QUICK = (
     "agree",
@@ -38,31 +32,7 @@ QUICK = (
 def room(tmp_path_factory):
     """What the commands read, its pictures made by the layer."""
     room = tmp_path_factory.mktemp("room")
-    pictures(room)
-    (room / "run.json").write_text(json.dumps(RUN | {"network": "compact"}))
-    both = [matte("dark", 0.2), matte("light", 0.8)]
-    store = write_dataset(
-        room / "data",
-        both,
-        np.random.default_rng(3),
-        SIZE,
-        1,
-        0.0,
-        rotations=(0,),
-        category="sphere",
-    )
-    add_shape(
-        store,
-        next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0),
-        "train",
-    )
-    add_shape(store, "cube:1", "test")
-    torch.manual_seed(0)
-    network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
-    (room / "out").mkdir()
-    save_weights(
-        room / "out" / "weights.safetensors", network, network.state_dict(), json.dumps(RUN), SIZE
-    )
+    command_inputs.write(room, room / "out" / "weights.safetensors")
     (room / "agreement").mkdir()
     summary = {"direct": {}, "breakdowns": {}, "causes": {}}
     (room / "agreement" / "report.json").write_text(json.dumps({"summary": summary, "about": {}}))

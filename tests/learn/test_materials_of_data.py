@@ -62,13 +62,7 @@ def metals(tmp_path, entries):
         method="auto",
         category="sphere",
     )
-    validation = next(
-        f"ball:{k}"
-        for k in range(1000)
-        if sources.by_hash(f"ball:{k}", sources.VALIDATION_SHAPES) == 0
-    )
-    for shape, side in ((validation, "train"), ("cube:1", "test")):
-        synthetic.add_shape(store, shape, side)
+    synthetic.add_sides(store)
     return store
 
 

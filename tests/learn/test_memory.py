@@ -19,13 +19,10 @@ print(faults)
 """
 
 
-def page_faults(keep, root):
-    done = subprocess.run(
-        [sys.executable, "-c", TAKES_AND_FREES.format(keep=keep)],
-        cwd=root,
-        capture_output=True,
-        text=True,
-    )
+def printed(program, root):
+    """The number that a program prints, in a process of its own."""
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True)
     if done.returncode == 3:
         pytest.skip("this system's allocator takes no advice")
     return int(done.stdout)
@@ -33,7 +30,8 @@ def page_faults(keep, root):
 
 def test_large_blocks_taken_again_cost_no_page_faults_once_freed_memory_is_kept(request):
     root = request.config.rootpath
-    assert page_faults(True, root) * 10 < page_faults(False, root)
+    faults = {keep: printed(TAKES_AND_FREES.format(keep=keep), root) for keep in (True, False)}
+    assert faults[True] * 10 < faults[False]
 
 
 HOLES = """
@@ -57,20 +55,8 @@ print(resident() - before)
 """
 
 
-def left_over(returned, root):
-    """Megabytes that a process keeps after it has freed large blocks among small ones."""
-    done = subprocess.run(
-        [sys.executable, "-c", HOLES.format(returned=returned)],
-        cwd=root,
-        capture_output=True,
-        text=True,
-    )
-    if done.returncode == 3:
-        pytest.skip("this system's allocator takes no advice")
-    return int(done.stdout)
-
-
 def test_large_blocks_leave_no_holes_between_small_ones_once_they_are_returned(request):
     root = request.config.rootpath
-    assert left_over(False, root) > 100
-    assert left_over(True, root) < 20
+    # megabytes that a process keeps after it has freed large blocks among small ones
+    assert printed(HOLES.format(returned=False), root) > 100
+    assert printed(HOLES.format(returned=True), root) < 20

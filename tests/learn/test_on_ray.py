@@ -17,7 +17,6 @@ import torch
 
 from learn.__main__ import COMMANDS as LEARN
 from learn.data.settings import Data, Run
-from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.evaluation import bench, card_batches
 from learn.experiments import on_ray, runner
 from learn.experiments.__main__ import COMMANDS as EXPERIMENTS
@@ -27,7 +26,7 @@ from learn.networks.weights import save_weights
 from manifests import files, outputs
 from manifests.cli import main
 from tests.support import fake_ray, ladder_rungs
-from tests.support.synthetic import add_shape, matte, write_dataset
+from tests.support.synthetic import add_sides, matte, write_dataset
 from tests.support.tetrahedron import ROOT
 
 SIZE = 32
@@ -56,9 +55,7 @@ def room(tmp_path_factory):
     write_dataset(room / "large", both, rng, 2 * SIZE, 1, 0.0, (0,), category="sphere")
     ladder_rungs.written(room / "ladder", SIZE)
     store = write_dataset(room / "sides", both, rng, SIZE, 1, 0.0, (0,), category="sphere")
-    validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
-    add_shape(store, f"ball:{next(validation)}", "train")
-    add_shape(store, "cube:1", "test")
+    add_sides(store)
     for name, seed in (("weights", 0), ("second", 1)):
         torch.manual_seed(seed)
         network = Compact(Ranges.of(torch.tensor([each.label for each in both])))

@@ -13,7 +13,6 @@ from learn.data import seen, sources
 from learn.data.records import Records
 from learn.data.seen import DIGITS, Seen, label_hash, map_hash
 from learn.data.settings import Data
-from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.evaluation import overlap
 from learn.networks import own_weights, tensor_file, weights
 from learn.networks.coding import Ranges
@@ -29,7 +28,6 @@ from tests.support import synthetic
 from tests.support.synthetic import matte
 
 SIZE = 32
-VALIDATION = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
 HELD_LIGHT = "0" * 64  # a hash on the test side
 RUN = {
     "name": "tiny",
@@ -56,8 +54,7 @@ def store(tmp_path_factory):
         noise=0.0,
         rotations=(2,),
     )
-    synthetic.add_shape(store, VALIDATION, "train")
-    synthetic.add_shape(store, "cube:1", "test")
+    synthetic.add_sides(store)
     L, scale = envmap.unit_mean(np.exp(np.random.default_rng(2).standard_normal((64, 128, 3))))
     stored = light_path("dusk", HELD_LIGHT)
     digest = store.place(stored, light_files.encode_light(L, scale), "test")
@@ -137,7 +134,7 @@ def changed(path, target, change):
 
 def test_weights_and_checkpoint_hold_what_training_and_validation_drew_from(store, trained):
     records, dataset = Records(store.folder), store.dataset()
-    shapes = [dataset.shapes[name].hash[:DIGITS] for name in ("sphere", VALIDATION)]
+    shapes = [dataset.shapes[name].hash[:DIGITS] for name in ("sphere", synthetic.VALIDATION)]
     expected = Seen(
         shapes=tuple(sorted(shapes)),
         materials=tuple(sorted(label_hash(records.label(name)) for name in ("dark", "bright"))),

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import torch
 
+from learn.data.sources import VALIDATION_SHAPES, by_hash
 from learn.layer import render
 from manifests import exr, ids, light_files
 from manifests import materials as catalogue
@@ -30,6 +31,8 @@ from shaders.mixture import Mixture
 
 ALBEDO = 0.4
 DIGITS = 12
+# a shape that is for validation, where it is on the side of training
+VALIDATION = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
 SHAPE, LIGHT, RENDER = "5" * 64, "a" * 64, "synthetic"  # stand-ins of hashes
 
 
@@ -316,6 +319,12 @@ def add_shape(store, name, side):
         lines.append(result[-1])
     lines.close()
     return result
+
+
+def add_sides(store):
+    """Add a shape for validation and one for testing to a data set with a shape for training."""
+    add_shape(store, VALIDATION, "train")
+    add_shape(store, "cube:1", "test")
 
 
 def another_geometry(store, record, path, number):
