@@ -9,7 +9,7 @@ from pathlib import Path
 
 from learn.commands import options
 from manifests.help_format import HelpFormatter
-from manifests.option_types import positive, whole
+from manifests.option_types import positive
 
 EPILOG = """example:
   python -m learn evaluate --data test-data --out evaluation"""
@@ -95,13 +95,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="number of processes (default: one per CPU that this process may use)",
     )
     options.add_ray(parser)
-    parser.add_argument(
-        "--gallery",
-        type=whole,
-        default=12,
-        metavar="N",
-        help="number of edits shown as pictures (default 12)",
-    )
+    options.add_count(parser, "--gallery", 12, "number of edits shown as pictures", least=0)
     options.add_allow_overlap(parser)
     options.add_device(parser)
     parser.set_defaults(run=run)

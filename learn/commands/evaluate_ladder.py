@@ -7,7 +7,7 @@ from pathlib import Path
 
 from learn.commands import options
 from manifests.help_format import HelpFormatter
-from manifests.option_types import positive, whole
+from manifests.option_types import positive
 from manifests.wording import number_of
 
 SIDES = ("development", "test", "second-test")
@@ -81,12 +81,12 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="RUNG",
         help=f"rungs that are measured: {', '.join(RUNGS)} (default: all of the side)",
     )
-    parser.add_argument(
+    options.add_count(
+        parser,
         "--refined",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="number of scenes of each group that are refined on every rung as well (default 0)",
+        0,
+        "number of scenes of each group that are refined on every rung as well",
+        least=0,
     )
     parser.add_argument(
         "--incomplete",

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from learn.commands import options
 from manifests.help_format import HelpFormatter
-from manifests.option_types import positive
 
 EPILOG = """example:
   python -m learn evaluate-network run/weights.safetensors --data geometry-data --out card"""
@@ -45,13 +44,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="weights of the same run with other seeds",
     )
     parser.add_argument("--seeds", dest="other_seeds", type=Path, nargs="+", help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--batches",
-        type=positive,
-        default=16,
-        metavar="N",
-        help="number of batches of 16 pictures (default 16)",
-    )
+    options.add_count(parser, "--batches", 16, "number of batches of 16 pictures")
     parser.add_argument(
         "--note", default="", metavar="TEXT", help="a note that is printed on the page"
     )

@@ -75,6 +75,19 @@ def weights_file(text: str) -> Path:
     return own if Path(text).name == text and own.exists() else Path(text)
 
 
+def add_count(
+    parser: argparse.ArgumentParser, name: str, default: int, what: str, least: int = 1
+) -> None:
+    """Add an option of a whole number of at least 1 or 0; its help is `what` and the default."""
+    parser.add_argument(
+        name,
+        type=positive if least else whole,
+        default=default,
+        metavar="N",
+        help=f"{what} (default {default})",
+    )
+
+
 def add_refinement_method(parser: argparse.ArgumentParser) -> None:
     """Add --refinement-method, one of LAYER_METHODS; None if it is not given."""
     parser.add_argument(

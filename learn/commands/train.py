@@ -70,12 +70,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help="weights.safetensors of an earlier run to begin with (default: as the run says)",
     )
-    parser.add_argument(
-        "--sheet-every",
-        type=whole,
-        default=500,
-        metavar="N",
-        help="steps between contact sheets and validations (default 500)",
+    options.add_count(
+        parser, "--sheet-every", 500, "steps between contact sheets and validations", least=0
     )
     parser.add_argument(
         "--checkpoint-every",

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterable
 
 from learn.commands import options
-from manifests.option_types import above_zero, positive
+from manifests.option_types import above_zero
 
 
 def add(parser: argparse.ArgumentParser, seconds: float) -> None:
@@ -21,9 +21,7 @@ def add(parser: argparse.ArgumentParser, seconds: float) -> None:
         metavar="S",
         help=f"processor time of each variant (default {seconds:g})",
     )
-    parser.add_argument(
-        "--seeds", type=positive, default=3, metavar="N", help="number of seeds (default 3)"
-    )
+    options.add_count(parser, "--seeds", 3, "number of seeds")
     add_batches(parser)
     parser.add_argument(
         "--held-out",
@@ -37,12 +35,8 @@ def add(parser: argparse.ArgumentParser, seconds: float) -> None:
 
 def add_batches(parser: argparse.ArgumentParser) -> None:
     """Add the number of batches that variants are measured on."""
-    parser.add_argument(
-        "--batches",
-        type=positive,
-        default=12,
-        metavar="N",
-        help="batches of 16 pictures that variants are measured on (default 12)",
+    options.add_count(
+        parser, "--batches", 12, "batches of 16 pictures that variants are measured on"
     )
 
 
@@ -55,9 +49,7 @@ def add_run(parser: argparse.ArgumentParser, what: str) -> None:
         metavar="NAME|FILE.json",
         help=f"a preset of manifests/runs, or a run file, of {what} (default general-compact)",
     )
-    parser.add_argument(
-        "--steps", type=positive, default=600, metavar="N", help="of each variant (default 600)"
-    )
+    options.add_count(parser, "--steps", 600, "of each variant")
 
 
 def add_variants(parser: argparse.ArgumentParser, names: Iterable[str], reference: str) -> None:

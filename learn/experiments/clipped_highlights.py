@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,16 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of pictures."""
     options.add_data(parser, "a data set whose held-out shapes and lights are used")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--pictures", type=positive, default=24, metavar="N", help="of pictures (default 24)"
-    )
-    parser.add_argument(
-        "--outer-iterations",
-        type=positive,
-        default=3,
-        metavar="N",
-        help="of refinement (default 3)",
-    )
+    options.add_count(parser, "--pictures", 24, "of pictures")
+    options.add_count(parser, "--outer-iterations", 3, "of refinement")
     options.add_seed(parser, "seed by which pictures are chosen")
 
 

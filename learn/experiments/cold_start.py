@@ -12,7 +12,6 @@ from pathlib import Path
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 CASES = ("exact", "exact, view per pixel", "auto")
 KERNELS = ("empty", "kept")
@@ -29,13 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CASE",
         help=f"of {'; '.join(CASES)} (default: all)",
     )
-    parser.add_argument(
-        "--rounds",
-        type=positive,
-        default=3,
-        metavar="N",
-        help="fresh starts of each kind (default 3)",
-    )
+    options.add_count(parser, "--rounds", 3, "fresh starts of each kind")
     options.add_threads(parser, "torch's threads")
 
 

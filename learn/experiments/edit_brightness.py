@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,12 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of scenes."""
     options.add_data(parser, "a data set with pictures of the ladder's cameras")
     options.add_weights(parser)
-    parser.add_argument(
-        "--scenes",
-        type=positive,
-        default=48,
-        metavar="N",
-        help="number of edits on each rung, of different shapes and lights (default 48)",
+    options.add_count(
+        parser, "--scenes", 48, "number of edits on each rung, of different shapes and lights"
     )
     options.add_seed(parser, "seed by which edits are drawn")
 

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 from learn.commands import options
 from learn.experiments import runner
 from manifests.errors import InputError
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,13 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=H",
         help="processor hours of training of a method, for the second chart",
     )
-    parser.add_argument(
-        "--scenes",
-        type=positive,
-        default=18,
-        metavar="N",
-        help="number of scenes on each rung, of different shapes (default 18)",
-    )
+    options.add_count(parser, "--scenes", 18, "number of scenes on each rung, of different shapes")
     options.add_seed(parser, "seed by which edits are drawn")
 
 

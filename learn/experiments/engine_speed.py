@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 
+from learn.commands import options
 from learn.experiments import runner
 from manifests.option_types import positive
 
@@ -32,19 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="thread counts (default: 1 2)",
     )
-    parser.add_argument(
-        "--rounds",
-        type=positive,
-        default=5,
-        metavar="N",
-        help="how often each is timed (default 5)",
-    )
-    parser.add_argument(
+    options.add_count(parser, "--rounds", 5, "how often each is timed")
+    options.add_count(
+        parser,
         "--eager-pixels",
-        type=positive,
-        default=96,
-        metavar="N",
-        help="pixels that plain torch renders; the whole picture would take minutes (default 96)",
+        96,
+        "pixels that plain torch renders; the whole picture would take minutes",
     )
 
 

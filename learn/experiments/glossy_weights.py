@@ -49,13 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="weights and what the report calls them; repeat the option: the others are compared"
         " with the first ones",
     )
-    parser.add_argument(
-        "--scenes",
-        type=positive,
-        default=48,
-        metavar="N",
-        help="number of pictures on each rung, shapes in turn (default 48)",
-    )
+    options.add_count(parser, "--scenes", 48, "number of pictures on each rung, shapes in turn")
     parser.add_argument(
         "--size",
         type=positive,

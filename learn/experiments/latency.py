@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import above_zero, positive
+from manifests.option_types import above_zero
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,9 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="T",
         help="relative errors that are allowed (default: 0.01 0.001)",
     )
-    parser.add_argument(
-        "--every", type=positive, default=1, metavar="N", help="only each N-th material (default 1)"
-    )
+    options.add_count(parser, "--every", 1, "only each N-th material")
     parser.add_argument(
         "--light",
         default="lamps",

@@ -60,9 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights, the number of scenes and the longer budget."""
     options.add_data(parser, "a data set with direct pictures of each scene in two materials")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--scenes", type=positive, default=6, metavar="N", help="number of scenes (default 6)"
-    )
+    options.add_count(parser, "--scenes", 6, "number of scenes")
     parser.add_argument(
         "--longer",
         type=positive,

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     import numpy as np
@@ -54,13 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a data set with geometry of the shapes that the weights were trained on",
     )
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--pictures",
-        type=positive,
-        default=400,
-        metavar="N",
-        help="of each data set at most (default 400)",
-    )
+    options.add_count(parser, "--pictures", 400, "of each data set at most")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:

@@ -25,13 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights, and the numbers of scenes and of outer iterations."""
     options.add_data(parser, "a data set of the ladder's development side")
     options.add_weights(parser)
-    parser.add_argument(
-        "--scenes",
-        type=positive,
-        default=18,
-        metavar="N",
-        help="number of scenes on each rung, of different shapes (default 18)",
-    )
+    options.add_count(parser, "--scenes", 18, "number of scenes on each rung, of different shapes")
     parser.add_argument(
         "--outer-iterations",
         nargs="+",

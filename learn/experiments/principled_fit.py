@@ -67,15 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the numbers of materials and of iterations."""
     from shaders import principled_fit
 
-    parser.add_argument(
-        "--count", type=positive, default=500, metavar="N", help="number of materials (default 500)"
-    )
-    parser.add_argument(
-        "--every",
-        type=positive,
-        default=5,
-        metavar="N",
-        help="compute the least possible error of every N-th material (default 5)",
+    options.add_count(parser, "--count", 500, "number of materials")
+    options.add_count(
+        parser, "--every", 5, "compute the least possible error of every N-th material"
     )
     parser.add_argument(
         "--iterations",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive, whole
+from manifests.option_types import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,13 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights, the settings and the numbers of pictures and initialisations."""
     options.add_data(parser, "a data set with pictures of each scene in several materials")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--pictures",
-        type=positive,
-        default=12,
-        metavar="N",
-        help="number of pictures for each setting (default 12)",
-    )
+    options.add_count(parser, "--pictures", 12, "number of pictures for each setting")
     parser.add_argument(
         "--initialisations",
         type=whole,

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive, whole
 from manifests.training_runs import LAYER_METHODS
 
 if TYPE_CHECKING:
@@ -36,27 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of scenes."""
     options.add_data(parser, "a data set with pictures of each scene in several materials")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
+    options.add_count(
+        parser,
         "--scenes",
-        type=positive,
-        default=24,
-        metavar="N",
-        help="number of scenes that are refined from the predicted light on each rung, shapes in"
-        " turn (default 24)",
+        24,
+        "number of scenes that are refined from the predicted light on each rung, shapes in turn",
     )
-    parser.add_argument(
+    options.add_count(
+        parser,
         "--true-light",
-        type=whole,
-        default=24,
-        metavar="N",
-        help="number of scenes in direct light that are refined from the true light (default 24)",
+        24,
+        "number of scenes in direct light that are refined from the true light",
+        least=0,
     )
-    parser.add_argument(
+    options.add_count(
+        parser,
         "--pictures",
-        type=positive,
-        default=48,
-        metavar="N",
-        help="number of scenes on each rung whose sum and integral are compared (default 48)",
+        48,
+        "number of scenes on each rung whose sum and integral are compared",
     )
     options.add_seed(parser, "seed by which edits are drawn")
 

@@ -22,7 +22,6 @@ from learn.commands import options
 from learn.experiments import runner
 from learn.experiments.ladder_scenes import RUNGS, Key, pictures_of, remedy, rungs, scene_of
 from learn.experiments.relighting_tables import by_group, by_method, counted
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from learn.data.records import Records
@@ -57,12 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of pictures."""
     options.add_data(parser, "a data set of the ladder's jobs")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--pictures",
-        type=positive,
-        default=72,
-        metavar="N",
-        help="number of input pictures of each task on each rung (default 72)",
+    options.add_count(
+        parser, "--pictures", 72, "number of input pictures of each task on each rung"
     )
     options.add_seed(parser, "seed by which pictures and lights are drawn")
 

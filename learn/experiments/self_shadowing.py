@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,9 +35,7 @@ PICTURES = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data and the number of pictures."""
     options.add_data(parser, "a data set with pictures of the full and other tiers")
-    parser.add_argument(
-        "--pictures", type=positive, default=60, metavar="N", help="of pictures (default 60)"
-    )
+    options.add_count(parser, "--pictures", 60, "of pictures")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:

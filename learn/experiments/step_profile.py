@@ -17,7 +17,6 @@ from pathlib import Path
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,20 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_data(parser)
     options.add_lights(parser)
-    parser.add_argument(
-        "--steps",
-        type=positive,
-        default=8,
-        metavar="N",
-        help="steps whose medians are reported (default 8)",
-    )
-    parser.add_argument(
-        "--images",
-        type=positive,
-        default=128,
-        metavar="N",
-        help="number of pictures to relight (default 128)",
-    )
+    options.add_count(parser, "--steps", 8, "steps whose medians are reported")
+    options.add_count(parser, "--images", 128, "number of pictures to relight")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:

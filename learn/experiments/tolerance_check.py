@@ -10,18 +10,11 @@ import argparse
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the number of cases, the size of their pictures and the seed."""
-    parser.add_argument(
-        "--cases",
-        type=positive,
-        default=500,
-        metavar="N",
-        help="number of random cases (default 500)",
-    )
+    options.add_count(parser, "--cases", 500, "number of random cases")
     options.add_size(parser, 128)
     options.add_seed(parser, "seed of the random cases")
 

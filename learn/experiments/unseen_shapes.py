@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 if TYPE_CHECKING:
     from learn.data.relit import RelitDataset
@@ -48,13 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a weights.safetensors; repeat the option to compare several",
     )
-    parser.add_argument(
-        "--pictures",
-        type=positive,
-        default=400,
-        metavar="N",
-        help="of each data set (default 400)",
-    )
+    options.add_count(parser, "--pictures", 400, "of each data set")
     parser.add_argument(
         "--allow-overlap",
         action="store_true",

@@ -12,7 +12,6 @@ import argparse
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive
 
 ON_RAY = True
 
@@ -21,9 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights and the number of edits."""
     options.add_data(parser, "a data set of large pictures, each scene in two materials or more")
     options.add_weights(parser, options.TABLE_WEIGHTS)
-    parser.add_argument(
-        "--edits", type=positive, default=24, metavar="N", help="number of edits (default 24)"
-    )
+    options.add_count(parser, "--edits", 24, "number of edits")
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive, whole
+from manifests.option_types import whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,9 +31,7 @@ INPUTS = ("n", "material", "light", "view")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the materials, the light, the number of random cases, their size and the seed."""
-    parser.add_argument(
-        "--every", type=positive, default=1, metavar="N", help="only each N-th material (default 1)"
-    )
+    options.add_count(parser, "--every", 1, "only each N-th material")
     parser.add_argument(
         "--light",
         default="lamps",
