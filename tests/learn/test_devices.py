@@ -18,7 +18,7 @@ from learn.data.batch import ExampleBatch
 from learn.data.framing import Framed
 from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit
-from learn.data.settings import Data, Losses, Run, Schedule
+from learn.data.settings import Data, Run, Schedule
 from learn.editing import compositor, decomposition, photograph
 from learn.figures import spheres
 from learn.layer import predictions, render
@@ -34,6 +34,7 @@ from manifests.cli import main
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
 from tests.support import fake_device, synthetic
+from tests.support.tiny_run import ALL_TERMS
 
 SIZE = 32
 CUDA = torch.cuda.is_available()
@@ -211,24 +212,13 @@ def data_splits(tmp_path_factory):
 
 
 def run(steps=2, **changes):
-    terms = Losses(
-        normals=1,
-        material=1,
-        albedo=0.3,
-        light_log=0.3,
-        light_rendered=1,
-        image=1,
-        target=1,
-        pixels=8,
-        layer_light=(8, 16),
-    )
     schedule = Schedule(steps=steps, batch=2, warm_up=1)
     return Run(
         **{
             "name": "test",
             "size": SIZE,
             "data": Data(sharing=2),
-            "losses": terms,
+            "losses": ALL_TERMS,
             "schedule": schedule,
             "seed": 3,
             "mixed_precision": False,

@@ -9,13 +9,14 @@ import torch
 
 from learn.data import lights
 from learn.data.relit import DataSplit, RelitDataset, gloss
-from learn.data.settings import Data, Losses, Run, Schedule
+from learn.data.settings import Data, Run, Schedule
 from learn.evaluation import model_card
 from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from manifests.errors import InputError
+from tests.support.tiny_run import ALL_TERMS
 from tests.support.two_materials import album_of, written
 
 SIZE = 32
@@ -221,20 +222,11 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
 
 
 def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):
-    terms = Losses(
-        albedo=0.3,
-        light_log=0.3,
-        light_rendered=1,
-        image=1,
-        target=1,
-        pixels=8,
-        layer_light=(8, 16),
-    )
     run = Run(
         name="tiny",
         size=SIZE,
         data=Data(sharing=2),
-        losses=terms,
+        losses=ALL_TERMS,
         schedule=Schedule(steps=4, batch=2),
     )
     result = step_timing.profile(run, data_splits, tmp_path / "scratch", 1, 4)

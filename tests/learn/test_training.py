@@ -31,6 +31,7 @@ from learn.training.loop import Training
 from manifests.errors import InputError
 from shaders import envmap
 from tests.support import synthetic
+from tests.support.tiny_run import ALL_TERMS
 
 SIZE = 32
 
@@ -65,22 +66,11 @@ def lambertian(albedo):
 
 def run(**changes):
     schedule = Schedule(steps=4, batch=4, warm_up=1)
-    terms = Losses(
-        normals=1,
-        material=1,
-        albedo=0.3,
-        light_log=0.3,
-        light_rendered=1,
-        image=1,
-        target=1,
-        pixels=8,
-        layer_light=(8, 16),
-    )
     settings = {
         "name": "test",
         "size": SIZE,
         "data": Data(sharing=2),
-        "losses": terms,
+        "losses": ALL_TERMS,
         "schedule": schedule,
         "seed": 3,
     }

@@ -232,29 +232,52 @@ def test_a_saved_scene_is_the_picture_also_after_a_closed_form(studio, tmp_path)
     assert np.abs(picture[mask] - exact[mask]).mean() < 0.1 * exact[mask].mean()
 
 
-def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeypatch):
+@pytest.fixture
+def measuring(monkeypatch):
+    """A function (watch, **options): the options of a measurement that calls watch(scene) instead
+    of rendering the scene.
+    """
+
     class Unset:
         materials, studio = ["brass"], None
 
         def __init__(self, size, threads):
             pass
 
+    def options_of(watch, **changes):
+        def measured(stage, known, scene, options, longer):
+            watch(scene)
+            return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
+
+        monkeypatch.setattr(speed_accuracy, "Stage", Unset)
+        monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
+        usual = {
+            "seed": 7,
+            "size": 16,
+            "reference": 8,
+            "blenderproc": None,
+            "bare_loop": False,
+            "longer_reference": 16,
+            "longer_scenes": 0,
+            "most_samples": 256,
+            "no_adaptive": True,
+            "bias": False,
+            "rounds": 1,
+        }
+        return Namespace(**usual | changes)
+
+    return options_of
+
+
+def test_a_measurement_that_was_stopped_renders_no_scene_twice(measuring, tmp_path, monkeypatch):
     seen = []
 
-    def measured(stage, known, scene, options, longer):
+    def watch(scene):
         if len(seen) == 2:
             raise KeyboardInterrupt
         seen.append(scene.seed)
-        return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
 
-    monkeypatch.setattr(speed_accuracy, "Stage", Unset)
-    monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
-    options = Namespace(
-        scenes=3, seed=7, size=16, tier=None, reference=8, blenderproc=None, out=tmp_path
-    )
-    options.bare_loop, options.longer_reference, options.longer_scenes = False, 16, 0
-    options.most_samples = 256
-    options.no_adaptive, options.bias, options.rounds, options.meshes = True, False, 1, None
+    options = measuring(watch, scenes=3, tier=None, out=tmp_path, meshes=None)
     with pytest.raises(KeyboardInterrupt):
         speed_accuracy.measure(options)
     first = list(seen)
@@ -281,27 +304,12 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(tmp_path, monkeyp
         speed_accuracy.measure(options)
 
 
-def test_scenes_of_files_are_reported_without_their_folder(tmp_path, monkeypatch):
-    class Unset:
-        materials, studio = ["brass"], None
-
-        def __init__(self, size, threads):
-            pass
-
+def test_scenes_of_files_are_reported_without_their_folder(measuring, tmp_path):
     shown = []
-
-    def measured(stage, known, scene, options, longer):
-        shown.append(scene.shape)
-        return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
-
-    monkeypatch.setattr(speed_accuracy, "Stage", Unset)
-    monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "spoon.obj").touch()
-    options = Namespace(scenes=1, seed=7, size=16, tier="full", reference=8, blenderproc=None)
-    options.no_adaptive, options.bias, options.rounds, options.bare_loop = True, False, 1, False
-    options.longer_reference, options.longer_scenes, options.most_samples = 16, 0, 256
-    options.out, options.meshes = tmp_path / "out", tmp_path / "meshes"
+    folders = {"out": tmp_path / "out", "meshes": tmp_path / "meshes"}
+    options = measuring(lambda scene: shown.append(scene.shape), scenes=1, tier="full", **folders)
     rows = speed_accuracy.measure(options)
     assert shown == [str(tmp_path / "meshes" / "spoon.obj")]
     assert [row["shape"] for row in rows] == ["spoon.obj"]

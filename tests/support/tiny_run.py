@@ -3,9 +3,20 @@
 import json
 
 from manifests.cli import main
+from manifests.training_runs import Losses
 from tests.support import synthetic
 from tests.support.two_materials import SIZE, written
 
+# all terms but those of features, of few pixels
+ALL_TERMS = Losses(
+    albedo=0.3,
+    light_log=0.3,
+    light_rendered=1,
+    image=1,
+    target=1,
+    pixels=8,
+    layer_light=(8, 16),
+)
 RUN = {
     "name": "tiny",
     "size": SIZE,

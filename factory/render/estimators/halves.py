@@ -197,16 +197,12 @@ class Halves:
         estimate = mean_over(tone.squared_difference(a, b) / 4 + curve)
         return replace(estimate, curve=float(curve.mean(dtype=np.float64)))
 
-    def denoised_estimate(
-        self, denoised: Sequence[np.ndarray], halves: Sequence[np.ndarray] | None = None
-    ) -> Estimate:
+    def denoised_estimate(self, denoised: Sequence[np.ndarray]) -> Estimate:
         """Return the error of the mean of two pictures, each independent of the other's half.
 
         Bias is included. The pictures are denoised halves, or what was computed from them.
-
-        halves  unbiased pictures of both halves (default: `pictures`)
         """
-        return self.error_and_bias(denoised, halves or self.pictures, self.slope(denoised))[0]
+        return self.error_and_bias(denoised, self.pictures, self.slope(denoised))[0]
 
     def slope(self, smooth: Sequence[np.ndarray]) -> np.ndarray:
         """Return the display curve's slope (P, 3) at the mean of two pictures with little noise."""
