@@ -122,6 +122,6 @@ def _complete(arguments: argparse.Namespace) -> None:
 def _prepare() -> None:
     """Do what `python -m learn` does before its commands, if the command is one of its."""
     if any(name.startswith("learn.commands.") for name in sys.modules):
-        from learn.__main__ import prepare
+        from learn.commands import prepare
 
         prepare()

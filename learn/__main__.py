@@ -2,6 +2,7 @@
 
 import sys
 
+from learn.commands import prepare
 from manifests.cli import main
 
 COMMANDS = (
@@ -34,18 +35,6 @@ MOVED = {  # earlier names of commands, and what to type now
     "steps": "python -m learn.experiments step-profile",
     "study": "python -m learn.experiments normals-ablation",
 }
-
-
-def prepare() -> None:
-    """Keep freed memory for the next step, and linear algebra on one thread.
-
-    It is called before a command runs, not for --help.
-    """
-    from manifests.allocator import keep_freed
-    from manifests.other_threads import use_one_blas_thread
-
-    keep_freed()
-    use_one_blas_thread()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Mapping
 
-from learn.__main__ import prepare
+from learn.commands import prepare
 from learn.experiments import runner
 from manifests.cli import main
 
