@@ -201,22 +201,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         as_given = objective_training.as_given(arguments.start, tests, policy)
         results[FROM_WEIGHTS] = {AS_GIVEN: [as_given]} | results[FROM_WEIGHTS]
     shutil.rmtree(arguments.out / "batches", ignore_errors=True)
-    about = {
-        "run": run.name,
-        "start": arguments.start.stem,
-        "steps": arguments.steps,
-        "batch": run.schedule.batch,
-        "size": arguments.size,
-        "seed": arguments.seed,
-        "glossy": arguments.glossy,
-        "learning_rates": {
-            start: settings(REFERENCE, start, run, arguments).schedule.learning_rate
-            for start in arguments.initialisations
-        },
-        "train": data_splits["train"].sizes(),
-        "test": data_splits["test"].sizes(),
-    }
-    return summary(results, about) | {"left_out": left_out, "seen": seen}
+    sizes = {side: data_splits[side].sizes() for side in ("train", "test")}
+    return summary(results, _about(run, arguments) | sizes) | {"left_out": left_out, "seen": seen}
 
 
 def _pinned(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -239,6 +225,23 @@ def _pinned(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.glossy:  # only then: folders of before have no such key
         pinned["glossy"] = True
     return pinned
+
+
+def _about(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what the report says of the runs, besides the sizes of their data."""
+    return {
+        "run": run.name,
+        "start": arguments.start.stem,
+        "steps": arguments.steps,
+        "batch": run.schedule.batch,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "glossy": arguments.glossy,
+        "learning_rates": {
+            start: settings(REFERENCE, start, run, arguments).schedule.learning_rate
+            for start in arguments.initialisations
+        },
+    }
 
 
 def _require_order(names: list[str]) -> None:
