@@ -195,7 +195,7 @@ class Decomposition:
         return Picture(radiance, exposure, self.photograph.coverage)
 
     def _picture(self, linear: np.ndarray) -> Picture:
-        return Picture(linear, drawing.exposure_of(self.photograph), self.photograph.opacity)
+        return Picture(linear, drawing.display_exposure(self.photograph), self.photograph.opacity)
 
 
 class Options(TypedDict, total=False):
@@ -290,7 +290,7 @@ def _opened(
     """Return the Photograph of files or of arrays."""
     if not any(isinstance(given, np.ndarray) for given in (photo, mask, regions)):
         masks = [] if mask is None else [Path(str(mask))]
-        return photograph.opened(
+        return photograph.open_photograph(
             str(photo), masks, None if regions is None else Path(str(regions)), balance, exposure
         )
     files_or_arrays = [
@@ -301,7 +301,7 @@ def _opened(
     if picture is None:
         raise InputError("photo", "a file or an array", "None", "give the photograph")
     if isinstance(picture, Path):
-        picture = photograph.example(picture, [], None)[0]
+        picture = photograph.resolve_example(picture, [], None)[0]
     return photograph.from_arrays(picture, covered, parted, balance, exposure)
 
 

@@ -66,13 +66,13 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
         rule = "a material's name, an expression, or a material.json"
         raise InputError(f"material {path}", rule, "a picture", PHOTOGRAPH)
 
-    labels = targets.label_of(str(text), refuse)
+    labels = targets.resolve_labels(str(text), refuse)
     if labels is None or len(labels) != 1:
         result = "keep" if labels is None else f"{len(labels)} materials"
         raise InputError(f"material {text}", "one material", result, "name one")
     shown = name or re.sub(r"\s+", " ", str(text))
     label = np.asarray(labels[0], np.float32)
-    return Material(shown, ((1.0, label),), (label,) if targets.is_read(str(text)) else ())
+    return Material(shown, ((1.0, label),), (label,) if targets.is_from_picture(str(text)) else ())
 
 
 def blend(

@@ -50,7 +50,7 @@ class Viewer:
     def __init__(self, decomposed: Decomposition):
         self.decomposition = decomposed
         self.small = Compositor(reduced(decomposed, LONGEST), predictions.SHOWN.tolerance, DETAIL)
-        self.exposure = drawing.exposure_of(decomposed.photograph)
+        self.exposure = drawing.display_exposure(decomposed.photograph)
         self.own_light = array(decomposed.parts.light[0].movedim(0, -1))
         n, segments = self.small.n, array(self.small.segments)
         self._pixels = [
@@ -143,7 +143,7 @@ class Viewer:
         with self._lock:
             if key not in self._scenes:
                 L = torch.from_numpy(np.array(light.of(self.own_light), np.float32))
-                scene = interactive.scene_of(
+                scene = interactive.make_scene(
                     self.small, L.movedim(-1, 0)[None].contiguous().to(self.small.n)
                 )
                 exposure = self.exposure / self.decomposition.exposure

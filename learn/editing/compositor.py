@@ -48,10 +48,10 @@ class Compositor:
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
         self.regions = framing.placed(decomposition.photograph.regions, (top, left, side))
         self.coverage = framing.placed(decomposition.photograph.coverage, (top, left, side))
-        self.n = upsampled_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
-        self.filled = nearest(self.regions, self.regions > 0)
+        self.n = upsample_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
+        self.filled = fill_from_nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
-        wide = dilated(self.coverage > 0)[rows][:, rows]
+        wide = dilate(self.coverage > 0)[rows][:, rows]
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
@@ -190,7 +190,7 @@ class Compositor:
             self._share = self.coverage
             if photograph.alpha is not None:
                 alpha = framing.placed(photograph.alpha, self.decomposition.framed.box)
-                behind = (1 - self.coverage) * nearest(alpha, self.coverage < CLEAR)
+                behind = (1 - self.coverage) * fill_from_nearest(alpha, self.coverage < CLEAR)
                 whole = np.where(self.coverage > 0, self.coverage + behind, 1)
                 self._share = (self.coverage / whole).astype(np.float32)
         return self._share
@@ -200,7 +200,7 @@ class Compositor:
         if self._background is None:
             photograph = self.decomposition.photograph
             cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
-            self._background = nearest(cut, self.coverage < CLEAR)
+            self._background = fill_from_nearest(cut, self.coverage < CLEAR)
         return self._background
 
     def own_radiance(self) -> np.ndarray:
@@ -234,18 +234,18 @@ class Compositor:
         return self._fine_shading
 
 
-def upsampled_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
+def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
     """Return unit normals (size, size, 3) of n (3, h, w), continued beyond the mask (h, w)."""
-    filled = torch.stack([torch.from_numpy(nearest(channel, mask)) for channel in array(n)]).to(
-        n.device
-    )
+    filled = torch.stack(
+        [torch.from_numpy(fill_from_nearest(channel, mask)) for channel in array(n)]
+    ).to(n.device)
     smooth = F.interpolate(
         filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1]
     )[0]
     return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
 
 
-def nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Return an array (H, W) or (H, W, C) with the nearest value of `where` (H, W) elsewhere."""
     if not where.any():
         return values
@@ -253,6 +253,6 @@ def nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return values[tuple(index)]
 
 
-def dilated(mask: np.ndarray) -> np.ndarray:
+def dilate(mask: np.ndarray) -> np.ndarray:
     """Return the mask (H, W) bool with the pixels beside it."""
     return distance_transform_edt(~mask) < 1.5

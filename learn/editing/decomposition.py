@@ -30,7 +30,7 @@ class Parts(NamedTuple):
     light: torch.Tensor
 
 
-def parts_of(prediction: Prediction) -> Parts:
+def require_parts(prediction: Prediction) -> Parts:
     """Return the parts of a prediction. Raises ValueError where one is missing."""
     n, label, light = prediction.n, prediction.label, prediction.light
     if n is None or label is None or light is None:
@@ -60,7 +60,7 @@ class Decomposition:
     def parts(self) -> Parts:
         """The parts to edit with: the refined ones, if there are any, without a green light."""
         read = self.start if self.refined is None else self.refined.prediction
-        return light_colour.without_green(parts_of(read))
+        return light_colour.remove_green(require_parts(read))
 
     @property
     def exposure(self) -> np.ndarray:
@@ -97,9 +97,9 @@ def decompose(
     batch, start = predict_framed(framed, network, regions, photograph.count)
     cues = None
     if photograph.exposure is None:
-        again = exposure.rendered_again(batch, start)
-        framed, batch, cues = exposure.corrected(
-            framed, batch, again, exposure.background_of(photograph)
+        again = exposure.render_prediction(batch, start)
+        framed, batch, cues = exposure.correct_exposure(
+            framed, batch, again, exposure.measure_background(photograph)
         )
     batch = replace(batch, elevation=photograph.elevation)
     labels: np.ndarray | None = getattr(network, "training_labels", None)

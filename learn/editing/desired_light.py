@@ -23,7 +23,7 @@ LARGEST_SEED = 2**63 - 1
 FORMS = "a map FILE.exr or FILE.npz#NAME, computed:SEED, or a picture with its mask"
 
 
-def light_of(
+def resolve_light(
     text: str, of_picture: Callable[[Path], np.ndarray], rotation_deg: float = 0.0
 ) -> np.ndarray:
     """Return L of the light that `text` names.

@@ -8,7 +8,7 @@ import torch
 
 from learn.data.devices import array
 from learn.editing import reflectance_store, targets
-from learn.editing.decomposition import Decomposition, parts_of
+from learn.editing.decomposition import Decomposition, require_parts
 from learn.editing.photograph import Photograph
 from learn.figures import montage, spheres
 from learn.figures.montage import Tile
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 TILE, SPHERE = 224, 128  # pixels of a contact sheet's tiles, and of a material sphere
 
 
-def exposure_of(opened: Photograph) -> float:
+def display_exposure(opened: Photograph) -> float:
     """Return the exposure under which a photograph and its edits are shown.
 
     It is 1 for a photograph, whose values are a display's already; for radiance from a renderer it
@@ -45,7 +45,7 @@ def on_ground(picture: np.ndarray, opened: Photograph) -> np.ndarray:
     return montage.GROUND + (picture - montage.GROUND) * opened.opacity[..., None]
 
 
-def cropped(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
+def crop_to_object(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
     """Return the part of a picture inside the square about the object."""
     top, left, side = decomposed.framed.box
     return picture[max(top, 0) : top + side, max(left, 0) : left + side]
@@ -70,7 +70,7 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     if decomposed.refined:
         stages.append(("refined", decomposed.refined.prediction))
     for name, prediction in stages:
-        _, label, light = parts_of(prediction)
+        _, label, light = require_parts(prediction)
         sphere = spheres.sphere_normals(SPHERE)
         inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
         picture[inside] = reflectance_store.at_normals(
@@ -80,7 +80,7 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     return tiles
 
 
-def rows(
+def make_sheet_rows(
     result: "EditResult", exposure: float, own: Sequence[np.ndarray], maps: list[Tile]
 ) -> list[list[Tile]]:
     """Return the rows of a contact sheet: the parts, the reflectance maps, and each edit.
@@ -102,11 +102,13 @@ def rows(
         ("light", montage.light_picture(array(parts.light[0].movedim(0, -1)))),
         *zip(names, own, strict=True),
     ]
-    of_edits = [edit_row(edit, decomposed, before, exposure) for edit in result.edits]
+    of_edits = [make_sheet_row(edit, decomposed, before, exposure) for edit in result.edits]
     return [first, maps, *of_edits]
 
 
-def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float) -> list[Tile]:
+def make_sheet_row(
+    edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float
+) -> list[Tile]:
     """Return a contact sheet's row of one edit.
 
     It shows the photograph, the edit, its target materials, and the truth with the difference from
@@ -116,7 +118,7 @@ def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: fl
     if edit.truth is not None:
         exposure = tone.auto_exposure(edit.truth, opened.mask)
     shown = tone.display(edit.picture, exposure)
-    named = targets.parts_of(edit.text)
+    named = targets.split_by_region(edit.text)
     names = named if len(named) == len(edit.labels) else [edit.text] * len(edit.labels)
     materials = {
         targets.caption_of(name): material_sphere(label, decomposed)

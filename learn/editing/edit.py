@@ -103,12 +103,12 @@ def run(
     Raises     InputError
     """
     out = Path(out)
-    parts = [part for text in materials for part in targets.parts_of(text)]
+    parts = [part for text in materials for part in targets.split_by_region(text)]
     inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *parts]
     pages = [interactive.NAME] if with_page else []
     names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
-    opened = photograph.opened(
+    opened = photograph.open_photograph(
         path,
         masks,
         regions,
@@ -147,8 +147,8 @@ def compute(
     edits = []
     for text, each in labels.items():
         progress.set_description(text[:24])
-        edited = compositor.edited(each, targets.read_labels(text, each))
-        edits.append(Edit(text, each, edited, truth_of(opened, text)))
+        edited = compositor.edited(each, targets.labels_from_pictures(text, each))
+        edits.append(Edit(text, each, edited, find_truth(opened, text)))
         progress.update()
     return EditResult(result, compositor.rendered_again(), edits, metadata)
 
@@ -166,12 +166,12 @@ def requested_labels(
         known = {name: opened.records.label(name) for name in opened.records.materials}
 
     def of_picture(path: Path) -> np.ndarray:
-        return material_of(path, network, size, edit_options)
+        return read_label_from_picture(path, network, size, edit_options)
 
-    return {text: labels_of(text, opened.count, of_picture, known) for text in materials}
+    return {text: labels_by_region(text, opened.count, of_picture, known) for text in materials}
 
 
-def labels_of(
+def labels_by_region(
     text: str,
     regions: int,
     of_picture: Callable[[Path], np.ndarray],
@@ -179,9 +179,11 @@ def labels_of(
 ) -> list[np.ndarray | None]:
     """Return the labels of each region, (108,) or None, that a text requests.
 
-    of_picture, known  as learn.editing.targets.label_of has them
+    of_picture, known  as learn.editing.targets.resolve_labels has them
     """
-    parts = [targets.label_of(part, of_picture, known) for part in targets.parts_of(text)]
+    parts = [
+        targets.resolve_labels(part, of_picture, known) for part in targets.split_by_region(text)
+    ]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -195,7 +197,7 @@ def labels_of(
     return labels if len(labels) > 1 else labels * regions
 
 
-def material_of(
+def read_label_from_picture(
     path: Path, network: torch.nn.Module, size: int, edit_options: EditOptions
 ) -> np.ndarray:
     """Return the label (1, 108) of the object in another picture.
@@ -204,9 +206,9 @@ def material_of(
     balance, that a user gave are the photograph's own: this picture's exposure is estimated, and
     its colours are left as they are.
     """
-    beside = region_masks.beside(path)
+    beside = region_masks.find_mask_beside(path)
     balance = "grey" if edit_options.balance == "grey" else "none"
-    opened = photograph.opened(
+    opened = photograph.open_photograph(
         path,
         [beside] if beside else [],
         None,
@@ -216,7 +218,7 @@ def material_of(
     return decomposition.decompose(opened, network, size, edit_options.settings).label[:1]
 
 
-def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
+def find_truth(opened: Photograph, text: str) -> np.ndarray | None:
     """Return the rendered picture (H, W, 3) of an edit, None where the dataset has none.
 
     It is the picture of a record of the same scene in the materials that the text requests.
@@ -224,7 +226,7 @@ def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
     record, records = opened.record, opened.records
     if record is None or records is None:
         return None
-    names = targets.parts_of(text)
+    names = targets.split_by_region(text)
     names = names * len(record.materials) if len(names) == 1 else names
     # segments that the camera does not see have no part in the text
     requested = tuple(

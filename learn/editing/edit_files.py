@@ -85,8 +85,8 @@ def write(
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
     n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
-    exposure = drawing.exposure_of(opened)
-    report = report_of(result, edit_options)
+    exposure = drawing.display_exposure(opened)
+    report = make_report(result, edit_options)
     # drawn once: each takes a third of a second where a material is sharp
     own = [drawing.material_sphere(label, decomposed) for label in parts.label[0]]
     maps = drawing.reflectance_maps(decomposed)
@@ -116,7 +116,9 @@ def write(
                 photographs.write_picture(out / f"{name}.exr", edit.picture, opened.opacity)
         save(
             out / "sheet.png",
-            montage.contact_sheet(drawing.rows(result, exposure, own, maps), drawing.TILE),
+            montage.contact_sheet(
+                drawing.make_sheet_rows(result, exposure, own, maps), drawing.TILE
+            ),
         )
         for name, text in (texts or {}).items():
             files.write_text(out / name, text)
@@ -131,7 +133,7 @@ def write(
     return report
 
 
-def report_of(result: "EditResult", edit_options: "EditOptions") -> dict:
+def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
     """Return what edit.json holds."""
     decomposed, opened = result.decomposition, result.decomposition.photograph
     refined = decomposed.refined

@@ -75,7 +75,7 @@ BACKGROUNDS = (-3.5, -1.0)
 USUAL = 2.0  # of `again`, in these photographs, for one that says nothing of it
 
 
-def exposure_of(cues: Cues) -> float:
+def exposure_from_cues(cues: Cues) -> float:
     """Return the factor from a photograph's radiance to that under light of unit mean."""
     first = FIRST(cues)
     known = cues if cues.again is not None else replace(cues, again=USUAL)
@@ -86,7 +86,7 @@ def exposure_of(cues: Cues) -> float:
     return float(2 ** np.clip(line(known), first - MOST, first + MOST))
 
 
-def background_of(photograph: Photograph) -> float | None:
+def measure_background(photograph: Photograph) -> float | None:
     """Return the background of a photograph's Cues; None where it shows hardly any.
 
     What is far darker than its mean counts as DARKEST of it.
@@ -103,10 +103,10 @@ def background_of(photograph: Photograph) -> float | None:
     return float(np.log2(np.maximum(luminance, DARKEST * mean)).mean())
 
 
-def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:
+def measure_cues(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:
     """Return the Cues of a photograph under its first exposure.
 
-    rendered    (H, W, 3) radiance, as from `rendered_again`
+    rendered    (H, W, 3) radiance, as from `render_prediction`
     background  of the Cues
     """
     seen = float((framed.radiance[framed.mask] @ LUMINANCE).mean()) / framed.exposure
@@ -115,22 +115,22 @@ def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> C
     return Cues(float(np.log2(max(seen, LEAST_LUMINANCE))), again, background)
 
 
-def corrected(
+def correct_exposure(
     framed: Framed, batch: ExampleBatch, rendered: np.ndarray, background: float | None
 ) -> tuple[Framed, ExampleBatch, Cues]:
     """Return a framed photograph and its batch under the exposure of its Cues, and these.
 
     batch       of the one picture, as the network saw it; its image is scaled alike
-    rendered, background  as of `cues_of`
+    rendered, background  as of `measure_cues`
     """
-    cues = cues_of(framed, rendered, background)
-    exposure = exposure_of(cues)
+    cues = measure_cues(framed, rendered, background)
+    exposure = exposure_from_cues(cues)
     factor = exposure / framed.exposure
     scaled = replace(framed, radiance=framed.radiance * np.float32(factor), exposure=exposure)
     return scaled, replace(batch, image=batch.image * factor), cues
 
 
-def rendered_again(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
+def render_prediction(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     """Return the radiance (H, W, 3) of a prediction of a batch of one picture."""
     n, label, light = map(required, (prediction.n, prediction.label, prediction.light))
     segments, elevation = batch.segments, batch.elevation

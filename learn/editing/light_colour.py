@@ -29,7 +29,7 @@ def green_of(colour: np.ndarray) -> float:
     return float(g - (r + b) / 2)
 
 
-def without_green(parts: "Parts") -> "Parts":
+def remove_green(parts: "Parts") -> "Parts":
     """Return parts of a batch of one whose light is neither green nor magenta on the whole.
 
     The mean luminance of the light stays, and the material takes on what the light loses: matte

@@ -87,7 +87,7 @@ class Photograph:
         return self.radiance * self.balance
 
 
-def example(
+def resolve_example(
     path: str | Path, masks: Sequence[Path], regions: Path | None
 ) -> tuple[Path, Path | None]:
     """Return the path and regions of a picture, which may be "example:espresso-cup".
@@ -107,7 +107,7 @@ def example(
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(
+def open_photograph(
     path: str | Path,
     masks: Sequence[Path] = (),
     regions: Path | None = None,
@@ -122,12 +122,12 @@ def opened(
     masks    files; each of several is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
-    record   id of a dataset's record, or its beginning; None: as `of_record` chooses
+    record   id of a dataset's record, or its beginning; None: as `open_record` chooses
     remedy   that the error for a picture without a mask names
     targets  names of the target materials, which such a choice avoids
     Raises   InputError
     """
-    path, regions = example(path, masks, regions)
+    path, regions = resolve_example(path, masks, regions)
     if path.is_dir():
         _require_none(
             path,
@@ -136,7 +136,7 @@ def opened(
             regions,
             balance,
         )
-        return of_record(path, exposure, record, targets)
+        return open_record(path, exposure, record, targets)
     if record is not None:
         raise InputError(
             f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
@@ -148,7 +148,7 @@ def opened(
         labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
-        coverage, labels = region_masks.several(masks, radiance.shape[:2])
+        coverage, labels = region_masks.read_region_masks(masks, radiance.shape[:2])
     if regions is not None:
         whole = photographs.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
@@ -279,7 +279,7 @@ def _balance(requested, radiance, coverage, background):
     return factors / float(factors @ LUMINANCE)
 
 
-def of_record(
+def open_record(
     folder: Path,
     exposure: float | None = None,
     requested: str | None = None,

@@ -14,9 +14,9 @@ from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.editing import light_colour, material_file, photograph
-from learn.editing.decomposition import Parts, parts_of, predict_framed
+from learn.editing.decomposition import Parts, predict_framed, require_parts
 from learn.editing.edit_files import save
-from learn.editing.exposure import background_of, corrected, rendered_again
+from learn.editing.exposure import correct_exposure, measure_background, render_prediction
 from learn.figures import montage
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
@@ -86,18 +86,18 @@ def compute(
     Regions are one object here: there is one material.
     """
     network, metadata = checkpoint.load_parts(weights, device)
-    opened = photograph.opened(image, [] if mask is None else [mask], exposure=exposure)
+    opened = photograph.open_photograph(image, [] if mask is None else [mask], exposure=exposure)
     framed = framing.framed(
         opened.radiance, opened.mask, metadata["size"], opened.exposure, image, opened.clipped
     )
     batch, predicted = predict_framed(framed, network)
     batch = replace(batch, elevation=opened.elevation)
-    parts = light_colour.without_green(parts_of(predicted))
+    parts = light_colour.remove_green(require_parts(predicted))
     if opened.exposure is None:
-        again = rendered_again(batch, predicted)
-        framed, batch, _ = corrected(framed, batch, again, background_of(opened))
+        again = render_prediction(batch, predicted)
+        framed, batch, _ = correct_exposure(framed, batch, again, measure_background(opened))
     shown = predicted._replace(label=parts.label, light=parts.light)
-    rendering = rendered_again(batch, shown)
+    rendering = render_prediction(batch, shown)
     return PredictedPicture(framed, batch, shown, parts, rendering, metadata)
 
 

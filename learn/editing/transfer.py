@@ -132,7 +132,7 @@ def run(
             decomposition.decompose(photo, network, metadata["size"], edit_options.settings)
         )
 
-    maps = [desired_light.light_of(text, of_picture, rotation_deg) for text in lights]
+    maps = [desired_light.resolve_light(text, of_picture, rotation_deg) for text in lights]
     out.mkdir(parents=True, exist_ok=True)
     report = []
     count = sum(len(group) * (1 + len(group) * len(maps)) for group in groups)
@@ -209,7 +209,7 @@ def relit_rows(
     Each object is exposed as a light meter at its place would say: a white diffuse object of its
     shape is just not clipped, so that dark and bright materials keep their brightness.
     """
-    white = targets.label_of("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
+    white = targets.resolve_labels("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
     assert white is not None
     above = head(decompositions)
     above[0] = (label, montage.light_picture(light))
@@ -229,7 +229,7 @@ def relit_rows(
                 np.concatenate([shown, alpha], -1),
             )
             ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
-            row.append(("", drawing.cropped(ground, decomposed)))
+            row.append(("", drawing.crop_to_object(ground, decomposed)))
             progress.update()
         rows.append(row)
     return rows
@@ -237,7 +237,7 @@ def relit_rows(
 
 def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
     """Return the Photograph at a path, with its mask."""
-    return photograph.opened(
+    return photograph.open_photograph(
         path,
         masks(path, mask_folder),
         None,
@@ -249,7 +249,7 @@ def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> P
 
 def masks(path: Path, folder: Path | None) -> list[Path]:
     """Return the mask file of a picture, in a list; an empty one where its transparency serves."""
-    beside = region_masks.beside(path, folder)
+    beside = region_masks.find_mask_beside(path, folder)
     if folder is not None and beside is None:
         raise InputError(
             Path(folder) / f"{Path(path).stem}.png",
@@ -306,14 +306,16 @@ def edits_of(
 
 def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
     """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
-    shown = tone.display(picture, drawing.exposure_of(photo))
+    shown = tone.display(picture, drawing.display_exposure(photo))
     save(path, drawing.with_alpha(shown, photo))
 
 
 def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
     """Return the object's square of a linear picture, as a contact sheet shows it."""
-    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
-    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
+    shown = tone.display(picture, drawing.display_exposure(decompositions.photograph))
+    return drawing.crop_to_object(
+        drawing.on_ground(shown, decompositions.photograph), decompositions
+    )
 
 
 def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:

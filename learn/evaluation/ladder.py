@@ -22,7 +22,7 @@ from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.data.seen import DIGITS, label_hash, map_hash
-from learn.editing.decomposition import Parts, parts_of
+from learn.editing.decomposition import Parts, require_parts
 from learn.evaluation import ladder_design, ladder_report, methods, overlap
 from learn.evaluation.ladder_design import RUNGS, Rung, Scene
 from learn.evaluation.ladder_pictures import Shown, shown
@@ -317,9 +317,9 @@ class Bench:
             constant_irradiance=float(irradiance_error(torch.ones_like(batch.light), batch.light)),
             unchanged_l2=display_l2(source, picture.target, picture.mask),
             floor_l2=floor,
-            predicted=measured(parts_of(prediction), picture, batch),
+            predicted=measured(require_parts(prediction), picture, batch),
             refined=(
-                measured(parts_of(self.refine(batch, prediction).prediction), picture, batch)
+                measured(require_parts(self.refine(batch, prediction).prediction), picture, batch)
                 if refined
                 else None
             ),
@@ -349,7 +349,7 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
 
 def rendered_again(prediction: Prediction, picture: Shown) -> float:
     """Return the display L2 of the picture's re-rendering by the integral against the picture."""
-    parts, batch = parts_of(prediction), picture.batch
+    parts, batch = require_parts(prediction), picture.batch
     again = methods.rendered(parts.n, parts.label, parts.light, batch)
     return display_l2(again, array((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 

@@ -20,8 +20,8 @@ from learn.data.batch import ExampleBatch
 from learn.data.devices import array
 from learn.data.records import Records
 from learn.editing import brightness
-from learn.editing.decomposition import parts_of
-from learn.editing.light_colour import without_green
+from learn.editing.decomposition import require_parts
+from learn.editing.light_colour import remove_green
 from learn.layer import predictions
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementResult
@@ -113,7 +113,7 @@ class AsEdited(Layered):
 
     def _corrected(self, batch: ExampleBatch) -> Prediction:
         prediction = self.method.parts(batch)
-        parts = without_green(parts_of(prediction))
+        parts = remove_green(require_parts(prediction))
         return prediction._replace(label=parts.label, light=parts.light)
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:

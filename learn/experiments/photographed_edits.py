@@ -265,7 +265,9 @@ def figures_of(
         return {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
-    light = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start).light
+    light = decomposition.require_parts(
+        parts.refined.prediction if parts.refined else parts.start
+    ).light
     compositor = Compositor(parts)
     return {
         "exposure": {

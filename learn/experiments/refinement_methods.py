@@ -184,7 +184,7 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
     bench   of learn.evaluation.ladder
     """
     from learn.data.devices import array
-    from learn.editing.decomposition import Parts, parts_of
+    from learn.editing.decomposition import Parts, require_parts
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
     from learn.layer import predictions
@@ -207,7 +207,7 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
         "light": scene.light,
         "source": scene.source[rung].materials[0],
         "true": between_sum_and_integral(Parts(batch.n, batch.label, batch.light)),
-        "predicted": between_sum_and_integral(parts_of(bench.predict(batch))),
+        "predicted": between_sum_and_integral(require_parts(bench.predict(batch))),
     }
 
 

@@ -105,7 +105,7 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
     valid = result.framed.mask & (weight >= 0.5) & (length > 0)
     n = n / np.maximum(length, 1e-6)[..., None]
     predictions = {
-        "predicted": devices.array(decomposition.parts_of(result.start).n[0].movedim(0, -1)),
+        "predicted": devices.array(decomposition.require_parts(result.start).n[0].movedim(0, -1)),
         "refined": devices.array(result.parts.n[0].movedim(0, -1)),
         FACING: np.broadcast_to(np.array([0.0, 0.0, 1.0]), n.shape),
     }

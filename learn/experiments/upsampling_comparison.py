@@ -62,7 +62,7 @@ def compare(
     def measure(edit: pairs.EditPair) -> dict[str, Any]:
         if edit.source.id not in painters:
             painters.clear()
-            opened = photograph.opened(records.folder, record=edit.source.id)
+            opened = photograph.open_photograph(records.folder, record=edit.source.id)
             ours = decomposition.decompose(opened, network, size, settings)
             painters[edit.source.id] = {
                 "ours": upsampling_strategies.painters(ours),
