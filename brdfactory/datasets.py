@@ -42,14 +42,14 @@ def generate(
     Raises    InputError; OSError (full disk), after which everything written before is intact
     """
     from factory.commands.render import Progress
-    from factory.execution.run import RunOptions, carry_out, planned
-    from factory.planning.assets import opened
+    from factory.execution.run import RunOptions, carry_out, make_plan
+    from factory.planning.assets import resolve_unread
 
     if workers < 1:
         raise InputError("generate: workers", "1 or more", f"{workers}", "2 suits two cores")
     loaded, folder = _job_and_folder(job)
     library = None if lights is None else str(lights)
-    plan = planned(loaded, opened(loaded, folder, library))
+    plan = make_plan(loaded, resolve_unread(loaded, folder, library))
     options = RunOptions(workers=workers, limit=limit, library=library, ray=ray)
     if progress:
         with Progress(limit, "picture" if loaded.pictures else "view") as bar:

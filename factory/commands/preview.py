@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         folder = folder.resolve()
     out = options.out or folder.with_name(folder.name + "-preview")
     outputs.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
-    chosen = spread(store, options)
+    chosen = choose_records(store, options)
     if not chosen:
         raise InputError(
             options.folder,
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def spread(store: Store, options: argparse.Namespace) -> list[Record]:
+def choose_records(store: Store, options: argparse.Namespace) -> list[Record]:
     """Return at most --count records of the requested material and tier, spread over the data set.
 
     The sorted records are divided into --count equal strata; the place of the chosen record within

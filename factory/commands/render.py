@@ -196,8 +196,8 @@ def run(options: argparse.Namespace) -> int:
     """Render; return 0 if every picture was made, else 1."""
     from msgspec import structs
 
-    from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
-    from factory.planning.assets import opened
+    from factory.execution.run import RunOptions, carry_out, make_plan, parse_shard
+    from factory.planning.assets import resolve_unread
 
     job, folder = chosen_job(options)
     job = job_options.with_error(job, options)
@@ -206,8 +206,8 @@ def run(options: argparse.Namespace) -> int:
     if options.ray and (options.shard or options.workers != 1):
         remedy = "leave them out: --ray uses all CPUs of the cluster"
         raise InputError("render --ray", "neither --shard nor --workers", "one of them", remedy)
-    shard = None if options.shard is None else parsed_shard(options.shard)
-    plan = planned(job, opened(job, folder, options.lights, options.catalogue))
+    shard = None if options.shard is None else parse_shard(options.shard)
+    plan = make_plan(job, resolve_unread(job, folder, options.lights, options.catalogue))
     for note in plan.assets.notes:
         notice(note)
     run_options = RunOptions(
@@ -262,12 +262,12 @@ def _with_assets(job: Job, folder: str) -> Job:
     from msgspec import structs
 
     from factory.lights.files import is_light_path
-    from factory.planning.shape_names import is_shape_path, located
+    from factory.planning.shape_names import is_shape_path, locate
 
     return structs.replace(
         job,
-        shapes=tuple(located(s, folder) if is_shape_path(s) else s for s in job.shapes),
-        lights=tuple(located(t, folder) if is_light_path(t) else t for t in job.lights),
+        shapes=tuple(locate(s, folder) if is_shape_path(s) else s for s in job.shapes),
+        lights=tuple(locate(t, folder) if is_light_path(t) else t for t in job.lights),
     )
 
 

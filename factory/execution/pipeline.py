@@ -158,7 +158,7 @@ class Pipeline:
         geometry = self._geometry(shot)
         with self._timed("picture"):
             radiance, alpha, samples, accuracy = self._picture(shot, geometry)
-        if faults := checks.picture(radiance, geometry.coverage, alpha):
+        if faults := checks.picture_faults(radiance, geometry.coverage, alpha):
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
         with self._timed("writing"):
@@ -181,7 +181,9 @@ class Pipeline:
         job, start = self.assignment.job, time.perf_counter()
         if job.error is None:
             return *self.studio.picture(job.samples, shot.seed, shot.tier), job.samples, None
-        made = choice.picture(Shown(self.studio, shot.seed, shot.tier, geometry.mask), job.error)
+        made = choice.render_within_error(
+            Shown(self.studio, shot.seed, shot.tier, geometry.mask), job.error
+        )
         accuracy = Accuracy(
             requested=job.error,
             estimator=made.estimator,
@@ -286,7 +288,7 @@ class Pipeline:
         """Return the geometry that the studio shows, after checks. Raises BadShot."""
         with self._timed("geometry"):
             seen = self.studio.geometry()
-        if faults := checks.geometry(seen, self._segments):
+        if faults := checks.geometry_faults(seen, self._segments):
             raise BadShot("; ".join(faults))
         return seen
 
@@ -308,7 +310,7 @@ class Pipeline:
             return None, error.strerror or str(error)
         if digest is None:
             return None, "it could not be read"
-        return seen, "; ".join(checks.geometry(seen, self._segments))
+        return seen, "; ".join(checks.geometry_faults(seen, self._segments))
 
 
 def _replacement_notes(path: str, fault: str, digest: str, expected: str | None) -> Iterator[str]:

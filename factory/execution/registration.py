@@ -24,7 +24,7 @@ TITLE = "The materials of this dataset"
 OWN = (*LINES, "images", "geometry", "lights", "shape-facts", "partial", "materials.json")
 
 
-def require_no_strangers(store: Store) -> str | None:
+def require_no_foreign_files(store: Store) -> str | None:
     """Refuse a folder in which the names of a data set belong to files of something else.
 
     A run takes away unfinished drafts and lines, and writes materials.json, so that such files
@@ -69,7 +69,7 @@ def _is_ours(materials: Path) -> bool:
         return False
 
 
-def register(store: Store, plan: Plan, shots: int) -> None:
+def register_job(store: Store, plan: Plan, shots: int) -> None:
     """Enter a plan and its assets in the folder's dataset.json, materials.json and lights/.
 
     shots   number of the job's shots, as far as its shapes have been read
@@ -114,7 +114,7 @@ def register_shapes(store: Store, plan: Plan, shots: int) -> None:
 
     plan    with these shapes alone
     shots   number of the job's shots, as far as its shapes have been read
-    Raises  InputError as `register`
+    Raises  InputError as `register_job`
     """
     known, shapes = store.dataset(), _shape_entries(plan.assets.shapes)
     _require_agreement(store, "shape", known.shapes, shapes)

@@ -17,14 +17,14 @@ from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.parts import (
     Part,
     Watch,
-    is_by_shapes,
     note_on_materials,
     parts_by_shapes,
     parts_by_shots,
-    shares,
+    split_sources,
+    splits_by_shape,
 )
 from factory.execution.pool import Pool
-from factory.execution.registration import note_settings, require_no_strangers
+from factory.execution.registration import note_settings, require_no_foreign_files
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
 from factory.planning.assets import Assets
@@ -124,7 +124,7 @@ def _carried_out(
     """
     # workers on other nodes are given absolute paths
     store = Store(folder if run_options.ray is None else Path(folder).absolute())
-    if (note := require_no_strangers(store)) is not None:
+    if (note := require_no_foreign_files(store)) is not None:
         watch("note", note)
     prefix = "worker-" if run_options.ray is None else "worker-ray-"
     if run_options.shard is not None:
@@ -133,12 +133,12 @@ def _carried_out(
         store.sweep(prefix if run_options.shard else "", SWEEP_PATIENCE)
         memory = Memory(folder, f"{prefix}main")
         shard = run_options.shard
-        by_shapes = is_by_shapes(plan.job, plan.assets.unread, shard)
+        by_shapes = splits_by_shape(plan.job, plan.assets.unread, shard)
         if not by_shapes or (shard is not None and not takes_turns):
             with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
                 parts = parts_by_shots(plan, store, reading, shard, watch)
                 return _made(plan, parts, store, run_options, prefix, descriptors, watch)
-        own = shares(plan.assets.unread, shard)
+        own = split_sources(plan.assets.unread, shard)
         sources = [share.source for share in own]
         with closing(Reading(sources, run_options.readers, memory)) as reading:
             parts = parts_by_shapes(plan, store, reading, own, shard, watch)
@@ -208,7 +208,7 @@ def _made(
                 known = hashes.get(geometry_path(shot.geometry))
                 yield shot if known is None else msgspec.structs.replace(shot, geometry_hash=known)
 
-    assignment = assign(plan, run_options.library)
+    assignment = make_assignment(plan, run_options.library)
 
     def config(number: int) -> WorkerConfig:
         return worker_config(store, f"{prefix}{number:02d}", assignment, run_options)
@@ -261,7 +261,7 @@ def _replies(
             yield from replies
 
 
-def assign(plan: Plan, library: str | None = None) -> Assignment:
+def make_assignment(plan: Plan, library: str | None = None) -> Assignment:
     """Return what the plan's workers need to know besides their shots and shapes.
 
     library  a folder of light maps, or None
@@ -303,12 +303,12 @@ def _failure(shot: Shot, reason: str) -> Failure:
     )
 
 
-def planned(job: Job, assets: Assets) -> Plan:
+def make_plan(job: Job, assets: Assets) -> Plan:
     """Return the Plan of a job under this program's render settings."""
     return Plan(job, assets, render_fingerprint(by_error=job.error is not None))
 
 
-def parsed_shard(text: str) -> tuple[int, int]:
+def parse_shard(text: str) -> tuple[int, int]:
     """Return "3/8" as (3, 8). Raises InputError."""
     i, slash, n = text.partition("/")
     if not (

@@ -11,7 +11,7 @@ from manifests.picture_files import SeenGeometry
 UNIT_TOLERANCE = 1e-3  # of |n|: ten times float16's rounding of a unit vector's parts
 
 
-def picture(
+def picture_faults(
     radiance: np.ndarray, coverage_expected: float | None = None, alpha: np.ndarray | None = None
 ) -> list[str]:
     """Return what is wrong with a picture.
@@ -54,7 +54,7 @@ def magenta(radiance: np.ndarray) -> bool:
     return red and blue and not green
 
 
-def geometry(shot: SeenGeometry, segments: int) -> list[str]:
+def geometry_faults(shot: SeenGeometry, segments: int) -> list[str]:
     """Return what is wrong with geometry.
 
     The object must be in the frame, normals must have unit length, and segments must be 1 to

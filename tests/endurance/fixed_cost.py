@@ -69,8 +69,8 @@ def ours(options, folder):
     picture to warm up.
     """
     from factory.execution.pipeline import Pipeline
-    from factory.execution.registration import register
-    from factory.execution.run import assign, planned, shape_sources
+    from factory.execution.registration import register_job
+    from factory.execution.run import make_assignment, make_plan, shape_sources
     from factory.planning.assets import resolve
     from factory.render.studio import Studio
     from manifests.line_files import Lines
@@ -87,13 +87,13 @@ def ours(options, folder):
         samples=1,
     )
     catalogues = [options.catalogue] if options.catalogue else []
-    plan = planned(job, resolve(job, catalogues=catalogues))
+    plan = make_plan(job, resolve(job, catalogues=catalogues))
     store = Store(folder)
-    register(store, plan, len(plan))
+    register_job(store, plan, len(plan))
     mixtures = {name: m.mixture for name, m in load_catalogue(folder / "materials.json").items()}
     lines = Lines(folder / "records" / "worker-00.jsonl")
     pipeline = Pipeline(
-        Studio("cpu", None), assign(plan), store, "worker-00", lines.append, mixtures
+        Studio("cpu", None), make_assignment(plan), store, "worker-00", lines.append, mixtures
     )
     shots, seconds = list(plan), []
     pipeline.shapes = shape_sources(plan.assets.shapes)
