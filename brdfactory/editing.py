@@ -13,7 +13,7 @@ from brdfactory import rendering
 from brdfactory.materials import Material, material
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.data import devices
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import decomposition as decomposing
 from learn.editing import drawing, photograph
 from learn.editing.compositor import Compositor
@@ -102,13 +102,13 @@ class Decomposition:
     @property
     def normals(self) -> np.ndarray:
         """Unit normals (h, w, 3), camera frame, at the network's size; 0 outside the object."""
-        n = array(self.computed.parts.n[0].movedim(0, -1))
+        n = to_numpy(self.computed.parts.n[0].movedim(0, -1))
         return n * self.computed.framed.mask[..., None]
 
     @property
     def light(self) -> np.ndarray:
         """The light (64, 128, 3), linear, of unit mean luminance, light frame."""
-        return array(self.computed.parts.light[0].movedim(0, -1))
+        return to_numpy(self.computed.parts.light[0].movedim(0, -1))
 
     @property
     def materials(self) -> list[Material]:

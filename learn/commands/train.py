@@ -112,14 +112,14 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError("--pictures", rule, '"relit", which uses no pictures', remedy)
     torch.set_num_threads(arguments.threads)
     with processes.only_writer(arguments.out):
-        data_splits = sources.data_splits(
+        data_splits = sources.load_data_splits(
             chosen.data,
             arguments.data,
             arguments.lights,
             pictures=arguments.pictures,
             skip_bad=arguments.skip_bad,
         )
-        if left_out := sources.skipped(data_splits):
+        if left_out := sources.list_skipped(data_splits):
             notice(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}")
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
         saving = arguments.sheet_every, arguments.checkpoint_every

@@ -66,7 +66,7 @@ class ExampleBatch:
         return replace(self, **new)
 
 
-def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
+def collate(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
     """Return a batch of examples, whose arrays are channels last.
 
     examples   tuples (image, mask, n, segments, label, light, target label, name); they may go on

@@ -44,13 +44,13 @@ def choose(name: str = "auto") -> torch.device:
     raise InputError("--device", "a CUDA device", result, remedy)
 
 
-def of(module: torch.nn.Module) -> torch.device:
+def device_of(module: torch.nn.Module) -> torch.device:
     """Return the device of a module's first parameter or buffer; the CPU if it has neither."""
     tensors = (*module.parameters(), *module.buffers())
     return tensors[0].device if tensors else torch.device("cpu")
 
 
-def array(tensor: torch.Tensor) -> np.ndarray:
+def to_numpy(tensor: torch.Tensor) -> np.ndarray:
     """Return the values of a tensor of any device in numpy; on the CPU the same memory."""
     return tensor.detach().cpu().numpy()
 

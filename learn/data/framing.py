@@ -50,7 +50,7 @@ class Framed:
     clipped: np.ndarray | None = None
 
 
-def exposure_of(
+def resolve_exposure(
     radiance: np.ndarray,
     mask: np.ndarray,
     exposure: float | None = None,
@@ -82,7 +82,7 @@ def exposure_of(
     return exposure
 
 
-def framed(
+def frame_object(
     radiance: np.ndarray,
     mask: np.ndarray,
     size: int,
@@ -96,7 +96,7 @@ def framed(
     where     names the picture in an InputError
     clipped   (H, W, 3) bool of `saturated`, or None
     Returns   Framed with radiance (size, size, 3), mask (size, size)
-    Raises    InputError: too little of it is left at that size; as `exposure_of`
+    Raises    InputError: too little of it is left at that size; as `resolve_exposure`
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
@@ -105,11 +105,11 @@ def framed(
         rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
         raise InputError(where, rule, str(across), "make the picture smaller")
     top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
-    exposure = exposure_of(radiance, mask, exposure, where)
-    weight = placed(mask.astype(np.float32), (top, left, side))
-    covered = resized(weight, size)
+    exposure = resolve_exposure(radiance, mask, exposure, where)
+    weight = cut_square(mask.astype(np.float32), (top, left, side))
+    covered = resize_square(weight, size)
     colour = (
-        resized(placed(radiance * mask[..., None], (top, left, side)), size)
+        resize_square(cut_square(radiance * mask[..., None], (top, left, side)), size)
         / np.maximum(covered, 1e-3)[..., None]
     )
     inside = covered >= 0.5
@@ -123,8 +123,8 @@ def framed(
         )
     share = None
     if clipped is not None:
-        part = placed((clipped & mask[..., None]).astype(np.float32), (top, left, side))
-        share = resized(part, size) / np.maximum(covered, 1e-3)[..., None]
+        part = cut_square((clipped & mask[..., None]).astype(np.float32), (top, left, side))
+        share = resize_square(part, size) / np.maximum(covered, 1e-3)[..., None]
         share = (np.clip(share, 0, 1) * inside[..., None]).astype(np.float32)
     return Framed(
         (colour * inside[..., None] * exposure).astype(np.float32),
@@ -135,7 +135,7 @@ def framed(
     )
 
 
-def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
+def frame_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
     """Return regions (H, W) in the object's square, (size, size) int64.
 
     Each pixel of the framed mask has the nearest pixel's region; 0 outside the mask.
@@ -143,12 +143,12 @@ def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
     size = len(framed.mask)
     at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
     near = distance_transform_edt(
-        placed(regions, framed.box) == 0, return_distances=False, return_indices=True
+        cut_square(regions, framed.box) == 0, return_distances=False, return_indices=True
     )
-    return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
+    return cut_square(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
 
 
-def placed(array: np.ndarray, box: Box) -> np.ndarray:
+def cut_square(array: np.ndarray, box: Box) -> np.ndarray:
     """Return the square of an array (H, W, …), 0 where it extends beyond the picture."""
     top, left, side = box
     out = np.zeros((side, side, *array.shape[2:]), array.dtype)
@@ -159,7 +159,7 @@ def placed(array: np.ndarray, box: Box) -> np.ndarray:
     return out
 
 
-def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
+def paste_square(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
     """Return a copy of the array with a square in its place, as far as it lies inside."""
     top, left, side = box
     out = array.copy()
@@ -169,7 +169,7 @@ def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
     return out
 
 
-def resized(array: np.ndarray, size: int) -> np.ndarray:
+def resize_square(array: np.ndarray, size: int) -> np.ndarray:
     """Return an array (side, side, …) averaged or interpolated to (size, size, …)."""
     planes = array[..., None] if array.ndim == 2 else array
     method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR

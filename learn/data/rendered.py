@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from learn.data import augmentation
-from learn.data.batch import ExampleBatch, joined
-from learn.data.devices import array
+from learn.data.batch import ExampleBatch, collate
+from learn.data.devices import to_numpy
 from learn.data.geometry import Geometry
 from learn.data.records import Records
 from learn.data.relit import BRIGHTEST, SIDES, DataSplit, RelitDataset
@@ -122,7 +122,7 @@ class RenderedDataset:
 
     def __getitem__(self, k: int) -> ExampleBatch:
         """Return the k-th batch."""
-        return joined(
+        return collate(
             [self._example(k * self.batch + j) for j in self.places],
             self.rendered_split.geometry.elevation,
         )
@@ -159,7 +159,7 @@ class RenderedDataset:
         )
         mask = (segments > 0).numpy()
         true_pictures = (torch.from_numpy(each * mask[..., None]) for each in (image, target))
-        image, seen, (n, segments, picture, target_picture) = augmentation.by(
+        image, seen, (n, segments, picture, target_picture) = augmentation.augment(
             self.data, training, rng, image, mask, (n, segments, *true_pictures)
         )
         name = (
@@ -198,7 +198,7 @@ class RenderedDataset:
                 tolerance=self.data.tolerance,
                 elevation=self.rendered_split.geometry.elevation,
             )
-        return array(picture[0].clamp(0, BRIGHTEST))
+        return to_numpy(picture[0].clamp(0, BRIGHTEST))
 
 
 class MixedDataset:

@@ -13,7 +13,7 @@ import numpy as np
 
 from learn.data import preflight
 from learn.data.geometry import Geometry, PackedView
-from learn.data.light_copies import KnownLights, Maps, joined, without_duplicates
+from learn.data.light_copies import KnownLights, Maps, join_maps, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
@@ -32,12 +32,12 @@ LEAST_FOR_VALIDATION = 10
 VALIDATION_LIGHTS = 6  # one of this many training maps, where the run names none
 
 
-def by_hash(name: str, parts: int) -> int:
+def number_from_hash(name: str, parts: int) -> int:
     """Return a number below `parts` that depends on the name alone."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big") % parts
 
 
-def data_splits(
+def load_data_splits(
     data: Data,
     folder: str | Path,
     maps_file: str | Path | None = None,
@@ -65,15 +65,15 @@ def data_splits(
     maps = {name: records.light(name) for name in records.dataset.lights}
     if data.measured_lights:
         where, remedy = "data: measured_lights", "leave it out: the data set has one of that name"
-        maps = joined(maps, measured_lights.load_all(), where, remedy)
+        maps = join_maps(maps, measured_lights.load_all(), where, remedy)
     if maps_file is not None:
         where = f"--lights {maps_file}"
         remedy = "rename it: the data set or the program has one of that name"
-        maps = joined(maps, read_maps(maps_file), where, remedy)
+        maps = join_maps(maps, read_maps(maps_file), where, remedy)
     all_maps = maps
     maps = without_duplicates(maps, (*data.validation_lights, *data.test_lights))
     held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
-    materials, bad = materials_of(data, records, skip_bad)
+    materials, bad = split_materials(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
     known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
@@ -118,7 +118,7 @@ def data_splits(
     return result
 
 
-def source_of(
+def make_batch_source(
     data_split: DataSplit, run: Run, batch: int, seed: int, part: tuple[int, int] = (0, 1)
 ) -> RelitDataset | RenderedDataset | MixedDataset:
     """Return the batches of one split from the run's source; a split without pictures is relit.
@@ -136,7 +136,7 @@ def source_of(
     )
 
 
-def skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
+def list_skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
     """Return {record id, geometry hash or material: what is wrong} of all that was left out."""
     train = data_splits["train"]
     result = train.geometry.skipped | train.skipped
@@ -173,7 +173,7 @@ def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, s
     return held | {
         name: "validation"
         for name in maps
-        if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0
+        if name not in held and number_from_hash(hashes[name], VALIDATION_LIGHTS) == 0
     }
 
 
@@ -191,7 +191,7 @@ def _rendered_splits(
     A picture is for training or testing if its shape, materials and light all are; for validation
     if its shape is and nothing of it is for testing.
 
-    maps       {name: (side, L)}; materials: as of `materials_of`
+    maps       {name: (side, L)}; materials: as of `split_materials`
     Raises     InputError for no pictures, or damaged ones
     """
     records = Records(folder)
@@ -209,7 +209,7 @@ def _rendered_splits(
             f"none in {number_of(len(records), 'record')}",
             remedy,
         )
-    good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
+    good, wrong = preflight.check_records(records, fitting, geometry, skip_bad, progress)
     side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
     shape = {view.hash: _side(view) for view in geometry.views}
     light = _light_sides({name: records.light(name) for name in {r.light for r in good}}, maps)
@@ -259,10 +259,10 @@ def _light_sides(
 def _side(view: PackedView) -> str:
     if view.side == "test":
         return "test"
-    return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
+    return "validation" if number_from_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
 
 
-def materials_of(
+def split_materials(
     data: Data, records: Records | None, skip_bad: bool = False
 ) -> tuple[dict[str, list[Material]], dict[str, str]]:
     """Return ({side: materials that a run draws from}, {name: what is wrong} of those left out).
@@ -287,12 +287,12 @@ def materials_of(
                 known.append((records.material(name), records.side(name)))
             except InputError as problem:
                 if not skip_bad:
-                    raise preflight.skippable(problem) from None
+                    raise preflight.mention_skip_bad(problem) from None
                 bad[name] = str(problem)
     if data.all_materials_and_lights:
         known = [(m, "train") for m, _ in known]
     train = sorted(
-        (m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30)
+        (m for m, side in known if side == "train"), key=lambda m: number_from_hash(m.name, 1 << 30)
     )
     if not train:
         result = f"{len(known)}, all of them for testing" if known else "none"

@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import framing
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
@@ -46,8 +46,8 @@ class Compositor:
         self.decomposition, self.tolerance, self.detail = decomposition, tolerance, detail
         top, left, side = decomposition.framed.box
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
-        self.regions = framing.placed(decomposition.photograph.regions, (top, left, side))
-        self.coverage = framing.placed(decomposition.photograph.coverage, (top, left, side))
+        self.regions = framing.cut_square(decomposition.photograph.regions, (top, left, side))
+        self.coverage = framing.cut_square(decomposition.photograph.coverage, (top, left, side))
         self.n = upsample_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
         self.filled = fill_from_nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
@@ -88,7 +88,7 @@ class Compositor:
         L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
         picture = self._rendered(label, L, read) * (self.coverage > 0)[..., None]
         frame = np.zeros_like(self.decomposition.photograph.radiance)
-        return framing.put_back(frame, picture, self.decomposition.framed.box)
+        return framing.paste_square(frame, picture, self.decomposition.framed.box)
 
     def _rendered(
         self,
@@ -97,15 +97,15 @@ class Compositor:
         read: Sequence[np.ndarray],
     ) -> np.ndarray:
         """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
-        labels = array(torch.as_tensor(label, dtype=torch.float32))
-        segments = array(self.segments)
+        labels = to_numpy(torch.as_tensor(label, dtype=torch.float32))
+        segments = to_numpy(self.segments)
         picture = np.zeros((self.grid, self.grid, 3), np.float32)
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
                 picture[inside] = self.brightness(row, read) * reflectance_store.at_normals(
                     row,
-                    array(self.n)[inside],
+                    to_numpy(self.n)[inside],
                     light,
                     self.decomposition.batch.elevation,
                     self.tolerance,
@@ -126,7 +126,7 @@ class Compositor:
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
-        return framing.resized(picture, self.side)
+        return framing.resize_square(picture, self.side)
 
     def edited(
         self, labels: Sequence[np.ndarray | None], read: Sequence[np.ndarray] = ()
@@ -168,11 +168,11 @@ class Compositor:
         inside = self.share(alone)
         if unchanged is not None:
             inside = inside * ~unchanged
-        cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
+        cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
         soft = (inside > 0) & (inside < 1 - CLEAR)
         behind = np.where(soft[..., None], self.background(), cut) if soft.any() else cut
         mixed = inside[..., None] * object_ + (1 - inside)[..., None] * behind
-        return framing.put_back(
+        return framing.paste_square(
             photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
         )
 
@@ -189,7 +189,7 @@ class Compositor:
         if self._share is None:
             self._share = self.coverage
             if photograph.alpha is not None:
-                alpha = framing.placed(photograph.alpha, self.decomposition.framed.box)
+                alpha = framing.cut_square(photograph.alpha, self.decomposition.framed.box)
                 behind = (1 - self.coverage) * fill_from_nearest(alpha, self.coverage < CLEAR)
                 whole = np.where(self.coverage > 0, self.coverage + behind, 1)
                 self._share = (self.coverage / whole).astype(np.float32)
@@ -199,7 +199,7 @@ class Compositor:
         """Return radiance (side, side, 3) behind the object: the nearest that is beside it."""
         if self._background is None:
             photograph = self.decomposition.photograph
-            cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
+            cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
             self._background = fill_from_nearest(cut, self.coverage < CLEAR)
         return self._background
 
@@ -216,7 +216,7 @@ class Compositor:
         """
         if self._fine_shading is None:
             again = self.own_radiance()
-            seen = framing.placed(
+            seen = framing.cut_square(
                 self.decomposition.photograph.radiance, self.decomposition.framed.box
             )
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
@@ -237,7 +237,7 @@ class Compositor:
 def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
     """Return unit normals (size, size, 3) of n (3, h, w), continued beyond the mask (h, w)."""
     filled = torch.stack(
-        [torch.from_numpy(fill_from_nearest(channel, mask)) for channel in array(n)]
+        [torch.from_numpy(fill_from_nearest(channel, mask)) for channel in to_numpy(n)]
     ).to(n.device)
     smooth = F.interpolate(
         filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1]

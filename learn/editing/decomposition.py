@@ -70,7 +70,7 @@ class Decomposition:
     @property
     def label(self) -> np.ndarray:
         """Labels (S, 108) float32 of the object's regions."""
-        return devices.array(self.parts.label[0].float())
+        return devices.to_numpy(self.parts.label[0].float())
 
 
 def decompose(
@@ -86,14 +86,14 @@ def decompose(
     settings       of refinement; None for no refinement
     watch          as of learn.refinement.refine
     """
-    framed = framing.framed(
+    framed = framing.frame_object(
         photograph.balanced,
         photograph.mask,
         size,
         photograph.exposure,
         clipped=photograph.clipped,
     )
-    regions = framing.framed_regions(photograph.regions, framed)
+    regions = framing.frame_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
     cues = None
     if photograph.exposure is None:
@@ -137,7 +137,7 @@ def predict_framed(
         if framed.clipped is None
         else torch.from_numpy(framed.clipped).movedim(-1, 0)[None].contiguous(),
     )
-    batch = batch.to(devices.of(network))
+    batch = batch.to(devices.device_of(network))
     with torch.no_grad():
         predicted = network(
             batch.image, batch.mask, batch.segments if count > 1 else None, regions=count

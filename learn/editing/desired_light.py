@@ -49,7 +49,7 @@ def _computed(text: str) -> np.ndarray:
     seed = text.removeprefix(COMPUTED)
     if not (seed.isascii() and seed.isdigit() and int(seed) <= LARGEST_SEED):
         raise InputError(f"--light {text}", "a whole number after computed:", seed, "computed:7")
-    return lights.computed(np.random.default_rng(int(seed)))
+    return lights.draw_computed(np.random.default_rng(int(seed)))
 
 
 def _of_collection(text: str) -> np.ndarray:

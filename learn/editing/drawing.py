@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import reflectance_store, targets
 from learn.editing.decomposition import Decomposition, require_parts
 from learn.editing.photograph import Photograph
@@ -58,11 +58,11 @@ def material_sphere(label: np.ndarray | torch.Tensor, decomposed: Decomposition)
 
 def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     """Return tiles of the first region's reflectance map: observed, predicted and refined."""
-    first, elevation = array(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
+    first, elevation = to_numpy(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
     # at the network's size the region may be too small to be seen
     mask = first if first.any() else decomposed.framed.mask
     exposure = tone.auto_exposure(decomposed.framed.radiance, mask)
-    n = array(decomposed.parts.n[0].movedim(0, -1))
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
     what = "reflectance map" if decomposed.photograph.count == 1 else "reflectance map 1"
     observed = spheres.observed_reflectance(decomposed.framed.radiance, n, mask, TILE, exposure)
     tiles: list[Tile] = [(f"{what}, observed", observed)]
@@ -74,7 +74,7 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
         sphere = spheres.sphere_normals(SPHERE)
         inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
         picture[inside] = reflectance_store.at_normals(
-            array(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
+            to_numpy(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
         )
         tiles.append((f"{what}, {name}", tone.display(picture, exposure)))
     return tiles
@@ -98,8 +98,8 @@ def make_sheet_rows(
     first = [
         before,
         ("rendered again", on_ground(tone.display(result.rendering, exposure), opened)),
-        ("normals", montage.normals_picture(array(parts.n[0].movedim(0, -1)), mask)),
-        ("light", montage.light_picture(array(parts.light[0].movedim(0, -1)))),
+        ("normals", montage.normals_picture(to_numpy(parts.n[0].movedim(0, -1)), mask)),
+        ("light", montage.light_picture(to_numpy(parts.light[0].movedim(0, -1)))),
         *zip(names, own, strict=True),
     ]
     of_edits = [make_sheet_row(edit, decomposed, before, exposure) for edit in result.edits]

@@ -236,7 +236,7 @@ def find_truth(opened: Photograph, text: str) -> np.ndarray | None:
     same = (
         other
         for other in records.records
-        if pairs.scene(other) == pairs.scene(record)
+        if pairs.scene_key(other) == pairs.scene_key(record)
         and other.materials[: len(requested)] == requested
     )
     return next((records.image(other) for other in same), None)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn.data import photographs
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import drawing, material_file, targets
 from learn.figures import montage
 from learn.metrics.pictures import display_l2
@@ -84,7 +84,7 @@ def write(
     """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
-    n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
+    n, L = to_numpy(parts.n[0].movedim(0, -1)), to_numpy(parts.light[0].movedim(0, -1))
     exposure = drawing.display_exposure(opened)
     report = make_report(result, edit_options)
     # drawn once: each takes a third of a second where a material is sharp
@@ -104,7 +104,7 @@ def write(
         )
         material_file.write(
             out / "material.json",
-            array(parts.label[0]),
+            to_numpy(parts.label[0]),
             decomposed.framed,
             result.metadata,
             edit_options.weights,

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.framing import DEPENDENCE, TYPICAL, Framed
 from learn.editing.photograph import CLEAR, Photograph
 from learn.layer import predictions
-from learn.networks.prediction import Prediction, required
+from learn.networks.prediction import Prediction, require_part
 from shaders.tone import LUMINANCE
 
 MOST = 4.0  # stops by which a first exposure is corrected at most
@@ -132,9 +132,9 @@ def correct_exposure(
 
 def render_prediction(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     """Return the radiance (H, W, 3) of a prediction of a batch of one picture."""
-    n, label, light = map(required, (prediction.n, prediction.label, prediction.light))
+    n, label, light = map(require_part, (prediction.n, prediction.label, prediction.light))
     segments, elevation = batch.segments, batch.elevation
-    return array(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
+    return to_numpy(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
 
 
 def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:

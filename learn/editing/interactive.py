@@ -32,7 +32,7 @@ from scipy.ndimage import map_coordinates
 
 from learn.data import framing
 from learn.data import lights as light_maps
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import drawing, interactive_maps, reflectance_store, targets
 from learn.editing.chunks import Chunks, differences, split_bytes
 from learn.editing.compositor import LARGEST_DETAIL, Compositor, fill_from_nearest
@@ -163,16 +163,18 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         return reduced(montage.eight_bit(picture), size)
 
     frame = np.zeros((height, width), np.float32)
-    coverage = framing.put_back(frame, compositor.coverage, box)
-    regions = framing.put_back(frame.astype(np.uint8), compositor.filled, box)
+    coverage = framing.paste_square(frame, compositor.coverage, box)
+    regions = framing.paste_square(frame.astype(np.uint8), compositor.filled, box)
     share = compositor.share()
-    cut = framing.placed(opened.radiance, box)
+    cut = framing.cut_square(opened.radiance, box)
     soft = (share > 0) & (share < 1 - CLEAR)
     cut = np.where(soft[..., None], compositor.background(), cut).astype(np.float32)
-    behind = small(tone.display(framing.put_back(opened.radiance, cut, box), exposure))
+    behind = small(tone.display(framing.paste_square(opened.radiance, cut, box), exposure))
     photo = small(tone.display(opened.radiance, exposure))
     fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
-    fine = framing.put_back(np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box)
+    fine = framing.paste_square(
+        np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box
+    )
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
     planes = [
@@ -183,9 +185,9 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         small(fine),
     ]
     if opened.opacity is not None:
-        share = framing.put_back(frame, share, box)
+        share = framing.paste_square(frame, share, box)
         planes += [small(255 * opened.opacity[..., None]), small(255 * share[..., None])]
-    n = array(decomposed.parts.n[0].movedim(0, -1))
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
     filled = fill_from_nearest(n, decomposed.framed.mask)
     normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
     square = [float(x * scale) for x in box]
@@ -235,7 +237,7 @@ def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def make_scene(compositor: Compositor, light: torch.Tensor) -> reflectance_store.Scene:
     """Return the Scene of a light (1, 3, Hl, Wl); maps are compared at the object's normals."""
     decomposed = compositor.decomposition
-    n = array(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
     return reflectance_store.Scene(
         light,
         decomposed.batch.elevation,
@@ -304,7 +306,9 @@ def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
 def draw_decomposition(result: "EditResult") -> list[tuple[str, np.ndarray]]:
     """Return captions and display pictures of the decomposition."""
     decomposed, opened = result.decomposition, result.decomposition.photograph
-    n, L = (array(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light))
+    n, L = (
+        to_numpy(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light)
+    )
     again = drawing.on_ground(
         tone.display(result.rendering, drawing.display_exposure(opened)), opened
     )

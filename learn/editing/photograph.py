@@ -231,7 +231,7 @@ def _assembled(
     if not is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     factors = _balance(balance, radiance, coverage, not cut_out)
-    framing.exposure_of(radiance * factors, labels > 0, exposure, path)
+    framing.resolve_exposure(radiance * factors, labels > 0, exposure, path)
     own = alpha if not cut_out and (alpha < 1).any() else None
     return Photograph(
         path.stem,
@@ -324,7 +324,7 @@ def open_record(
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     picture = sample.image.numpy()
-    exposure = framing.exposure_of(
+    exposure = framing.resolve_exposure(
         picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}"
     )
     return Photograph(

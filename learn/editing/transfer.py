@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import decomposition, desired_light, drawing, photograph, region_masks, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
@@ -192,7 +192,7 @@ def relit_name(shape: Path, material: Path, light: str) -> str:
 
 def light_in(decomposed: Decomposition) -> np.ndarray:
     """Return the light (64, 128, 3) of a decomposed picture, at unit mean."""
-    L = array(decomposed.parts.light[0].movedim(0, -1))
+    L = to_numpy(decomposed.parts.light[0].movedim(0, -1))
     return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)
 
 

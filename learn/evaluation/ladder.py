@@ -19,7 +19,7 @@ import torch
 from msgspec import Struct, to_builtins
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.records import Records
 from learn.data.seen import DIGITS, label_hash, map_hash
 from learn.editing.decomposition import Parts, require_parts
@@ -294,7 +294,7 @@ class Bench:
         (rung,) = (each for each in RUNGS if each.name == name)
         picture = shown(self.records, scene, rung, self.size)
         batch = picture.batch.to(self.device)
-        source = array((batch.image * batch.mask)[0].movedim(0, -1))
+        source = to_numpy((batch.image * batch.mask)[0].movedim(0, -1))
         prediction = self.predict(batch)
         facing = torch.zeros_like(batch.n)
         facing[:, 2] = 1.0
@@ -351,7 +351,7 @@ def rendered_again(prediction: Prediction, picture: Shown) -> float:
     """Return the display L2 of the picture's re-rendering by the integral against the picture."""
     parts, batch = require_parts(prediction), picture.batch
     again = methods.rendered(parts.n, parts.label, parts.light, batch)
-    return display_l2(again, array((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
+    return display_l2(again, to_numpy((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 
 
 def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:

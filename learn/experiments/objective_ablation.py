@@ -137,7 +137,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data import sources
     from learn.data.settings import read_run
-    from learn.data.sources import source_of
+    from learn.data.sources import make_batch_source
     from learn.evaluation import overlap
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
@@ -167,7 +167,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     if arguments.glossy:  # only then: folders of before have no such key
         pinned["glossy"] = True
     outputs.pin_settings(arguments.out / "settings.json", pinned)
-    data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(run.data, arguments.data, arguments.lights)
     policy, tested = predictions.VALIDATION, run
     if arguments.glossy:
         data_splits = objective_training.glossy(data_splits)
@@ -181,7 +181,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
     kept = {
         method: KeptBatches(
-            source_of(
+            make_batch_source(
                 data_splits["train"],
                 _with_pictures(sized, method),
                 sized.schedule.batch,

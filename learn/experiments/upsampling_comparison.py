@@ -38,7 +38,7 @@ def compare(
     """
     network, metadata = checkpoint.load_parts(weights)
     size = metadata["size"]
-    edits = pairs.chosen(records.records, count, seed)
+    edits = pairs.choose_edits(records.records, count, seed)
     if any(edit.several for edit in edits):
         raise InputError(
             records.folder,
@@ -101,10 +101,10 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
     """
     assert ours.photograph.record is not None  # it is one of the data set's
     sample, mask = records.load(ours.photograph.record), ours.framed.mask
-    square = framing.placed(sample.n.numpy(), ours.framed.box)
-    n = F.normalize(torch.from_numpy(framing.resized(square, len(mask))), dim=-1).movedim(-1, 0)[
-        None
-    ]
+    square = framing.cut_square(sample.n.numpy(), ours.framed.box)
+    n = F.normalize(torch.from_numpy(framing.resize_square(square, len(mask))), dim=-1).movedim(
+        -1, 0
+    )[None]
     toward = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     n = torch.where(torch.from_numpy(mask) & (n.norm(dim=1, keepdim=True) > 0.5), n, toward)
     label, light = (

@@ -77,7 +77,7 @@ def guided(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -> np.ndar
     for p in np.moveaxis(low, -1, 0):
         a = (mean(p * guide_low) - mean(p) * of_guide) / (variance + FLAT)
         b = mean(p) - a * of_guide
-        a, b = (framing.resized(mean(each).astype(np.float32), len(guide)) for each in (a, b))
+        a, b = (framing.resize_square(mean(each).astype(np.float32), len(guide)) for each in (a, b))
         planes.append(a * guide + b)
     return np.maximum(np.stack(planes, -1), 0).astype(np.float32)
 
@@ -87,12 +87,12 @@ def guides(parts: Decomposition, size: int) -> tuple[np.ndarray, np.ndarray]:
 
     The object is continued beyond the mask.
     """
-    square = framing.placed(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
-    mask = framing.placed(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
+    square = framing.cut_square(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
+    mask = framing.cut_square(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
     seen = fill_from_nearest(
         np.log1p(8 * (square @ LUMINANCE.astype(np.float32))) / np.log(9), mask
     )
-    return framing.resized(seen, len(parts.framed.mask)), framing.resized(seen, size)
+    return framing.resize_square(seen, len(parts.framed.mask)), framing.resize_square(seen, size)
 
 
 class CachedCompositor(Compositor):

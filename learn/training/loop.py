@@ -20,9 +20,9 @@ import torch
 from learn.data import devices
 from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
-from learn.data.seen import drawn_from
+from learn.data.seen import seen_in_splits
 from learn.data.settings import Losses, Run, require_trainable
-from learn.data.sources import source_of
+from learn.data.sources import make_batch_source
 from learn.networks import features, weights
 from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded, Prediction
@@ -51,7 +51,7 @@ class Training:
     """One run in one process.
 
     run           its settings
-    data_splits   learn.data.sources.data_splits
+    data_splits   learn.data.sources.load_data_splits
     out           folder for weights, log and contact sheets
     sheet_every   steps between validations, each with a contact sheet; 0: none
     checkpoint_every  steps between checkpoints; None: one every EVERY_SECONDS
@@ -89,7 +89,7 @@ class Training:
         self.optimiser = schedule.optimiser(self.network, run.schedule)
         self.step, self.skipped, self.used, self.passed = 0, 0, 0.0, 0.0
         self.features = self._features()
-        self.seen = drawn_from(
+        self.seen = seen_in_splits(
             [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
         )
         if (self.out / "checkpoint.safetensors").exists():
@@ -243,7 +243,7 @@ class Training:
 
     def _source(self) -> processes.BatchSource:
         """Return what the run learns from: batches by their number."""
-        return source_of(
+        return make_batch_source(
             self.data_splits["train"],
             self.run,
             self.run.schedule.batch,
@@ -378,7 +378,7 @@ class Training:
         """
         network, data_split = self.averaged(), self.data_splits["validation"]
         with torch.no_grad(), validation.DeadUnits(network) as dead:
-            figures = validation.over(
+            figures = validation.validate(
                 lambda b: self._predicted(network, b),
                 data_split,
                 self.run,
@@ -386,7 +386,7 @@ class Training:
                 device=self.device,
             )
             figures |= dead.figures()
-            source = source_of(data_split, self.run, self.run.schedule.batch, 1)
+            source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
             contact_sheet = montage.write(
                 self._sheet_path(), batch, self._predicted(network, batch)

@@ -155,7 +155,8 @@ def plan(most: str, *paths: str) -> dict[str, Any]:
         name = f"ids: {Path(path).name}"
         try:
             job, folder = jobs.load(path)
-            planned = run.planned(job, assets.resolve(job, folder, None, []))
+            make_plan = getattr(run, "make_plan", None) or run.planned  # its earlier name
+            planned = make_plan(job, assets.resolve(job, folder, None, []))
         except ValueError as error:  # a user's mistake: meshes or lights that are not here
             print(f"{name}: {error}", file=sys.stderr)
             result["equal"][name] = "not planned: its files are not here"

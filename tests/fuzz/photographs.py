@@ -108,7 +108,7 @@ def opened(role, path, room, exposure, balance):
     result = photograph.open_photograph(
         what, masks, path if role == "regions" else None, balance, exposure
     )
-    return framing.framed(result.balanced, result.mask, 32, result.exposure)
+    return framing.frame_object(result.balanced, result.mask, 32, result.exposure)
 
 
 def not_finite(result: Result) -> str | None:

@@ -138,7 +138,7 @@ def test_relighting_by_true_parts_is_the_layers_picture():
 
 
 def test_computed_lights_are_those_of_training():
-    L = lights.computed(np.random.default_rng(7))
+    L = lights.draw_computed(np.random.default_rng(7))
     np.testing.assert_allclose(
         resolve_light("computed:7", no_picture),
         envmap.unit_mean(L.astype(np.float32))[0],

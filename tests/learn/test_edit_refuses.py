@@ -488,7 +488,7 @@ def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
     values = np.zeros((3648, 5472, 4), np.uint8)
     values[1000:2000, 3000:4500] = (200, 100, 50, 255)
     Image.fromarray(values).save(files / "large.png", compress_level=1)
-    framed = framing.framed(*photographs.read(files / "large.png"), 128, 1.0)
+    framed = framing.frame_object(*photographs.read(files / "large.png"), 128, 1.0)
     assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(
         1500 * framing.MARGIN, rel=0.02
     )

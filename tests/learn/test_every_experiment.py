@@ -12,7 +12,7 @@ import torch
 
 import learn.__main__
 import learn.experiments.__main__
-from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.data.sources import VALIDATION_SHAPES, number_from_hash
 from learn.experiments import auto_calibration, edit_brightness, exposure_rule, runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.metrics import bootstrap
@@ -369,7 +369,9 @@ def room(tmp_path_factory):
             room / name, both, rng, size, 1, 0.0, rotations=(0,), category="sphere"
         )
         if name == "data":
-            validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+            validation = (
+                k for k in range(1000) if number_from_hash(f"ball:{k}", VALIDATION_SHAPES) == 0
+            )
             add_shape(store, f"ball:{next(validation)}", "train")
             add_shape(store, "cube:1", "test")
     written(room / "exposed")

@@ -124,7 +124,7 @@ def test_an_estimated_exposure_is_corrected_and_a_given_one_is_kept(tmp_path, gi
     result = decomposition.decompose(opened, Grey(), SIZE)
     inside = result.framed.mask
     factor = result.framed.exposure / (
-        given or framing.exposure_of(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
+        given or framing.resolve_exposure(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
     )
     again = exposure.render_prediction(result.batch, result.start)[inside].mean()
     seen = result.framed.radiance[inside].mean()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.data.sources import VALIDATION_SHAPES, number_from_hash
 from learn.editing import drawing
 from learn.evaluation import bench
 from learn.layer import predictions
@@ -53,7 +53,11 @@ def room(tmp_path_factory):
     )
     add_shape(
         store,
-        next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0),
+        next(
+            f"ball:{k}"
+            for k in range(1000)
+            if number_from_hash(f"ball:{k}", VALIDATION_SHAPES) == 0
+        ),
         "train",
     )
     add_shape(store, "cube:1", "test")

@@ -17,7 +17,7 @@ import torch
 
 from learn.__main__ import COMMANDS as LEARN
 from learn.data.settings import Data, Run
-from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.data.sources import VALIDATION_SHAPES, number_from_hash
 from learn.evaluation import bench, card_batches
 from learn.experiments import on_ray, runner
 from learn.experiments.__main__ import COMMANDS as EXPERIMENTS
@@ -56,7 +56,7 @@ def room(tmp_path_factory):
     write_dataset(room / "large", both, rng, 2 * SIZE, 1, 0.0, (0,), category="sphere")
     ladder_rungs.written(room / "ladder", SIZE)
     store = write_dataset(room / "sides", both, rng, SIZE, 1, 0.0, (0,), category="sphere")
-    validation = (k for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+    validation = (k for k in range(1000) if number_from_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
     add_shape(store, f"ball:{next(validation)}", "train")
     add_shape(store, "cube:1", "test")
     for name, seed in (("weights", 0), ("second", 1)):

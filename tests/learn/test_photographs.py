@@ -113,7 +113,7 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(
             photograph.open_photograph(tmp_path / "photo.png", [mask_file])
         return
     result = photograph.open_photograph(tmp_path / "photo.png", [mask_file])
-    framed = framing.framed(result.balanced, result.mask, 32, result.exposure, "photo")
+    framed = framing.frame_object(result.balanced, result.mask, 32, result.exposure, "photo")
     assert np.isfinite(framed.radiance).all()
 
 
@@ -127,7 +127,7 @@ def test_an_exposure_has_to_bring_the_object_to_what_networks_know(
     path = exr_file(factor)
     if accepted:
         result = photograph.open_photograph(path, [mask_file], exposure=exposure)
-        assert framing.framed(
+        assert framing.frame_object(
             result.balanced, result.mask, 32, exposure
         ).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
@@ -340,7 +340,7 @@ def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_m
     with pytest.raises(
         InputError, match="strip: expected an object at most 8135 pixels across, found 20000"
     ):
-        framing.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
+        framing.frame_object(radiance, np.ones((16, 20_000), bool), 32, where="strip")
 
 
 @pytest.mark.parametrize("size", [(1, 64), (64, 1), (4, 4)])
@@ -350,7 +350,7 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
     (tmp_path / "photo.png").write_bytes(encoded(rgba))
     try:
         result = photograph.open_photograph(tmp_path / "photo.png")
-        framed = framing.framed(result.balanced, result.mask, 32)
+        framed = framing.frame_object(result.balanced, result.mask, 32)
     except InputError as problem:
         assert "16 pixels or more" in str(problem)
     else:

@@ -191,7 +191,7 @@ def test_the_example_is_predicted_as_a_whole_by_the_masks_that_edit_has(weights,
     assert main("learn", "", COMMANDS, [*words, "--out", str(tmp_path)]) == 0
     seen = photograph.open_photograph("example:espresso-cup")
     assert seen.count == 2
-    framed = framing.framed(seen.radiance, seen.mask, SIZE)
+    framed = framing.frame_object(seen.radiance, seen.mask, SIZE)
     assert (shown(tmp_path / "mask.png") > 127).tolist() == framed.mask.tolist()
     report = json.loads((tmp_path / "material.json").read_text())
     assert report["box"] == list(framed.box) and len(report["label"]) == 108

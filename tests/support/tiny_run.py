@@ -2,7 +2,7 @@
 
 import json
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.data.sources import VALIDATION_SHAPES, number_from_hash
 from manifests.cli import main
 from tests.support import synthetic
 from tests.support.two_materials import SIZE, written
@@ -37,7 +37,9 @@ def train(store, out, *options, run=RUN):
 def two_sided(folder):
     """The Store of a data set with a shape for each side, four pictures of each."""
     store = written(folder)
-    chosen = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+    chosen = next(
+        f"ball:{k}" for k in range(1000) if number_from_hash(f"ball:{k}", VALIDATION_SHAPES) == 0
+    )
     for shape, side in ((chosen, "train"), ("cube:1", "test")):
         synthetic.add_shape(store, shape, side)
     return store
