@@ -252,7 +252,7 @@ def figures_of(
 
     import numpy as np
 
-    from learn.data.devices import array
+    from learn.data.devices import to_numpy
     from learn.editing import decomposition, light_colour, photograph
     from learn.editing.compositor import Compositor
     from manifests.errors import InputError
@@ -274,7 +274,7 @@ def figures_of(
             "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
-        "light_green": light_colour.green_of(mean_radiance(array(light[0].movedim(0, -1)))),
+        "light_green": light_colour.green_of(mean_radiance(to_numpy(light[0].movedim(0, -1)))),
         "cues": asdict(parts.cues),
         "edits": [edit_of(compositor, photo, target) for target in targets],
     }
