@@ -35,9 +35,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "plan",
         help="show how many pictures a job has, and how much time and disk space it takes",
         description=(
-            "Counts the pictures of a job and of its splits, and forecasts time and disk space. For"
-            " the forecast it renders pictures of all parts of the job for a quarter of a minute."
-            " Writes no files."
+            "Counts the pictures of a job by split, and forecasts the time and disk space that"
+            " rendering it takes. The forecast renders pictures from all over the job for about 15"
+            " seconds. Writes no files."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -52,7 +52,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--probe",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="render a few pictures for the forecast (the default), or give no forecast",
+        help="forecast time and disk space by rendering a few pictures (default: yes)",
     )
     parser.add_argument(
         "--machines",
@@ -65,7 +65,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=positive,
         metavar="C",
         help=(
-            "cores of each of these machines, with a worker each (default: as many as this machine"
+            "cores per machine, each of which runs one worker (default: as many as this machine"
             " has)"
         ),
     )
@@ -73,7 +73,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--price",
         type=above_zero,
         metavar="P",
-        help="price of one core for one hour, in any currency, for the cost of these machines",
+        help="price of one core for one hour, in any currency, to forecast the cost",
     )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of job files")
     job_options.add(parser)
