@@ -1,4 +1,4 @@
-"""Pictures of normals under a light, with numpy arrays; `RenderLayer` takes tensors."""
+"""Render normals under a light with numpy arrays; `RenderLayer` does so with tensors."""
 
 from pathlib import Path
 
