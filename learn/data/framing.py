@@ -1,7 +1,8 @@
-"""The square over an object in a picture, at the size that networks take, and its exposure.
+"""Crops a picture to a square around its object, at the size that networks take, and exposes it.
 
-An object is accepted if its brightness allows its exposure to be estimated (ESTIMATED) and suits
-the networks (SEEN), constant and fully clipped objects too.
+An object whose brightness does not allow its exposure to be estimated (ESTIMATED), or that networks
+never see so dark or so bright (SEEN), is refused. Objects of one colour and fully clipped ones are
+accepted.
 """
 
 from dataclasses import dataclass
@@ -14,14 +15,15 @@ from learn.data.photographs import LEAST_PIXELS
 from manifests.errors import InputError
 from shaders.tone import LUMINANCE
 
-# pixels along the side of the square over the object: of a square picture of MOST_PIXELS
+# largest side of the square around an object: that of a square picture of MOST_PIXELS pixels
 MOST_SQUARE = 9600
-MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
-# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the
-# object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures
-# of known light, exposed for their 99th percentile. `python -m learn.experiments exposure` measures
-# it (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off
-# either by more than a factor of 2.5.
+# side of the square, relative to the object's: in training, the object fills 0.85 of a picture
+MARGIN = 1.18
+# The scale of a photograph is unknown. The factor to radiance under a light of unit mean is guessed
+# from the object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE. This was the best line
+# over 200 pictures of known light, exposed for their 99th percentile; on 600 others it is as good
+# as a line fitted to them, and either is wrong by more than a factor of 2.5 for a third of them.
+# `python -m learn.experiments exposure` measures this (docs/editing.md).
 TYPICAL, DEPENDENCE = 0.23, 0.19
 # Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
 # it a file is in units of its own.
@@ -56,11 +58,13 @@ def resolve_exposure(
     exposure: float | None = None,
     where: object = "the object",
 ) -> float:
-    """Return the factor from a picture's radiance to the networks'.
+    """Return the factor by which a picture's radiance is multiplied for the networks.
 
-    exposure  the factor itself; None: estimated from the object's brightness
-    radiance (H, W, 3), mask (H, W) bool, not empty
-    Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
+    radiance  (H, W, 3) linear
+    mask      (H, W) bool, not empty
+    exposure  the factor, which is only checked; None: guess it from the object's brightness
+    where     what an error names as its place
+    Raises    InputError for an object that is black, too dark or too bright
     """
     Y = float((radiance[mask] @ LUMINANCE).mean())
     shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
@@ -71,7 +75,7 @@ def resolve_exposure(
                 where,
                 rule,
                 shown,
-                "expose it so that white is 1, or say by --exposure what to multiply it by",
+                "scale the file so that white is 1, or give --exposure",
             )
         return TYPICAL * Y**-DEPENDENCE
     if not SEEN[0] <= exposure * Y <= SEEN[1]:
@@ -90,13 +94,17 @@ def frame_object(
     where: object = "the object",
     clipped: np.ndarray | None = None,
 ) -> Framed:
-    """Return the object's square at the networks' size.
+    """Crop a picture to the square around its object, and scale the square to size².
 
-    exposure  None: estimated from the object's brightness
-    where     names the picture in an InputError
-    clipped   (H, W, 3) bool of `saturated`, or None
-    Returns   Framed with radiance (size, size, 3), mask (size, size)
-    Raises    InputError: too little of it is left at that size; as `resolve_exposure`
+    radiance  (H, W, 3) linear
+    mask      (H, W) bool, not empty
+    size      side of the networks' pictures, in pixels
+    exposure  as `resolve_exposure` takes it
+    where     what an error names as its place
+    clipped   (H, W, 3) bool: channels that are white in the file; None if nothing can be clipped
+    Returns   Framed with radiance (size, size, 3), times the exposure, and mask (size, size)
+    Raises    InputError: too few pixels of the object are left at that size, the object is too
+              large, or what `resolve_exposure` raises
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
@@ -113,7 +121,7 @@ def frame_object(
         / np.maximum(covered, 1e-3)[..., None]
     )
     inside = covered >= 0.5
-    # wires and rims: the pixels that hold most of it, as many as its area
+    # a thin object covers few pixels by half: take its most covered pixels, as many as its area
     if inside.sum() < 0.5 * covered.sum():
         inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
     if inside.sum() < LEAST_PIXELS:

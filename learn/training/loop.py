@@ -1,7 +1,7 @@
-"""The training of one network: steps, validations, weights and checkpoints.
+"""Trains one network: steps, validations, weights and checkpoints.
 
-Everything random in step k depends on (seed, k) alone. A run that was killed continues from its
-last checkpoint to bitwise the same weights, unless its schedule ends by the clock
+Everything random in step k depends only on (seed, k). A run that was killed therefore continues
+from its last checkpoint to bitwise the same weights, unless its schedule ends by the clock
 (`schedule.seconds`, `schedule.clock_seconds`).
 """
 
@@ -48,15 +48,15 @@ VALIDATION_BATCHES = 2
 
 
 class Training:
-    """One run in one process.
+    """The training of one run; under torchrun, one process's part of it.
 
-    run           its settings
-    data_splits   learn.data.sources.load_data_splits
+    run           the run's settings
+    data_splits   {side: DataSplit} as learn.data.sources.load_data_splits returns them
     out           folder for weights, log and contact sheets
     sheet_every   steps between validations, each with a contact sheet; 0: none
     checkpoint_every  steps between checkpoints; None: one every EVERY_SECONDS
-    workers       processes that make batches; 0: this one makes them
-    tensorboard   whether TensorBoard's events are written too
+    workers       number of processes that make batches; 0: this process makes them
+    tensorboard   whether to write TensorBoard's events too
     device        of network, optimiser, batches and losses; random numbers come from the CPU,
                   except those of dropout
     """
@@ -115,7 +115,7 @@ class Training:
             )
 
     def train(self) -> dict[str, float]:
-        """Make all steps that are left; return the last validation's figures."""
+        """Make the remaining steps; return the figures of the last validation."""
         run, last, before = self.run, time.monotonic(), time.monotonic()
         figures: dict[str, float] = {}
         if self.rank == 0:
@@ -159,7 +159,7 @@ class Training:
             if done:
                 break
         bar.close()
-        # of a run that ended before its weights were written
+        # a run may have been stopped after its last step and before its weights were written
         if self.rank == 0 and not (self.out / "weights.safetensors").exists():
             self._save_weights()
         if self.journal:
@@ -208,7 +208,7 @@ class Training:
         return network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def _features(self) -> features.Features | None:
-        """Return the features that the first phase that compares by features names."""
+        """Load the features of the first phase whose losses use features, if there is one."""
         for phase in schedule.phases(self.run):
             if losses.by_features(phase.losses):
                 loaded = features.load(phase.losses.features, phase.losses.features_sha256)
@@ -219,7 +219,7 @@ class Training:
         return self.step >= schedule.steps(self.run) or self._share_of_time() >= 1
 
     def _share_of_time(self) -> float:
-        """Return how much of the time that the run may take is over; 0 where only steps count."""
+        """Return the share of the run's time limit that is used up; 0 without such a limit."""
         limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
         return max(
             0.0 if limit is None else spent / limit
@@ -227,9 +227,9 @@ class Training:
         )
 
     def _share_clocks(self) -> None:
-        """Give all processes of a run that ends by a clock the first one's times.
+        """If the run ends by the clock, give all of its processes the times of the first one.
 
-        They follow them with the learning rate and the end, which must be the same in all.
+        The learning rate and the last step depend on them and must be the same in all processes.
         """
         limits = self.run.schedule.seconds, self.run.schedule.clock_seconds
         if self.world > 1 and any(limit is not None for limit in limits):
@@ -242,7 +242,7 @@ class Training:
         return self.run.data.source
 
     def _source(self) -> processes.BatchSource:
-        """Return what the run learns from: batches by their number."""
+        """Return the source of the run's training batches, which are called by number."""
         return make_batch_source(
             self.data_splits["train"],
             self.run,
@@ -273,7 +273,7 @@ class Training:
         torch.manual_seed(seed)  # dropout
         rng = torch.Generator().manual_seed(seed)  # sampled pixels
         self.model.train()
-        # running statistics, which the forward pass changes
+        # keep the running statistics, which the forward pass changes, in case the step is skipped
         self._copy_buffers(back=False)
         start = time.process_time()
         prediction = self.predict(self.model, batch, phase.parts)
@@ -281,8 +281,8 @@ class Training:
         if _is_finite(prediction):
             terms = self._terms(prediction, batch, phase.losses, rng)
             loss = losses.total(terms, phase.losses)
-        # the layer would refuse it; gradients that are not finite let all processes of a run skip
-        # this step
+        # The layer would refuse such a prediction. A loss that is not finite instead makes all
+        # processes of the run skip this step.
         else:
             terms = {}
             loss = math.nan * sum(part.float().sum() for part in prediction if part is not None)
@@ -310,7 +310,7 @@ class Training:
         return record | _saturation(prediction) | milliseconds
 
     def _copy_buffers(self, back: bool) -> None:
-        """Store the network's buffers, or give it back those that were stored."""
+        """Store the network's buffers or, with `back`, restore the stored ones."""
         own = list(self.network.buffers())
         stored = self._stored_buffers or [buffer.clone() for buffer in own]
         self._stored_buffers = stored
@@ -334,9 +334,9 @@ class Training:
         schedule.set_learning_rate(self.optimiser, learning_rate, beta)
 
     def _skip(self, batch: ExampleBatch, record: Mapping[str, float]) -> None:
-        """Count a step that is not finite, and store its batch for study.
+        """Count a step whose loss or gradients are not finite, and save its batch for inspection.
 
-        Such a step changes nothing. Raises InputError once there are too many of them.
+        Such a step changes nothing. Raises InputError if there are too many of them.
         """
         self.skipped += 1
         wrong = next(
@@ -363,7 +363,7 @@ class Training:
             )
 
     def _predicted(self, network: torch.nn.Module, batch: ExampleBatch) -> Any:
-        """Return a Prediction for people and figures. Raises InputError if it is not finite."""
+        """Return a Prediction for validation. Raises InputError if it is not finite."""
         prediction = self.predict(network, batch)
         if not _is_finite(prediction):
             where = f"{self.out}: validation after step {self.step}"
@@ -372,9 +372,9 @@ class Training:
         return prediction
 
     def _validate(self) -> dict[str, float]:
-        """Return figures of the moving average on the validation split.
+        """Measure the moving average of the weights on the validation split; return the figures.
 
-        Writes a contact sheet of it, and the weights for users.
+        Also writes a contact sheet and weights.safetensors.
         """
         network, data_split = self.averaged(), self.data_splits["validation"]
         with torch.no_grad(), validation.DeadUnits(network) as dead:
@@ -400,10 +400,10 @@ class Training:
         return self.out / f"sheet-{self.step:07d}.jpg"
 
     def _save_weights(self) -> None:
-        """Write the weights for users.
+        """Write weights.safetensors.
 
-        With a data set's own materials they hold these materials' labels, of which refinement
-        takes its directions.
+        If the run uses the data set's own materials, the file also holds their labels, from which
+        refinement derives the directions in which it changes a material.
         """
         of_dataset = self.run.data.materials == "dataset"
         labels = list(self.data_splits["train"].labels.values()) if of_dataset else None
@@ -437,12 +437,12 @@ def _copies(network: torch.nn.Module) -> dict[str, torch.Tensor]:
 
 
 def _is_finite(prediction: Any) -> bool:
-    """Return whether all parts of a Prediction that are there are finite."""
+    """Return whether all parts that a Prediction has are finite."""
     return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
 
 
 def _saturation(prediction: Prediction) -> dict[str, float]:
-    """Return shares of outputs that no longer learn: codes at the ends of tanh, dark texels."""
+    """Return shares of outputs that have stopped learning: codes saturated in tanh, dark texels."""
     result = {}
     if prediction.code is not None:
         result["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
