@@ -24,8 +24,8 @@ class ExampleBatch:
     target_label  (B, S, 108) the material of the target image O, for the same shape and light
     names         what messages call the pictures: shape, …, material, separated by spaces
     elevation     of all pictures' camera, radians
-    picture       (B, 3, H, W) the true picture I if another renderer made it; None: the picture that
-                  the layer renders from the truth
+    picture       (B, 3, H, W) the true picture I if another renderer made it; None: the layer's
+                  rendering of the truth
     target        (B, 3, H, W) the true target O, likewise
     clipped       (B, 3, H, W) in [0, 1]: the share of each pixel and channel of `image` that the
                   file shows as white, so that its value is a lower bound; None: nothing is clipped
