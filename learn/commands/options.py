@@ -9,6 +9,9 @@ from learn.networks import own_weights
 from manifests.option_types import MATERIALS, positive, whole
 from manifests.training_runs import LAYER_METHODS
 
+# where options can be added: a parser, or a group of its options
+ParserOrGroup = argparse.ArgumentParser | argparse._ArgumentGroup
+
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
 WEIGHTS_FOLDER = own_weights.FOLDER
 EDITING_WEIGHTS = own_weights.EDITING
@@ -51,7 +54,7 @@ def add_lights(
     parser.add_argument("--lights", type=Path, metavar="FILE.npz|DIR", help=what)
 
 
-def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS) -> None:
+def add_weights(parser: ParserOrGroup, default: Path = EDITING_WEIGHTS) -> None:
     """Add --weights FILE|NAME; default: a file of WEIGHTS_FOLDER."""
     parser.add_argument(
         "--weights",
@@ -74,7 +77,7 @@ def weights_file(text: str) -> Path:
     return own if Path(text).name == text and own.exists() else Path(text)
 
 
-def add_refinement_method(parser: argparse.ArgumentParser) -> None:
+def add_refinement_method(parser: ParserOrGroup) -> None:
     """Add --refinement-method, one of LAYER_METHODS; None if it is not given."""
     parser.add_argument(
         "--refinement-method",
@@ -87,7 +90,7 @@ def add_refinement_method(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
+def add_exposure(parser: ParserOrGroup, picture: str) -> None:
     """Add --exposure X; `picture` is what the help calls the picture."""
     parser.add_argument(
         "--exposure",
@@ -191,7 +194,7 @@ def add_size(parser: argparse.ArgumentParser, default: int) -> None:
     )
 
 
-def add_device(parser: argparse.ArgumentParser) -> None:
+def add_device(parser: ParserOrGroup) -> None:
     """Add --device; arguments.device is then one of DEVICES."""
     parser.add_argument(
         "--device",
