@@ -147,7 +147,7 @@ def test_a_record_is_rendered_again_by_its_own_camera(weights, tmp_path, rng, mo
     seen = []
     monkeypatch.setattr(
         predict,
-        "rendered_again",
+        "render_prediction",
         lambda batch, predicted: (
             seen.append(batch.elevation) or render_prediction(batch, predicted)
         ),
