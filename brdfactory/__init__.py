@@ -1,4 +1,4 @@
-"""Material editing from one photograph, and the data factory and layer that it is made of.
+"""Edit the material of a photographed object, make data sets, and use the rendering layer.
 
     import brdfactory as bf
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from manifests.errors import InputError
     from manifests.schema import Job
 
-# name → the module that has it
+# public name → the module that defines it
 _HOMES = {
     "edit": "brdfactory.editing",
     "decompose": "brdfactory.editing",
@@ -65,9 +65,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what has this name, the first time that it is used.
+    """Import a public name's module when the name is first used.
 
-    Raises  ImportError with the extra that is missing, if one is
+    Raises  ImportError that names the extra to install, if a package is missing
     """
     if name not in _HOMES:
         raise AttributeError(f"module 'brdfactory' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The commands of `brdfactory`: those of `factory` and `learn`, in groups by what people want."""
+"""The commands of `brdfactory`: those of `factory` and `learn`, grouped by task."""
 
 import argparse
 import importlib
@@ -15,7 +15,7 @@ DESCRIPTION = (
     "Changes the material of an object in a photograph, and makes the data sets and networks that"
     " this needs."
 )
-# group → {command: the package that has it}
+# title of a group → {command: package that contains it}
 GROUPS: Mapping[str, Mapping[str, str]] = {
     "edit a photograph": dict.fromkeys(("edit", "app", "predict", "transfer"), "learn"),
     "make a data set": dict.fromkeys(
@@ -39,12 +39,12 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "this program": {"completion": "brdfactory"},
 }
 COMMANDS = {command: package for group in GROUPS.values() for command, package in group.items()}
-# in the texts of factory and learn: their commands by the names that they have there
+# how help texts of factory and learn spell their commands, which `brdfactory` rewrites
 OTHER_NAMES = re.compile(rf"python -m (?:factory|learn) (?=(?:{'|'.join(COMMANDS)})\b)")
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command that the arguments name and return its exit status; None: the process's."""
+    """Run the command that the arguments name (None: those of the process); return its status."""
     return cli.main(
         "brdfactory",
         DESCRIPTION,
@@ -59,12 +59,12 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def reworded(text: str) -> str:
-    """Return a text of `factory` or `learn` with commands as they are typed here."""
+    """Return a text of `factory` or `learn` with its commands spelt `brdfactory COMMAND`."""
     return OTHER_NAMES.sub("brdfactory ", text)
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands, for completion and for documents."""
+    """Return a parser of all commands, for shell completion and for the web site."""
     result = argparse.ArgumentParser(prog="brdfactory", description=DESCRIPTION)
     subparsers = result.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
@@ -73,7 +73,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _register(command: str, subparsers: argparse._SubParsersAction) -> None:
-    """Add a command's parser; its module is imported now."""
+    """Import a command's module and add its parser."""
     if command == "completion":
         _register_completion(subparsers)
         return
@@ -120,7 +120,7 @@ def _complete(arguments: argparse.Namespace) -> None:
 
 
 def _prepare() -> None:
-    """Do what `python -m learn` does before its commands, if the command is one of its."""
+    """Prepare the process as `python -m learn` does, if the command belongs to `learn`."""
     if any(name.startswith("learn.commands.") for name in sys.modules):
         from learn.commands import prepare
 

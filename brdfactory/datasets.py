@@ -1,4 +1,4 @@
-"""Data sets from Python: a job in, records on disk out."""
+"""Make data sets from Python: load a job, and render it into a folder."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def load_job(job: "str | Path | Mapping[str, Any] | Job") -> "Job":
-    """Return a Job: of a preset's name, a JSON file, a dict of its keys, or a Job itself.
+    """Return the Job of a preset's name, a JSON file or a dict of a job's keys.
 
-    Raises InputError for unknown keys and values out of range.
+    A Job is returned as it is. Raises InputError for unknown keys and values out of range.
     """
     return _job_and_folder(job)[0]
 
@@ -28,28 +28,30 @@ def generate(
     ray: str | None = None,
     progress: bool = True,
 ) -> dict[str, int]:
-    """Render a job into the data set's folder `out`; return how many pictures were made.
+    """Render a job into the data set's folder `out`.
 
-    The result is {"made", "already_there", "failed"}.
-    What the folder holds already is not rendered again, so that a stopped job continues.
+    Pictures that the folder already has are not rendered again, so calling this again continues a
+    job that was stopped.
 
+    job       as `load_job` takes it
     workers   number of processes
-    limit     the largest number of pictures in this run, None: all
-    lights    a folder of light maps, or None
-    ray       address of a Ray cluster that renders instead of `workers`, "auto": this machine's, or
-              a new one here; None: processes of this machine
-    progress  whether a progress bar is shown
-    Raises    InputError; OSError (full disk), after which everything written before is intact
+    limit     the largest number of pictures to make in this call; None: all
+    lights    a folder of your own light maps, or None
+    ray       address of a Ray cluster to render on instead of with `workers`; "auto": the cluster
+              that this machine belongs to, or a new one here; None: processes of this machine
+    progress  whether to show a progress bar
+    Returns   numbers of pictures: {"made", "already_there", "failed"}
+    Raises    InputError; OSError, for example a full disk; what was written before is intact
     """
     from factory.commands.render import Progress
-    from factory.execution.run import RunOptions, carry_out, planned
-    from factory.planning.assets import opened
+    from factory.execution.run import RunOptions, carry_out, make_plan
+    from factory.planning.assets import resolve_unread
 
     if workers < 1:
         raise InputError("generate: workers", "1 or more", f"{workers}", "2 suits two cores")
     loaded, folder = _job_and_folder(job)
     library = None if lights is None else str(lights)
-    plan = planned(loaded, opened(loaded, folder, library))
+    plan = make_plan(loaded, resolve_unread(loaded, folder, library))
     options = RunOptions(workers=workers, limit=limit, library=library, ray=ray)
     if progress:
         with Progress(limit, "picture" if loaded.pictures else "view") as bar:

@@ -13,7 +13,7 @@ from brdfactory import rendering
 from brdfactory.materials import Material, material
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.data import devices
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import decomposition as decomposing
 from learn.editing import drawing, photograph
 from learn.editing.compositor import Compositor
@@ -30,16 +30,16 @@ from shaders import tone
 
 Drawn = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
-KEPT = 0.25  # of the fine shading, as `learn edit --detail`
+KEPT = 0.25  # share of the fine shading that edits keep, the default of `edit --detail`
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture.
+    """A picture as linear radiance, and how to show it.
 
-    linear    (H, W, 3) float32 radiance, as the photograph has it
-    exposure  under which it is shown; 1 for a photograph
-    opacity   (H, W) in [0, 1], or None where it is opaque
+    linear    (H, W, 3) float32 radiance, on the photograph's scale
+    exposure  factor by which radiance is multiplied for display; 1 for a photograph
+    opacity   (H, W) in [0, 1]; None: opaque everywhere
     """
 
     linear: np.ndarray
@@ -48,16 +48,17 @@ class Picture:
 
     @property
     def display(self) -> np.ndarray:
-        """Display values (H, W, 3) uint8; (H, W, 4) where it is partly transparent."""
+        """Display values (H, W, 3) uint8; (H, W, 4) if the picture is partly transparent."""
         values = tone.display(self.linear, self.exposure)
         if self.opacity is not None:
             values = np.concatenate([values, 255.0 * self.opacity[..., None]], -1)
         return eight_bit(values)
 
     def save(self, path: str | Path) -> Path:
-        """Write a PNG, or an EXR of the radiance, by the path's ending; return the path.
+        """Write the picture as a PNG or, as radiance, as an EXR; return the path.
 
-        An EXR has the picture's opacity as its alpha, by which its colours are multiplied.
+        The path's ending decides which. Colours of an EXR are premultiplied by its alpha, which is
+        the picture's opacity.
 
         Raises  InputError for another ending; OSError
         """
@@ -79,7 +80,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class EditedPicture(Picture):
-    """A photograph with its object in another material, and what the edit was made from."""
+    """A photograph with its object in another material, its decomposition and that material."""
 
     decomposition: "Decomposition | None" = None
     material: Material | None = None
@@ -91,8 +92,9 @@ class Decomposition:
     `paint` gives the object other materials, and `relight` shows it under another light; neither
     decomposes the photograph again.
 
-    photograph, computed  as learn.editing has them
-    detail                share of the photograph's fine shading that edits keep
+    photograph  learn.editing.photograph.Photograph that was decomposed
+    computed    learn.editing.decomposition.Decomposition of it
+    detail      share of the photograph's fine shading that edits keep
     """
 
     def __init__(self, photograph: Photograph, computed: decomposing.Decomposition, detail: float):
@@ -102,13 +104,13 @@ class Decomposition:
     @property
     def normals(self) -> np.ndarray:
         """Unit normals (h, w, 3), camera frame, at the network's size; 0 outside the object."""
-        n = array(self.computed.parts.n[0].movedim(0, -1))
+        n = to_numpy(self.computed.parts.n[0].movedim(0, -1))
         return n * self.computed.framed.mask[..., None]
 
     @property
     def light(self) -> np.ndarray:
         """The light (64, 128, 3), linear, of unit mean luminance, light frame."""
-        return array(self.computed.parts.light[0].movedim(0, -1))
+        return to_numpy(self.computed.parts.light[0].movedim(0, -1))
 
     @property
     def materials(self) -> list[Material]:
@@ -129,19 +131,19 @@ class Decomposition:
 
     @cached_property
     def rendering(self) -> Picture:
-        """The photograph with its object rendered again from its own parts."""
+        """The photograph with its object rendered from the estimated parts."""
         return self._picture(self._compositor.rendered_again())
 
     @property
     def error(self) -> float:
-        """Display L2 over the object between the photograph and its rendering."""
+        """Display L2 between the photograph and `rendering`, over the object."""
         return display_l2(self.rendering.linear, self.photograph.radiance, self.photograph.mask)
 
     def paint(self, *materials: Drawn | None) -> EditedPicture:
         """Return the photograph with its object in another material.
 
         materials  one for all regions, or one for each; None leaves a region as it is. Each is a
-                   name, an expression, a label or a Material, also a blend
+                   name, a description, a label or a Material, which may be a blend
         Raises     InputError
         """
         count = len(self.computed.label)
@@ -158,10 +160,10 @@ class Decomposition:
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
 
     def relight(self, light: str | Path | np.ndarray, *materials: Drawn | None) -> Picture:
-        """Return the object alone (its background is transparent) under another light.
+        """Return the object alone, on a transparent background, under another light.
 
-        light      as `brdfactory.light` takes or returns it
-        materials  as of `paint`; none: its own
+        light      a name or file that `brdfactory.light` takes, or an array that it returns
+        materials  as `paint` takes them; without any, the object keeps its own
         Raises     InputError
         """
         if isinstance(light, str | Path):
@@ -195,11 +197,11 @@ class Decomposition:
         return Picture(radiance, exposure, self.photograph.coverage)
 
     def _picture(self, linear: np.ndarray) -> Picture:
-        return Picture(linear, drawing.exposure_of(self.photograph), self.photograph.opacity)
+        return Picture(linear, drawing.display_exposure(self.photograph), self.photograph.opacity)
 
 
 class Options(TypedDict, total=False):
-    """Keywords of `decompose`, which `edit` takes as well."""
+    """The keyword arguments of `decompose`, all of which `edit` passes on."""
 
     regions: PictureSource | None
     refine: bool
@@ -231,14 +233,15 @@ def decompose(
     mask           a file that is white on the object, or an array (H, W): bool, uint8, or floats in
                    [0, 1]; None: the photograph's transparency
     regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
-    refine         whether the prediction is refined until its rendering looks like the photograph
-    refinement_method  how refinement renders: "auto", by the sum over the light map's texels, or
-                   "quadrature", by the integral; None: auto
+    refine         whether to adjust the prediction until its rendering looks like the photograph
+    refinement_method  how refinement renders: "auto" (also None) sums over the light map's texels;
+                   "quadrature" integrates, which is more accurate for narrow highlights and slower
     detail         share of the photograph's fine shading that edits keep, 0 to 1
-    exposure       factor from the photograph's radiance to the network's; None: estimated
+    exposure       factor by which the photograph's radiance is multiplied for the network; larger
+                   values make edits darker; None: estimated
     white_balance  "none", "grey", or three factors
     weights        a file, or the name of weights that come with the program
-    device         of the network and the layer: "auto", "cpu", "cuda", or a torch.device
+    device         where the network and the layer run: "auto", "cpu", "cuda", or a torch.device
     Raises         InputError
     """
     from learn.commands.editing_options import (
@@ -270,9 +273,9 @@ def edit(
     For several materials, call `decompose` once, and then `paint` for each.
 
     photo, mask, options  as for `decompose`
-    material              a name, an expression such as "principled(roughness=.35)", a label (108,)
-                          or a Material; or a list with one for each region, of which None leaves
-                          a region as it is
+    material              a name, a description such as "principled(roughness=.35)", a label (108,)
+                          or a Material; or a list with one of these for each region, in which None
+                          leaves a region as it is
     Raises                InputError: a file or a name that does not exist, a mask of another size
     """
     one = material is None or isinstance(material, str | Path | np.ndarray | Material)
@@ -290,7 +293,7 @@ def _opened(
     """Return the Photograph of files or of arrays."""
     if not any(isinstance(given, np.ndarray) for given in (photo, mask, regions)):
         masks = [] if mask is None else [Path(str(mask))]
-        return photograph.opened(
+        return photograph.open_photograph(
             str(photo), masks, None if regions is None else Path(str(regions)), balance, exposure
         )
     files_or_arrays = [
@@ -301,12 +304,12 @@ def _opened(
     if picture is None:
         raise InputError("photo", "a file or an array", "None", "give the photograph")
     if isinstance(picture, Path):
-        picture = photograph.example(picture, [], None)[0]
+        picture = photograph.resolve_example(picture, [], None)[0]
     return photograph.from_arrays(picture, covered, parted, balance, exposure)
 
 
 def _device(given: str | torch.device) -> torch.device:
-    """Return the device of a name or of a torch.device. Raises InputError if there is none."""
+    """Return the torch.device that a user named. Raises InputError if it is not available."""
     if str(given) in devices.CHOICES:
         return devices.choose(str(given))
     try:
@@ -321,26 +324,26 @@ def _device(given: str | torch.device) -> torch.device:
 
 @lru_cache(maxsize=2)
 def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
-    """Return a network and its pictures' size; the last two stay in memory.
+    """Return a network and the size of its pictures; the last two networks stay in memory.
 
-    modified  when the file was modified: weights that were trained again are read again
+    modified  time at which the file was modified, so that weights trained again are read again
     """
     network, metadata = checkpoint.load_parts(path, device)
     return network, metadata["size"]
 
 
 def _read(chosen: Sequence[Material | None]) -> list[np.ndarray]:
-    """Return the labels among materials that were read from pictures."""
+    """Return those labels of the materials that were read from pictures."""
     return [label for each in chosen if each is not None for label in each.read]
 
 
 def _weighted(
     chosen: Sequence[Material | None],
 ) -> list[tuple[float, list[np.ndarray | None]]]:
-    """Return (weight, label of each region or None) whose weighted pictures sum to the edit.
+    """Return [(weight, label or None of each region)]: pictures whose weighted sum is the edit.
 
-    Regions are blended independently of each other: every combination of their parts counts with
-    the product of its weights.
+    Regions are blended independently: each combination of their parts has the product of the parts'
+    weights.
     """
     result: list[tuple[float, list[np.ndarray | None]]] = [(1.0, [])]
     for each in chosen:

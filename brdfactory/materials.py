@@ -1,4 +1,4 @@
-"""Materials: names, expressions, labels, and exact blends of them.
+"""Materials by name, description or label, and exact blends of them.
 
 label  (108,) float32 natural logarithms of κ and γ control values, docs/materials.md
 """
@@ -20,9 +20,9 @@ PHOTOGRAPH = "give bf.decompose(photo, mask).materials[0] instead"
 class Material:
     """A material, or a blend of several.
 
-    name   for messages and files
-    parts  (weight, label (108,)) of each; the weights sum to 1
-    read   labels among these that were read from pictures, as a decomposition's materials are
+    name   what messages and files call it
+    parts  (weight, label (108,)) of each material in the blend; the weights sum to 1
+    read   those of the labels that were read from pictures, as a decomposition's materials are
 
     Radiance is linear in the reflectance, so a blend's picture is the weighted sum of its parts'
     pictures, exactly.
@@ -34,7 +34,7 @@ class Material:
 
     @property
     def label(self) -> np.ndarray:
-        """The label (108,) of a material that is no blend. Raises InputError for a blend."""
+        """The label (108,) of a single material. Raises InputError for a blend."""
         if len(self.parts) > 1:
             rule = "one material, which has a label"
             raise InputError(
@@ -46,11 +46,12 @@ class Material:
 def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Material:
     """Return a Material.
 
-    text    a name of the catalogue, an expression such as
-            "principled(base_color=#a03020, roughness=.35)", a material.json, a label (108,), which
-            counts as that of a known material, or a Material, which is returned as it is
-    name    for messages and files; "": the text itself
-    Raises  InputError: an unknown name (with the closest ones), a picture
+    text    a name of the catalogue; a description such as
+            "principled(base_color=#a03020, roughness=.35)"; a material.json; a label (108,), which
+            is taken to be measured, not read from a picture; or a Material, which is returned as
+            it is
+    name    what messages and files call it; "": the text itself
+    Raises  InputError: an unknown name (the message suggests close ones), a picture
     """
     if isinstance(text, Material):
         return text
@@ -66,13 +67,13 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
         rule = "a material's name, an expression, or a material.json"
         raise InputError(f"material {path}", rule, "a picture", PHOTOGRAPH)
 
-    labels = targets.label_of(str(text), refuse)
+    labels = targets.resolve_labels(str(text), refuse)
     if labels is None or len(labels) != 1:
         result = "keep" if labels is None else f"{len(labels)} materials"
         raise InputError(f"material {text}", "one material", result, "name one")
     shown = name or re.sub(r"\s+", " ", str(text))
     label = np.asarray(labels[0], np.float32)
-    return Material(shown, ((1.0, label),), (label,) if targets.is_read(str(text)) else ())
+    return Material(shown, ((1.0, label),), (label,) if targets.is_from_picture(str(text)) else ())
 
 
 def blend(
@@ -84,7 +85,7 @@ def blend(
 
     first, second  as `material` takes them
     share          of the second material, from 0 (only the first) to 1 (only the second)
-    Raises         InputError: another share, an unknown name
+    Raises         InputError: a share outside this range, an unknown name
     """
     if not 0 <= share <= 1:
         raise InputError("blend: share", "a number from 0 to 1", f"{share:g}", "0.5 is half each")

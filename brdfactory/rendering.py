@@ -1,4 +1,4 @@
-"""Pictures of normals under a light, with numpy arrays; `RenderLayer` takes tensors."""
+"""Render normals under a light with numpy arrays; `RenderLayer` does so with tensors."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ def light(text: str | Path, rotation_deg: float = 0.0) -> np.ndarray:
             measured_lights.load(names[text]), round(rotation_deg / 360 * desired_light.WIDTH)
         )
         return envmap.unit_mean(turned.astype(np.float32))[0].astype(np.float32)
-    return desired_light.light_of(text, refuse, rotation_deg)
+    return desired_light.resolve_light(text, refuse, rotation_deg)
 
 
 def render(

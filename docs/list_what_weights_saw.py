@@ -17,7 +17,7 @@ from factory.lights import load as load_light
 from factory.shapes.catalogue import load as load_shape
 from learn.data import sources
 from learn.data.light_copies import KnownLights
-from learn.data.seen import Seen, label_hash, map_hash, of
+from learn.data.seen import Seen, label_hash, make_seen, map_hash
 from learn.data.settings import Data, decode_run
 from learn.networks import own_weights, tensor_file, weights
 from learn.networks.seen_lists import write_lists
@@ -58,7 +58,7 @@ def shape_hashes(names: Iterable[str]) -> dict[str, str]:
 
 def materials() -> dict[str, str]:
     """Return {name: hash} of the materials that training and validation drew from."""
-    sides, _ = sources.materials_of(Data(materials="built-in"), None)
+    sides, _ = sources.split_materials(Data(materials="built-in"), None)
     return {
         material.name: label_hash(material.label.reshape(-1))
         for side in ("train", "validation")
@@ -71,7 +71,7 @@ def lights(path: Path) -> dict[str, str]:
 
     path  of the weights, whose run names the maps that it held out
     """
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         run = decode_run(stored.metadata["run"].encode(), path)
     measured = measured_lights.load_all()
     known = KnownLights(measured)
@@ -90,7 +90,7 @@ def lists(names: Iterable[str] | None = None) -> Seen:
     names  of the shapes of its data set; None: of all of them, whose making takes minutes
     """
     path = own_weights.FOLDER / f"{FIRST}.safetensors"
-    return of(
+    return make_seen(
         {
             "shapes": shape_hashes(shapes() if names is None else names).values(),
             "materials": materials().values(),
@@ -112,7 +112,7 @@ def lists_of_all(first: Seen) -> dict[str, Seen]:
             raise ValueError(f"{name}: expected lists of the stages that its training made")
         union = own.joined(first)
         kinds = {kind: getattr(union, kind) for kind in ("shapes", "materials", "lights")}
-        result[name] = of(kinds, reconstructed=REASON)
+        result[name] = make_seen(kinds, reconstructed=REASON)
     return result
 
 

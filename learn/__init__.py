@@ -1,3 +1,4 @@
-"""Records in, networks and pictures out: the differentiable layer and what is learnt through it. No
-bpy here.
+"""Everything that uses torch: the differentiable rendering layer, training, editing, evaluation.
+
+No module of this package imports bpy.
 """

@@ -80,7 +80,7 @@ def _answered(work: Callable[[], bytes]) -> bytes:
     return msgspec.json.encode(answer)
 
 
-def opened(answer: bytes) -> bytes:
+def unpack_answer(answer: bytes) -> bytes:
     """Return the result of an answer. Raises InputError or RuntimeError as the worker did."""
     decoded = msgspec.json.decode(answer, type=_Answer)
     if decoded.problem is not None:
@@ -166,7 +166,7 @@ class Tasks:
             if isinstance(answer, Exception):
                 self._lose(hand, answer)
                 continue
-            result = opened(answer)
+            result = unpack_answer(answer)
             self._idle.append(hand.actor)
             if hand.piece is not None:
                 self._lost_in_a_row = 0

@@ -134,7 +134,7 @@ def test_the_worked_jobs_are_jobs_and_one_has_every_key(root):
 @pytest.mark.parametrize("number, count", [(0, 24), (3, 120), (5, 120)])
 def test_a_worked_job_has_as_many_pictures_as_its_page_says(root, tmp_path, number, count):
     pytest.importorskip("scipy")
-    from factory.execution.run import planned
+    from factory.execution.run import make_plan
     from factory.planning.assets import resolve
 
     shutil.copy(root / USERS_FILES["my-chair.obj"], tmp_path / "my-chair.obj")
@@ -142,7 +142,7 @@ def test_a_worked_job_has_as_many_pictures_as_its_page_says(root, tmp_path, numb
     text = blocks(root, "docs/writing-jobs.md", "json")[number]
     assert re.match(rf"```\n\n{count:,} pictures\b", page[page.index(text) + len(text) :])
     job = msgspec.json.decode(text, type=Job)
-    assert len(planned(job, resolve(job, tmp_path))) == count
+    assert len(make_plan(job, resolve(job, tmp_path))) == count
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Options that `plan` and `render` share: how a job is carried out and its names are found."""
+"""Options that `plan` and `render` share: processes, device, and where a job's assets are."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def add_error(parser: argparse.ArgumentParser) -> None:
-    """Add --error, which replaces the job's."""
+    """Add --error, which replaces the limit that the job file sets."""
     parser.add_argument(
         "--error",
         type=above_zero,
         metavar="E",
         help=(
             "the largest error that a picture may have (display L2 over the object, noise and bias"
-            " together); the number of samples is then chosen for each picture (default: no limit;"
-            " every picture has the job's samples)"
+            " together). Each picture then gets as many samples as that takes (default: no limit;"
+            " every picture gets the number of samples that the job states)"
         ),
     )
 

@@ -35,9 +35,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "plan",
         help="show how many pictures a job has, and how much time and disk space it takes",
         description=(
-            "Counts the pictures of a job and of its splits, and forecasts time and disk space. For"
-            " the forecast it renders pictures of all parts of the job for a quarter of a minute."
-            " Writes no files."
+            "Counts the pictures of a job by split, and forecasts the time and disk space that"
+            " rendering it takes. The forecast renders pictures from all over the job for about 15"
+            " seconds. Writes no files."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -52,7 +52,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--probe",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="render a few pictures for the forecast (the default), or give no forecast",
+        help="forecast time and disk space by rendering a few pictures (default: yes)",
     )
     parser.add_argument(
         "--machines",
@@ -65,7 +65,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         type=positive,
         metavar="C",
         help=(
-            "cores of each of these machines, with a worker each (default: as many as this machine"
+            "cores per machine, each of which runs one worker (default: as many as this machine"
             " has)"
         ),
     )
@@ -73,7 +73,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--price",
         type=above_zero,
         metavar="P",
-        help="price of one core for one hour, in any currency, for the cost of these machines",
+        help="price of one core for one hour, in any currency, to forecast the cost",
     )
     parser.add_argument("--schema", action="store_true", help="print the JSON Schema of job files")
     job_options.add(parser)
@@ -83,7 +83,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the plan; return 0."""
-    from factory.execution.run import planned
+    from factory.execution.run import make_plan
     from factory.planning import jobs
     from factory.planning.plan import require_shots
     from manifests.errors import InputError
@@ -98,18 +98,18 @@ def run(options: argparse.Namespace) -> int:
     _require_consistent(options)
     job, folder = jobs.load(options.job)
     job = job_options.with_error(job, options)
-    plan = planned(job, job_options.resolve_assets(job, options.assets or folder, options))
+    plan = make_plan(job, job_options.resolve_assets(job, options.assets or folder, options))
     for note in plan.assets.notes:
         notice(note)
     require_shots(len(plan), plan.assets.shapes)
-    for line in described(plan):
+    for line in describe(plan):
         print(line)
     if options.probe:
         print(_forecast(plan, options))
     return 0
 
 
-def described(plan: Plan) -> Iterator[str]:
+def describe(plan: Plan) -> Iterator[str]:
     """Yield the lines that say how many shapes, materials, lights and pictures a plan has."""
     from collections import Counter
 
@@ -125,11 +125,11 @@ def described(plan: Plan) -> Iterator[str]:
     )
     height, width = job.camera.size
     each = (
-        f"{number_of(len(plan), 'picture')} of {height}×{width}, {quality(job)}"
+        f"{number_of(len(plan), 'picture')} of {height}×{width}, {describe_quality(job)}"
         if job.pictures
         else f"{number_of(len(plan), 'view')} of {height}×{width}, geometry alone"
     )
-    yield f"job {job.name}: {each}, {lens(job)}"
+    yield f"job {job.name}: {each}, {describe_camera(job)}"
     yield "  shapes     " + ", ".join(
         f"{count} {category} ({role})" for (category, role), count in sorted(categories.items())
     )
@@ -153,14 +153,14 @@ def described(plan: Plan) -> Iterator[str]:
     )
 
 
-def quality(job: Job) -> str:
+def describe_quality(job: Job) -> str:
     """Return the words for a job's samples, or for the error that it names."""
     return (
         number_of(job.samples, "sample") if job.error is None else f"display error ≤ {job.error:g}"
     )
 
 
-def lens(job: Job) -> str:
+def describe_camera(job: Job) -> str:
     """Return the words for a job's camera: its lens, roll and elevation, or their ranges."""
     camera, ranges = job.camera, job.camera_ranges
     of_camera = "orthographic" if camera.fov_deg is None else f"{camera.fov_deg:g}° wide"
@@ -216,10 +216,10 @@ def _require_consistent(options: argparse.Namespace) -> None:
 
 def _forecast(plan: Plan, options: argparse.Namespace) -> str:
     """Return the lines for time and disk space, and for a cluster those of its cost."""
-    from factory.execution.forecast import probed
+    from factory.execution.forecast import probe
     from factory.execution.run import RunOptions
 
-    forecast = probed(
+    forecast = probe(
         plan,
         RunOptions(
             workers=options.workers,
@@ -248,11 +248,11 @@ def _cluster(
     forecast: Forecast, options: argparse.Namespace, pictures: int, parts: str
 ) -> Iterator[str]:
     """Yield the lines of a cluster: its workers, hours, core-hours and cost."""
-    from factory.execution.forecast import on_cluster
+    from factory.execution.forecast import forecast_cluster
     from manifests.subprocesses import processors
 
     cores = options.cores or processors()
-    cluster = on_cluster(forecast, options.machines, cores, pictures)
+    cluster = forecast_cluster(forecast, options.machines, cores, pictures)
     workers = cluster.machines * cluster.cores
     yield (
         f"  cluster    {number_of(cluster.machines, 'machine')} of"

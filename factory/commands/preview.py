@@ -24,10 +24,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "preview",
         help="draw a contact sheet of a data set's pictures, normals, lights and labels",
         description=(
-            "Draws records spread evenly over a data set, one per row: the picture, its normals,"
-            " its mask with segments in greys, the light on a mirror sphere, the rendering that the"
-            " label alone gives (without shadows or interreflection), and the difference of picture"
-            " and rendering, four times as bright."
+            "Draws a contact sheet of records from all over a data set. Each row shows a picture,"
+            " its normals, its segments in shades of grey, the light on a mirror sphere, what the"
+            " rendering layer makes of the material's label (without shadows or interreflection),"
+            " and the difference between the two pictures, four times as bright."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -36,8 +36,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        metavar="DIR2",
-        help="folder for the results, sheet.png and index.html (default: DIR-preview)",
+        metavar="FOLDER",
+        help="folder for sheet.png and index.html (default: DIR-preview)",
     )
     parser.add_argument(
         "--count", type=int, default=24, metavar="N", help="number of records (default 24)"
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         folder = folder.resolve()
     out = options.out or folder.with_name(folder.name + "-preview")
     outputs.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
-    chosen = spread(store, options)
+    chosen = choose_records(store, options)
     if not chosen:
         raise InputError(
             options.folder,
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def spread(store: Store, options: argparse.Namespace) -> list[Record]:
+def choose_records(store: Store, options: argparse.Namespace) -> list[Record]:
     """Return at most --count records of the requested material and tier, spread over the data set.
 
     The sorted records are divided into --count equal strata; the place of the chosen record within

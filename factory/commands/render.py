@@ -1,4 +1,4 @@
-"""`render JOB --out DIR`: render a job, or meshes named by options, into a data set."""
+"""`render`: render a job file, or meshes that options name, into a data set."""
 
 from __future__ import annotations
 
@@ -52,8 +52,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "render",
         help="render a job, or a few meshes, into a data set",
         description=(
-            "Renders a job, or the meshes, materials and lights that options name. Writes pictures,"
-            " normals, depth and labels into the folder of a data set."
+            "Renders a job file, or the meshes, materials and lights that options name, into a data"
+            " set: pictures, normals, depth, segments and material labels. The same command"
+            " continues a run that was stopped."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -66,10 +67,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         metavar="DIR",
         help=(
-            "the data set's folder, which is made if it does not exist and added to if it does."
-            " Other files in it stay; files of something else that a data set would overwrite are"
-            " refused. Or the URL of a folder on an object store, such as s3://bucket/mine (extra"
-            " stores)"
+            "the data set's folder, new or existing; an existing data set is added to, and other"
+            " files in the folder stay. Or the URL of a folder on an object store, such as"
+            " s3://bucket/mine (extra stores)"
         ),
     )
     job_options.add(parser)
@@ -77,19 +77,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--limit", type=positive, metavar="N", help="make at most N pictures in this run"
     )
-    parser.add_argument(
-        "--shard",
-        metavar="I/N",
-        help="make only part I of N parts of the job, for the tasks of a job array",
-    )
-    parser.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help=(
-            "render on all CPUs of the Ray cluster at HOST:PORT, which shares the folder; or auto:"
-            " on the cluster that this machine belongs to, or else on a new one here (extra ray)"
-        ),
-    )
+    _add_several_machines(parser)
     parser.add_argument(
         "--geometry-only",
         action="store_true",
@@ -102,7 +90,26 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.set_defaults(run=run)
 
 
-# options that describe a job without a file, beside --mesh, --material and --light: their defaults
+def _add_several_machines(parser: argparse.ArgumentParser) -> None:
+    """Add the options by which several machines share a job."""
+    shared = parser.add_argument_group("several machines", "docs/clusters.md explains both ways.")
+    shared.add_argument(
+        "--shard",
+        metavar="I/N",
+        help="render only part I of N of the job, for the tasks of a job array, such as 3/8",
+    )
+    shared.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help=(
+            "render on all CPUs of the Ray cluster at HOST:PORT, whose nodes must share the folder."
+            " With auto, use the cluster that this machine belongs to, or start one here (extra"
+            " ray)"
+        ),
+    )
+
+
+# defaults of the options that describe a job without a file, besides --mesh, --material and --light
 WITHOUT_JOB = {
     "views": "0",
     "rotations": "0",
@@ -117,9 +124,9 @@ WITHOUT_JOB = {
 
 def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
     single = parser.add_argument_group(
-        "options in place of a job file",
-        "Files of --mesh and --light that are not where their path says are looked for in"
-        " --assets.",
+        "instead of a job file",
+        "These options describe a small job: every mesh is rendered in every material under every"
+        " light. A relative path of --mesh or --light is also looked up in --assets.",
     )
     single.add_argument(
         "--mesh",
@@ -193,11 +200,11 @@ def _add_job_without_file(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render; return 0 if every picture was made, else 1."""
+    """Render the job; return 0 if every picture was made, and 1 if some failed."""
     from msgspec import structs
 
-    from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
-    from factory.planning.assets import opened
+    from factory.execution.run import RunOptions, carry_out, make_plan, parse_shard
+    from factory.planning.assets import resolve_unread
 
     job, folder = chosen_job(options)
     job = job_options.with_error(job, options)
@@ -206,8 +213,8 @@ def run(options: argparse.Namespace) -> int:
     if options.ray and (options.shard or options.workers != 1):
         remedy = "leave them out: --ray uses all CPUs of the cluster"
         raise InputError("render --ray", "neither --shard nor --workers", "one of them", remedy)
-    shard = None if options.shard is None else parsed_shard(options.shard)
-    plan = planned(job, opened(job, folder, options.lights, options.catalogue))
+    shard = None if options.shard is None else parse_shard(options.shard)
+    plan = make_plan(job, resolve_unread(job, folder, options.lights, options.catalogue))
     for note in plan.assets.notes:
         notice(note)
     run_options = RunOptions(
@@ -226,9 +233,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
-    """Return the job that the options name, and the folder in which its relative paths start.
+    """Return the job that the options name, and the folder that its relative paths start from.
 
-    The folder is None where the options stand in place of a job file: paths may lead anywhere.
+    The folder is None for a job that options describe; its paths may lead anywhere.
+    Raises InputError if a job file and such options are given together, or neither.
     """
     from factory.planning import jobs
 
@@ -258,16 +266,16 @@ def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
 
 
 def _with_assets(job: Job, folder: str) -> Job:
-    """Return the job with paths into --assets for files that do not lie where they are named."""
+    """Return the job with paths changed to --assets for files that exist only there."""
     from msgspec import structs
 
     from factory.lights.files import is_light_path
-    from factory.planning.shape_names import is_shape_path, located
+    from factory.planning.shape_names import is_shape_path, locate
 
     return structs.replace(
         job,
-        shapes=tuple(located(s, folder) if is_shape_path(s) else s for s in job.shapes),
-        lights=tuple(located(t, folder) if is_light_path(t) else t for t in job.lights),
+        shapes=tuple(locate(s, folder) if is_shape_path(s) else s for s in job.shapes),
+        lights=tuple(locate(t, folder) if is_light_path(t) else t for t in job.lights),
     )
 
 
@@ -304,7 +312,7 @@ class Progress:
             dynamic_ncols=True,
             mininterval=interval,
             delay=0.5,
-            smoothing=0.0,  # by recent pictures, the start of the workers would count for long
+            smoothing=0.0,  # a rate of recent pictures would be distorted by the slow start
         )
         return self
 
@@ -327,7 +335,7 @@ class Progress:
         words = [f"{self.failed} failed"] if self.failed else []
         words += [f"{number_of(self.unread, 'shape')} to read"] if self.unread else []
         self.bar.set_postfix_str(", ".join(words), refresh=False)
-        # the last already_there may be counted before a better estimate of the total comes
+        # while shapes are still being read, the total is an estimate and may be too small
         total = max(self.total - self.already_there, 0)
         self.bar.total = min(total, self.limit or total)
         if event in ("made", "failed"):

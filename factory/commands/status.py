@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the counts; return 0. Raises InputError for a folder that is no data set."""
     import json
 
-    report = counted(options.folder)
+    report = count_data_set(options.folder)
     if options.json:
         print(json.dumps(report, indent=1))
         return 0
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def counted(folder: str) -> dict[str, Any]:
+def count_data_set(folder: str) -> dict[str, Any]:
     """Return the counts of a data set, as `status --json` prints them."""
     from collections import Counter
 

@@ -1,1 +1,1 @@
-"""Carries out a plan by worker processes; a run can be stopped and continued at any moment."""
+"""Carries out a plan with worker processes; a run can be stopped and continued at any moment."""

@@ -16,8 +16,8 @@ from itertools import islice
 from pathlib import Path
 
 from factory.execution.pool import Pool
-from factory.execution.registration import register
-from factory.execution.run import RunOptions, assign, shape_sources, worker_config
+from factory.execution.registration import register_job
+from factory.execution.run import RunOptions, make_assignment, shape_sources, worker_config
 from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
 from manifests.progress import tqdm
@@ -80,7 +80,9 @@ class ClusterForecast:
         return self.hours * self.machines * self.cores
 
 
-def on_cluster(forecast: Forecast, machines: int, cores: int, pictures: int) -> ClusterForecast:
+def forecast_cluster(
+    forecast: Forecast, machines: int, cores: int, pictures: int
+) -> ClusterForecast:
     """Return the ClusterForecast of a job whose Forecast was measured with one thread.
 
     pictures  of the job; a worker makes whole ones, so that the last to finish decides
@@ -124,7 +126,7 @@ def _places(k: int) -> tuple[float, float, float]:
     return (k * 0.8191725134) % 1, (k * 0.6710436067) % 1, (k * 0.5497004779) % 1
 
 
-def probed(plan: Plan, run_options: RunOptions) -> Forecast:
+def probe(plan: Plan, run_options: RunOptions) -> Forecast:
     """Return the Forecast of a plan, after rendering a few of its shots.
 
     Raises  InputError for one of the first shots that fails; OSError
@@ -133,8 +135,8 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
     computed: defaultdict[str, list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory(prefix="brdfactory-probe-") as folder:
         store = Store(folder)
-        register(store, plan, len(plan))
-        assignment = assign(plan, run_options.library)
+        register_job(store, plan, len(plan))
+        assignment = make_assignment(plan, run_options.library)
         pool = Pool(
             1,
             lambda _: worker_config(store, "probe", assignment, run_options),
@@ -168,7 +170,7 @@ def probed(plan: Plan, run_options: RunOptions) -> Forecast:
         ]
     elapsed = time.perf_counter() - start
     start = elapsed - sum(map(sum, cost.values()))
-    events = expected_events(plan)
+    events = count_events(plan)
     seconds = {kind: _typical(values) * events[kind] for kind, values in cost.items()}
     files = {"images": events["picture"], "geometry": events["geometry"]}
     space = {kind: sum(of) / max(len(of), 1) * files[kind] for kind, of in sizes.items()}
@@ -187,7 +189,7 @@ def _typical(values: list[float]) -> float:
     return sum(later) / len(later)
 
 
-def expected_events(plan: Plan) -> dict[str, float]:
+def count_events(plan: Plan) -> dict[str, float]:
     """Return {kind of work: how often it occurs in a plan}.
 
     The numbers are exact where they follow from the job; others are counted on the first shots and

@@ -5,8 +5,8 @@ by shapes  A part of a job array reads its own shapes alone. The job's sources a
            source, and so some of every family. A source at a cut is read by two parts, each of
            which makes its share of the shots.
 by shots   All shapes are read first, and each part makes successive shots: where a shape's role
-           depends on the others (factory.planning.job_shapes.follows_alone), in a job with fewer
-           sources than parts, and on an object store, where parts cannot take turns.
+           depends on the others (`roles_are_independent` of factory.planning.job_shapes), in a job
+           with fewer sources than parts, and on an object store, where parts cannot take turns.
 """
 
 import time
@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any, NamedTuple
 
-from factory.execution.registration import register, register_shapes
+from factory.execution.registration import register_job, register_shapes
 from factory.execution.reservations import Reservations
-from factory.planning.assets import read_whole
+from factory.planning.assets import add_shapes
 from factory.planning.facts import Facts
 from factory.planning.job_shapes import (
     Arrivals,
     Shape,
     duplicate_note,
-    follows_alone,
-    without_shapes,
+    no_shapes_error,
+    roles_are_independent,
 )
 from factory.planning.plan import Plan, Shot, require_shots
 from factory.planning.reading import Reading
@@ -63,15 +63,19 @@ class Share:
         return shots * self.first // self.parts, shots * self.end // self.parts
 
 
-def is_by_shapes(job: Job, sources: Sequence[Source], shard: tuple[int, int] | None) -> bool:
+def splits_by_shape(job: Job, sources: Sequence[Source], shard: tuple[int, int] | None) -> bool:
     """Return whether a run begins with the first shapes while others are read.
 
     It follows from the job and the number of parts, so that all parts divide the job alike.
     """
-    return bool(sources) and len(sources) >= (shard or (1, 1))[1] and follows_alone(job, sources)
+    return (
+        bool(sources)
+        and len(sources) >= (shard or (1, 1))[1]
+        and roles_are_independent(job, sources)
+    )
 
 
-def shares(sources: Sequence[Source], shard: tuple[int, int] | None) -> list[Share]:
+def split_sources(sources: Sequence[Source], shard: tuple[int, int] | None) -> list[Share]:
     """Return the sources of part i of n by shapes; of all n parts each shot is in one share."""
     i, n = shard or (1, 1)
     count = len(sources)
@@ -83,7 +87,7 @@ def shares(sources: Sequence[Source], shard: tuple[int, int] | None) -> list[Sha
     ]
 
 
-def bounds(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
+def shot_range(total: int, shard: tuple[int, int] | None) -> tuple[int, int]:
     """Return the first shot and the end of a part by shots."""
     i, n = shard or (1, 1)
     return total * (i - 1) // n, total * i // n
@@ -94,18 +98,18 @@ def parts_by_shots(
 ) -> Iterator[Part | None]:
     """Yield one Part after all shapes have been read and registered.
 
-    Raises  InputError: a bad mesh, no shots, or what `register` raises
+    Raises  InputError: a bad mesh, no shots, or what `register_job` raises
     """
     if plan.assets.unread:
         notes = len(plan.assets.notes)
-        assets = read_whole(plan.job, plan.assets, _counted(reading, watch))
+        assets = add_shapes(plan.job, plan.assets, _counted(reading, watch))
         plan = replace(plan, assets=assets)
         for note in assets.notes[notes:]:
             watch("note", note)
     require_shots(len(plan), plan.assets.shapes)
     with lock.changing(store.folder):
-        register(store, plan, len(plan))
-    first, end = bounds(len(plan), shard)
+        register_job(store, plan, len(plan))
+    first, end = shot_range(len(plan), shard)
     watch("total", end - first)
     yield Part(plan.assets.shapes, islice(plan, first, end))
 
@@ -128,13 +132,13 @@ def parts_by_shapes(
     """Yield Parts with shapes that have been read and registered; None: the next is not known yet.
 
     reading  of the sources of `own`
-    Raises   InputError: a bad mesh, two meshes of one name, no shots, or what `register` raises
+    Raises   InputError: a bad mesh, two meshes of one name, no shots, or what `register_job` raises
     """
     arrivals, shares_of = Arrivals(plan.job), {share.source: share for share in own}
     reservations = Reservations(store.folder, plan.job, plan.assets.unread, shard is not None)
     if shard is not None:  # `status` and other parts know of the job before its shapes are read
         with lock.changing(store.folder):
-            register(store, _with(plan, []), 0)
+            register_job(store, _with(plan, []), 0)
     shots, count, due, is_registered = 0, 0, 0.0, shard is not None
     waiting: list[Shape] = []
     everything: list[Shape] = []
@@ -150,7 +154,7 @@ def parts_by_shapes(
         with lock.changing(store.folder):
             kept, notes = _reserved(plan, store, waiting, reservations)
             if kept:
-                enter = register_shapes if is_registered else register
+                enter = register_shapes if is_registered else register_job
                 enter(store, _with(plan, kept), reservations.shots)
                 is_registered = True
                 reservations.write()
@@ -168,7 +172,7 @@ def parts_by_shapes(
         yield Part(kept, chain.from_iterable(each for _, each in made))
     watch("total", shots)
     if arrivals.is_empty and shard is None:
-        raise without_shapes(plan.job)
+        raise no_shapes_error(plan.job)
     if shard is None:
         require_shots(shots, everything)
     if arrivals.is_empty and shard is not None:

@@ -1,11 +1,12 @@
 """What a worker does with a shot: render it, check it, write its files and return its record.
 
-The pipeline keeps a studio and remembers what the studio shows, so that nothing is set up twice.
+The pipeline has a studio and remembers what the studio shows, so that nothing is set up twice.
 
-geometry  of a shape from a view is rendered once per data set. It is read back if another worker or
-          an earlier run made it, and rendered again where the file is damaged.
-light     the stored map and its rotation. A map of full resolution is averaged to a width that is a
-          multiple of 128, because rotations are in whole texels.
+Geometry (a shape from one view) is rendered once per data set. If another worker or an earlier run
+made it, it is read back, or rendered again if its file is damaged.
+
+A light map of full resolution is resized to a width that is a multiple of 128, because a rotation
+is a whole number of 128ths of a turn.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ from shaders.tone import LUMINANCE
 if TYPE_CHECKING:
     from factory.shapes.mesh import Mesh
 
-MOST_GEOMETRIES = 48  # whose masks stay in memory: two shapes' 24 views
+MOST_GEOMETRIES = 48  # geometries whose masks stay in memory: 24 views each of two shapes
 
 
 class Studio(Renderer, Protocol):
-    """What the pipeline calls: factory.render.studio.Studio, or a substitute without Blender."""
+    """What the pipeline needs of factory.render.studio.Studio, or of its substitute in tests."""
 
     settings: Any
     versions: dict[str, str]
@@ -64,7 +65,11 @@ class Studio(Renderer, Protocol):
 
 
 class _StoredGeometry(msgspec.Struct, frozen=True):
-    """A geometry file in place; coverage: share of the frame inside the mask."""
+    """A geometry file that is in its place.
+
+    mask      (height, width) bool
+    coverage  share of the frame inside the mask
+    """
 
     path: str
     hash: str
@@ -78,9 +83,9 @@ class Pipeline:
     worker    this worker's name
     append    called with each finished Record or View
     mixtures  {material's name: Mixture}
-    shapes    {name: ShapeSource} of the shapes that shots use; the caller adds to it
-    spent     {kind of work: seconds} of the last shot
-    computed  the same in seconds of a processor, all threads together
+    shapes    {name: ShapeSource} of the shapes that shots use; the caller sets it
+    spent     {kind of work: seconds by the clock} for the last shot
+    computed  {kind of work: seconds of processor time, over all threads} for the last shot
     notes     lines for the user about the last shot
     """
 
@@ -110,11 +115,11 @@ class Pipeline:
         studio.set_camera(assignment.job.camera)
 
     def make(self, shot: Shot) -> Record | View:
-        """Render, check and write one shot, and append and return its record.
+        """Render, check and write one shot; append its record to the worker's lines and return it.
 
-        The record of a shot without a picture is a View.
+        A shot of geometry alone has a View in place of a Record.
 
-        Raises  BadShot; OSError if a file cannot be written
+        Raises  BadShot if a check fails; OSError if a file cannot be written
         """
         start, self.spent, self.computed, self.notes = time.perf_counter(), {}, {}, []
         line = self._make_record(shot, start) if shot.picture else self._make_view(shot, start)
@@ -122,11 +127,11 @@ class Pipeline:
         return line
 
     def _make_view(self, shot: Shot, start: float) -> View:
-        """Return the View of a shot without a picture, after its geometry has been written."""
+        """Write the geometry of a shot without a picture; return the shot's View."""
         self._show_shape(shot)
         self._show_view(shot)
         geometry = self._geometry(shot)
-        assert shot.split != "mixed"  # of a shot without a picture it is the shape's side
+        assert shot.split != "mixed"  # without materials, the split is the side of the shape
         return View(
             **self._shared(View, shot, geometry, start),
             segments=self._segments,
@@ -153,12 +158,12 @@ class Pipeline:
         }
 
     def _make_record(self, shot: Shot, start: float) -> Record:
-        """Return the Record of a shot, after its picture and geometry have been written."""
+        """Write the picture and the geometry of a shot; return the shot's Record."""
         self._show(shot)
         geometry = self._geometry(shot)
         with self._timed("picture"):
             radiance, alpha, samples, accuracy = self._picture(shot, geometry)
-        if faults := checks.picture(radiance, geometry.coverage, alpha):
+        if faults := checks.picture_faults(radiance, geometry.coverage, alpha):
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
         with self._timed("writing"):
@@ -177,11 +182,13 @@ class Pipeline:
     def _picture(
         self, shot: Shot, geometry: _StoredGeometry
     ) -> tuple[np.ndarray, np.ndarray, int, Accuracy | None]:
-        """Return radiance, coverage per pixel, samples, and how the job's error is kept."""
+        """Render a picture; return radiance, coverage per pixel, samples, and its Accuracy."""
         job, start = self.assignment.job, time.perf_counter()
         if job.error is None:
             return *self.studio.picture(job.samples, shot.seed, shot.tier), job.samples, None
-        made = choice.picture(Shown(self.studio, shot.seed, shot.tier, geometry.mask), job.error)
+        made = choice.render_within_error(
+            Shown(self.studio, shot.seed, shot.tier, geometry.mask), job.error
+        )
         accuracy = Accuracy(
             requested=job.error,
             estimator=made.estimator,
@@ -201,7 +208,7 @@ class Pipeline:
 
     @contextmanager
     def _timed(self, what: str) -> Iterator[None]:
-        """Add the block's seconds to `spent` and `computed`, from which forecasts are made."""
+        """Add the block's seconds to `spent` and `computed`, which forecasts are based on."""
         start, computed = time.perf_counter(), time.process_time()
         yield
         self.spent[what] = self.spent.get(what, 0.0) + time.perf_counter() - start
@@ -242,7 +249,7 @@ class Pipeline:
         return camera_of(self.assignment.job, shape.hash, shot.viewpoint)
 
     def _map(self, name: str, resolution: str) -> np.ndarray:
-        """Return the map of a light; the last one is remembered."""
+        """Return the map of a light; the last one stays in memory."""
         if self._light_map is None or self._light_map[0] != (name, resolution):
             entry = self.assignment.lights[name]
             light = load_light(entry, self.assignment.library)
@@ -283,23 +290,23 @@ class Pipeline:
         return result
 
     def _rendered_geometry(self) -> SeenGeometry:
-        """Return the geometry that the studio shows, after checks. Raises BadShot."""
+        """Render and check the geometry that the studio shows. Raises BadShot if a check fails."""
         with self._timed("geometry"):
             seen = self.studio.geometry()
-        if faults := checks.geometry(seen, self._segments):
+        if faults := checks.geometry_faults(seen, self._segments):
             raise BadShot("; ".join(faults))
         return seen
 
     def _stored_geometry(
         self, file: Path, digest: str | None, expected: str | None
     ) -> tuple[Geometry | None, str]:
-        """Return the geometry of a file, and what is wrong with it ("" for nothing).
+        """Read a geometry file; return the geometry, and what is wrong with it ("" if nothing is).
 
-        digest    sha256 of the file, None if it cannot be read
-        expected  sha256 that records name, or None
+        digest    sha256 of the file; None if it cannot be read
+        expected  sha256 that records of this geometry name; None if there are none
         """
         if expected is not None and digest != expected:
-            return None, "another content than its records name"
+            return None, "its content is not what its records name"
         try:
             seen = read_geometry(file, self.assignment.job.camera.size)  # ranges leave the size
         except InputError as problem:
@@ -308,7 +315,7 @@ class Pipeline:
             return None, error.strerror or str(error)
         if digest is None:
             return None, "it could not be read"
-        return seen, "; ".join(checks.geometry(seen, self._segments))
+        return seen, "; ".join(checks.geometry_faults(seen, self._segments))
 
 
 def _replacement_notes(path: str, fault: str, digest: str, expected: str | None) -> Iterator[str]:

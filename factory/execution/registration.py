@@ -1,4 +1,4 @@
-"""What a run enters in the data set's folder besides shots: jobs, assets and settings."""
+"""Enters a run's job, assets and settings in the data set's folder; the shots come later."""
 
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -20,18 +20,17 @@ from manifests.store import LINES, Store, light_path, readable_hash
 from manifests.wording import number_of
 
 TITLE = "The materials of this dataset"
-# what a data set's folder holds besides
+# names in a data set's folder besides dataset.json
 OWN = (*LINES, "images", "geometry", "lights", "shape-facts", "partial", "materials.json")
 
 
-def require_no_strangers(store: Store) -> str | None:
-    """Refuse a folder in which the names of a data set belong to files of something else.
+def require_no_foreign_files(store: Store) -> str | None:
+    """Refuse a folder where a data set would overwrite files that belong to something else.
 
-    A run takes away unfinished drafts and lines, and writes materials.json, so that such files
-    would be lost.
+    A run deletes unfinished drafts and lines, and writes materials.json: such files would be lost.
 
-    Returns a line about other files beside a new data set, None if there are none
-    Raises  InputError; nothing was written before
+    Returns a note about other files beside a new data set; None if there are none
+    Raises  InputError, before anything is written
     """
     if (store.folder / "dataset.json").exists():
         store.dataset()  # raises for one of another program
@@ -69,12 +68,12 @@ def _is_ours(materials: Path) -> bool:
         return False
 
 
-def register(store: Store, plan: Plan, shots: int) -> None:
+def register_job(store: Store, plan: Plan, shots: int) -> None:
     """Enter a plan and its assets in the folder's dataset.json, materials.json and lights/.
 
-    shots   number of the job's shots, as far as its shapes have been read
-    Raises  InputError if the folder has another asset of the same name, or has one of the assets
-            on the other side of the split
+    shots   number of the job's shots, counting only shapes that have been read
+    Raises  InputError if the folder has a different asset of the same name, or has one of the
+            assets on the other side of the split
     """
     known = store.dataset() if (store.folder / "dataset.json").exists() else Dataset()
     assets = plan.assets
@@ -114,7 +113,7 @@ def register_shapes(store: Store, plan: Plan, shots: int) -> None:
 
     plan    with these shapes alone
     shots   number of the job's shots, as far as its shapes have been read
-    Raises  InputError as `register`
+    Raises  InputError as `register_job`
     """
     known, shapes = store.dataset(), _shape_entries(plan.assets.shapes)
     _require_agreement(store, "shape", known.shapes, shapes)
@@ -139,7 +138,7 @@ def _shape_entries(shapes: Iterable[Shape]) -> dict[str, ShapeEntry]:
 
 
 def _with_shots(orders: Iterable[Order], job: Job, shots: int) -> tuple[Order, ...]:
-    """Return the orders; that of the job has at least so many shots."""
+    """Return the orders, in which the one of this job has at least this number of shots."""
     return tuple(
         msgspec.structs.replace(order, shots=max(order.shots, shots))
         if _same_job(order.job, job)
@@ -174,7 +173,7 @@ def _require_agreement(
     known: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
     new: Mapping[str, ShapeEntry | MaterialEntry | LightEntry],
 ) -> None:
-    """Raise InputError if a name has two meanings, or a shape or material stands on two sides."""
+    """Raise InputError if two assets have one name, or one shape or material is on two sides."""
     sides = {entry.hash: (entry.side, name) for name, entry in known.items() if kind != "light"}
     for name, entry in new.items():
         if name in known and known[name].hash != entry.hash:

@@ -1,7 +1,7 @@
-"""Carry a plan out: open its folder, leave out the shots that are there, and make the others.
+"""Carries out a plan: makes every shot that the data set's folder does not have yet.
 
-Shapes that the plan has not read yet are read meanwhile, in processes of their own, and the shots
-of the first ones are made while others are read (factory.execution.parts).
+Shapes that have not been read yet are read at the same time, by other processes, so that the shots
+of the first shapes are made while the remaining shapes are read (factory.execution.parts).
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -17,14 +17,14 @@ from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.parts import (
     Part,
     Watch,
-    is_by_shapes,
     note_on_materials,
     parts_by_shapes,
     parts_by_shots,
-    shares,
+    split_sources,
+    splits_by_shape,
 )
 from factory.execution.pool import Pool
-from factory.execution.registration import note_settings, require_no_strangers
+from factory.execution.registration import note_settings, require_no_foreign_files
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
 from factory.planning.assets import Assets
@@ -41,13 +41,13 @@ from manifests.schema import Failure, Job
 from manifests.store import Store, geometry_path
 from manifests.subprocesses import processors
 
-# seconds that workers of a Ray cluster whose run was stopped have to end in
+# seconds to wait for the workers of a stopped run on a Ray cluster to end
 SWEEP_PATIENCE = 20.0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How many pictures were made, how many failed, and how many were there before the run."""
+    """How many pictures a run made, how many failed, and how many existed before it."""
 
     made: int
     failed: int
@@ -56,17 +56,17 @@ class Outcome:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to carry a job out. No option alters a pixel beyond Cycles' repeatability.
+    """How to carry a job out. Pixels do not depend on any of this, as far as Cycles repeats itself.
 
     workers  number of processes
-    threads  CPU threads of each process, None: an equal part of the machine's
+    threads  CPU threads of each process; None: an equal share of the machine's
     device   one of factory.render.device.NAMES
-    shard    None, or (i, n): only part i of n, 1 ≤ i ≤ n
-    limit    the largest number of pictures in this run, None: all
-    library  a folder of light maps, or None
-    studio   module:class of the studio; tests without Blender name another
-    ray      address of a Ray cluster whose CPUs all work, instead of `workers`; "auto": this
-             machine's cluster, or a new one here; None: processes of this machine
+    shard    (i, n) to make only part i of n, 1 ≤ i ≤ n; None: the whole job
+    limit    the largest number of pictures to make in this run; None: all
+    library  a folder of the user's light maps, or None
+    studio   module:class of the studio; tests without Blender name a substitute
+    ray      address of a Ray cluster, all of whose CPUs render in place of `workers`; "auto": the
+             cluster that this machine belongs to, or a new one here; None: this machine's processes
     """
 
     workers: int = 1
@@ -80,12 +80,12 @@ class RunOptions:
 
     @property
     def readers(self) -> int:
-        """Number of processes that read meshes: as many as workers; for one worker, as CPUs."""
+        """Number of processes that read meshes: one per worker, or one per CPU for one worker."""
         return processors() if self.workers == 1 else self.workers
 
     @property
     def threads_per_worker(self) -> int | None:
-        """CPU threads of each worker; None, which means all, for a single worker."""
+        """CPU threads of each worker; None, which means all of them, for a single worker."""
         if self.ray is not None:
             return self.threads or 1
         if self.threads or self.workers == 1:
@@ -99,10 +99,14 @@ def carry_out(
     """Make every shot of a plan that the folder does not hold yet.
 
     folder  a path, or the URL of a folder on an object store (manifests.object_store)
-    watch   called with (event, value): "total" and the number of this run's shots, "already_there"
-            and 1, "made" and a Reply, "failed" and a Failure, "note" and a line for the user,
-            "unread" and the number of shapes that are still to be read. While there are such,
-            "total" is an estimate, which comes again.
+    watch   called with (event, value) whenever something happens:
+            "total"          number of this run's shots; an estimate that is repeated while shapes
+                             are still to be read
+            "unread"         number of shapes that are still to be read
+            "already_there"  1, for a shot that the folder has
+            "made"           Reply
+            "failed"         Failure
+            "note"           a line for the user
     Raises  InputError; OSError (full disk), after which everything written before is intact
     """
     watch = watch or (lambda event, value: None)
@@ -118,13 +122,14 @@ def _carried_out(
     watch: Watch,
     takes_turns: bool,
 ) -> Outcome:
-    """Carry a plan out in a folder.
+    """Carry a plan out in a local folder.
 
-    takes_turns  whether all parts of the job write into this folder, and see each other's shapes
+    takes_turns  whether all parts of the job write into this same folder, so that they take turns
+                 in registering shapes and see each other's
     """
     # workers on other nodes are given absolute paths
     store = Store(folder if run_options.ray is None else Path(folder).absolute())
-    if (note := require_no_strangers(store)) is not None:
+    if (note := require_no_foreign_files(store)) is not None:
         watch("note", note)
     prefix = "worker-" if run_options.ray is None else "worker-ray-"
     if run_options.shard is not None:
@@ -133,12 +138,12 @@ def _carried_out(
         store.sweep(prefix if run_options.shard else "", SWEEP_PATIENCE)
         memory = Memory(folder, f"{prefix}main")
         shard = run_options.shard
-        by_shapes = is_by_shapes(plan.job, plan.assets.unread, shard)
+        by_shapes = splits_by_shape(plan.job, plan.assets.unread, shard)
         if not by_shapes or (shard is not None and not takes_turns):
             with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
                 parts = parts_by_shots(plan, store, reading, shard, watch)
                 return _made(plan, parts, store, run_options, prefix, descriptors, watch)
-        own = shares(plan.assets.unread, shard)
+        own = split_sources(plan.assets.unread, shard)
         sources = [share.source for share in own]
         with closing(Reading(sources, run_options.readers, memory)) as reading:
             parts = parts_by_shapes(plan, store, reading, own, shard, watch)
@@ -146,7 +151,7 @@ def _carried_out(
 
 
 def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: Watch) -> Outcome:
-    """Carry a plan out in a scratch folder, and send what is made to an object store."""
+    """Carry a plan out in a scratch folder, and upload everything it makes to an object store."""
     if run_options.ray is not None:
         remedy = (
             "render with --ray into a folder that the cluster shares, or without it on each machine"
@@ -175,9 +180,9 @@ def _made(
 ) -> Outcome:
     """Make the shots of a plan whose folder is locked.
 
-    parts        shapes that are registered, with their shots; None: the next is not known yet
-    prefix       of the workers' names
-    descriptors  the locks, which workers hold too
+    parts        yields registered shapes with their shots; None while the next are still being read
+    prefix       what the workers' names start with
+    descriptors  file descriptors of the folder's locks, which the workers hold as well
     """
     known = store.known("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
@@ -261,7 +266,7 @@ def _replies(
     descriptors: Sequence[int],
     watch: Watch,
 ) -> Generator[tuple[Shot, Reply], None, None]:
-    """Yield (shot, Reply) of each shot, made by processes here or on a Ray cluster."""
+    """Yield (shot, Reply) for each shot, made by processes here or on a Ray cluster."""
     if run_options.ray is None:
         folder = store.folder / "partial"
         yield from Pool(run_options.workers, config, descriptors, folder, sources).run(shots)
@@ -276,8 +281,8 @@ def _replies(
             yield from replies
 
 
-def assign(plan: Plan, library: str | None = None) -> Assignment:
-    """Return what the plan's workers need to know besides their shots and shapes.
+def make_assignment(plan: Plan, library: str | None = None) -> Assignment:
+    """Return what a plan's workers need to know besides their shots and shapes.
 
     library  a folder of light maps, or None
     """
@@ -292,14 +297,14 @@ def assign(plan: Plan, library: str | None = None) -> Assignment:
 
 
 def shape_sources(shapes: Iterable[Shape]) -> dict[str, ShapeSource]:
-    """Return {name: where a worker reads the shape from}."""
+    """Return {shape's name: where a worker reads it from}."""
     return {s.name: ShapeSource(source=s.source, hash=s.hash, category=s.category) for s in shapes}
 
 
 def worker_config(
     store: Store, worker: str, assignment: Assignment, run_options: RunOptions
 ) -> WorkerConfig:
-    """Return the configuration of the worker of that name."""
+    """Return the configuration of the worker with this name."""
     return WorkerConfig(
         folder=str(store.folder),
         worker=worker,
@@ -318,13 +323,13 @@ def _failure(shot: Shot, reason: str) -> Failure:
     )
 
 
-def planned(job: Job, assets: Assets) -> Plan:
+def make_plan(job: Job, assets: Assets) -> Plan:
     """Return the Plan of a job under this program's render settings."""
     return Plan(job, assets, render_fingerprint(by_error=job.error is not None))
 
 
-def parsed_shard(text: str) -> tuple[int, int]:
-    """Return "3/8" as (3, 8). Raises InputError."""
+def parse_shard(text: str) -> tuple[int, int]:
+    """Parse "3/8" as (3, 8), part 3 of 8. Raises InputError."""
     i, slash, n = text.partition("/")
     if not (
         slash

@@ -1,10 +1,10 @@
 """A worker: one process with one Blender, which makes many shots.
 
-factory.execution.pool starts it as `python -m factory.execution.worker`. It reads messages, one
-line of JSON each, from its standard input and writes replies to its standard output; what Blender
-prints is dropped, and Blender's errors go to standard error. It ends after the current shot when
-its input or its reader ends. Until then it holds the run's lock, so that no other run begins. It
-ends by os._exit, because some Blenders crash while they clean up.
+factory.execution.pool starts it as `python -m factory.execution.worker`. It reads messages from its
+standard input, one line of JSON each, and writes replies to its standard output. What Blender
+prints is dropped; Blender's errors go to standard error. When the input or the reader of the
+replies is gone, the worker ends after the current shot. Until then it holds the run's lock, so that
+no other run begins. It ends by os._exit, because some versions of Blender crash as they clean up.
 
 in   a WorkerConfig, then any number of Chunks
 out  Replies: a shot was `made`, or is `bad` (which ends the chunk), or an error is `fatal` (every
@@ -33,7 +33,7 @@ from manifests.schema import Record
 from manifests.store import Store
 
 STUDIO = "factory.render.studio:Studio"
-PARENT = "BRDFACTORY_PARENT"  # variable: process id of the parent, without which no shot is begun
+PARENT = "BRDFACTORY_PARENT"  # environment variable: id of the process without which a worker ends
 
 
 class WorkerConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,14 +64,17 @@ class Chunk(msgspec.Struct, frozen=True):
 class Reply(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What a worker says about one shot, or about an error that ends it.
 
-    made, bad           id of the shot that was made or has failed
-    problem, reason     of an InputError its parts; of any error a line
-    seconds             that the shot took
-    bytes               that the picture, or the geometry alone, takes on disk
-    spent               {kind of work: seconds}
-    computed            the same in seconds of a processor, all threads together
+    made                id of the shot that was made
+    bad                 id of the shot that failed
+    fatal               whether every other shot would fail as well, so that the worker ends
+    problem             the four parts of an InputError, if it was one
+    reason              the error in one line
+    seconds             how long the shot took
+    bytes               size on disk of the picture, or of the geometry if there is no picture
+    spent               {kind of work: seconds by the clock}
+    computed            {kind of work: seconds of processor time, over all threads}
     notes               lines for the user
-    settings, versions  those of the studio, with the first shot
+    settings, versions  those of the studio; only with the first shot
     """
 
     made: str = ""

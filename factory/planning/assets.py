@@ -1,7 +1,7 @@
 """The shapes, materials and lights that a job names, with their hashes, sides and licences.
 
 Meshes and light maps are read to be hashed, and are not kept. What a job's shapes are can be known
-before all of them are read (`opened`), so that a run begins with the first ones.
+before all of them are read (`resolve_unread`), so that a run begins with the first ones.
 
 source  where a shape or a light is read from: a spec such as "chair:17", or a path
 """
@@ -17,11 +17,11 @@ import numpy as np
 
 from factory.planning.duplicates import without_duplicates
 from factory.planning.facts import Facts
-from factory.planning.job_shapes import Shape, shapes_of, without_shapes
+from factory.planning.job_shapes import Shape, no_shapes_error, shapes_of
 from factory.planning.job_values import check
 from factory.planning.material_names import chosen_entries
 from factory.planning.reading import Reading
-from factory.planning.shape_names import Source, local, sources
+from factory.planning.shape_names import Source, list_sources, resolve_path
 from factory.shapes.files import require_mesh_file
 from factory.shapes.mesh_import import split_place
 from manifests import splits
@@ -96,46 +96,48 @@ def resolve(
     Raises      InputError: an unknown name, a broken file, a path that leaves the folder, a job
                 without shapes
     """
-    assets = opened(job, folder, library, catalogues)
+    assets = resolve_unread(job, folder, library, catalogues)
     with closing(Reading(assets.unread, processes)) as reading:
         facts = (watch or _unwatched)(
             reading.each(), desc="reading shapes", unit="shape", total=reading.unread
         )
-        return read_whole(job, assets, facts)
+        return add_shapes(job, assets, facts)
 
 
-def opened(
+def resolve_unread(
     job: Job,
     folder: str | Path | None = None,
     library: str | None = None,
     catalogues: Sequence[str | Path] = (),
 ) -> Assets:
-    """Return the Assets of a job, all of its shapes unread; the arguments are those of `resolve`.
+    """Return the Assets of a job before any shape is read; the arguments are those of `resolve`.
 
-    Raises  InputError as `resolve`, but for the shapes' names and paths alone
+    Raises  InputError as `resolve` does, but of the shapes it checks only names and paths
     """
     check(job)
     notes: list[str] = []
     materials = without_duplicates(_materials(job, catalogues), "material", notes)
     lights = _lights(job, folder, library)
-    unread = tuple(dict.fromkeys(sources(job, folder)))
+    unread = tuple(dict.fromkeys(list_sources(job, folder)))
     if not unread:
-        raise without_shapes(job)
+        raise no_shapes_error(job)
     for source in unread:
         if source.is_file:  # a name that is mistyped is refused before anything is written
             require_mesh_file(split_place(source.place)[0])
     return Assets([], materials, lights, notes, unread)
 
 
-def read_whole(job: Job, assets: Assets, facts: Iterable[tuple[Source, Facts]]) -> Assets:
-    """Return the Assets with all shapes, of which the facts are given in the job's order.
+def add_shapes(job: Job, assets: Assets, facts: Iterable[tuple[Source, Facts]]) -> Assets:
+    """Return the Assets with all shapes.
+
+    facts   what was read about each shape, in the job's order
 
     Raises  InputError: two meshes of one name, no shape with a role of the job
     """
     notes = list(assets.notes)
     shapes = without_duplicates(shapes_of(job, facts), "shape", notes)
     if not shapes:
-        raise without_shapes(job)
+        raise no_shapes_error(job)
     return replace(assets, shapes=shapes, notes=notes, unread=())
 
 
@@ -168,7 +170,7 @@ def _lights(job: Job, folder: str | Path | None, library: str | None) -> dict[st
     result: dict[str, Light] = {}
     by_name: dict[str, tuple[str, str]] = {}  # (the job's name, hash)
     for name in dict.fromkeys(job.lights):
-        source = str(local(name, folder, "job: lights")) if is_light_path(name) else name
+        source = str(resolve_path(name, folder, "job: lights")) if is_light_path(name) else name
         light = load(source, library)
         first, hash_ = by_name.setdefault(light.name, (name, light.hash))
         if light.hash != hash_:  # records and entries know a light by its name

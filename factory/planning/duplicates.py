@@ -22,7 +22,7 @@ class Named(Protocol):
 Asset = TypeVar("Asset", bound=Named)
 
 
-def left_out(kind: str, name: str, first: str) -> str:
+def duplicate_message(kind: str, name: str, first: str) -> str:
     """Return the line that says that an asset is left out, since it is the first one again."""
     return f"{kind} '{name}' is '{first}' again, left out"
 
@@ -38,7 +38,7 @@ def without_duplicates(assets: Iterable[Asset], kind: str, notes: list[str]) -> 
     for asset in assets:
         if asset.hash in by_hash:
             if asset.name != by_hash[asset.hash].name:
-                notes.append(left_out(kind, asset.name, by_hash[asset.hash].name))
+                notes.append(duplicate_message(kind, asset.name, by_hash[asset.hash].name))
             continue
         if asset.name in names:
             raise InputError(

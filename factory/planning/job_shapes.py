@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 
 import msgspec
 
-from factory.planning.duplicates import left_out
+from factory.planning.duplicates import duplicate_message
 from factory.planning.facts import Facts
 from factory.planning.shape_names import Source
 from manifests import splits
@@ -76,7 +76,7 @@ def _require_same(facts: Facts, source: Source, first: Source, hash_: str) -> No
         )
 
 
-def without_shapes(job: Job) -> InputError:
+def no_shapes_error(job: Job) -> InputError:
     """Return the error of a job none of whose shapes has a role of the job."""
     return InputError(
         "job: shapes",
@@ -86,7 +86,7 @@ def without_shapes(job: Job) -> InputError:
     )
 
 
-def follows_alone(job: Job, unread: Iterable[Source]) -> bool:
+def roles_are_independent(job: Job, unread: Iterable[Source]) -> bool:
     """Return whether each shape's role follows from the shape, whatever the others are.
 
     It does not where a rule has ranges and there are mesh files: these stand by the rank of their
@@ -128,7 +128,7 @@ def duplicate_note(shape: Shape, first: str, role: Role) -> str | None:
     Raises       InputError for another role
     """
     _require_same_role(shape, first, role)
-    return None if shape.name == first else left_out("shape", shape.name, first)
+    return None if shape.name == first else duplicate_message("shape", shape.name, first)
 
 
 def _require_same_role(shape: Shape, first: str, role: Role) -> None:

@@ -53,7 +53,7 @@ def from_options(options: argparse.Namespace) -> Job:
     Raises  InputError under the limits of a job file, because dataset.json holds the job and is
             read back under these limits
     """
-    height, width = size(options.size)
+    height, width = parse_size(options.size)
     if options.fov is not None and not math.isfinite(options.fov):  # JSON has no such number
         raise InputError(
             "--fov",
@@ -66,8 +66,8 @@ def from_options(options: argparse.Namespace) -> Job:
         shapes=tuple(options.mesh),
         materials=tuple(options.material),
         lights=tuple(options.light),
-        views=numbers(options.views, "--views", 23),
-        rotations=numbers(options.rotations, "--rotations", 127),
+        views=parse_numbers(options.views, "--views", 23),
+        rotations=parse_numbers(options.rotations, "--rotations", 127),
         tiers=tuple(options.tier or ["full"]),
         light_resolutions=tuple(options.light_resolution or ["64x128"]),
         samples=options.samples,
@@ -86,7 +86,7 @@ def from_options(options: argparse.Namespace) -> Job:
         ) from None
 
 
-def numbers(text: str, option: str, most: int) -> tuple[int, ...] | Draw:
+def parse_numbers(text: str, option: str, most: int) -> tuple[int, ...] | Draw:
     """Return "0,6" as (0, 6) and "random:5" as a Draw. Raises InputError for other text.
 
     most  the largest number
@@ -110,7 +110,7 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) < 20
 
 
-def size(text: str) -> tuple[int, int]:
+def parse_size(text: str) -> tuple[int, int]:
     """Return "128" as (128, 128) and "128x256" as height and width. Raises InputError."""
     parts = text.lower().split("x")
     if len(parts) > 2 or not all(_is_number(p) and 4 <= int(p) <= 8192 for p in parts):

@@ -52,7 +52,7 @@ def load_mesh(source: Source) -> Mesh:
     return load(source.place, **{k: v for k, v in options.items() if v is not None})
 
 
-def sources(job: Job, folder: str | Path | None) -> Iterator[Source]:
+def list_sources(job: Job, folder: str | Path | None) -> Iterator[Source]:
     """Yield the Source of every shape of a job.
 
     Shapes whose number alone gives them a role that the job leaves out are not yielded.
@@ -80,7 +80,7 @@ def is_shape_path(spec: str) -> bool:
     return not is_name and any(mark in spec for mark in "/\\.")
 
 
-def located(path: str, folder: str | Path) -> str:
+def locate(path: str, folder: str | Path) -> str:
     """Return a path, or that path in a folder if something lies there and nothing where it leads.
 
     path  with a member ("#NAME") and reading options ("?up=z") if there are any
@@ -93,7 +93,7 @@ def located(path: str, folder: str | Path) -> str:
     return str(Path(folder) / place) if inner else path
 
 
-def local(path: str, folder: str | Path | None, where: str) -> Path:
+def resolve_path(path: str, folder: str | Path | None, where: str) -> Path:
     """Return a path of a job file. Raises InputError if it leaves the folder.
 
     folder  None: any path is allowed
@@ -150,10 +150,10 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
     from factory.shapes.libraries import find
     from factory.shapes.library import note_of
 
-    target = local(place, folder, "job: shapes")
+    target = resolve_path(place, folder, "job: shapes")
     # a '#' or '?' in the name of an existing file is part of the name
     rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
-    target = local(place.removesuffix(rest), folder, "job: shapes")
+    target = resolve_path(place.removesuffix(rest), folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):
         if rest.startswith("#"):
             raise InputError(

@@ -11,10 +11,10 @@ from manifests.picture_files import SeenGeometry
 UNIT_TOLERANCE = 1e-3  # of |n|: ten times float16's rounding of a unit vector's parts
 
 
-def picture(
+def picture_faults(
     radiance: np.ndarray, coverage_expected: float | None = None, alpha: np.ndarray | None = None
 ) -> list[str]:
-    """Return what is wrong with a picture.
+    """Return a list of what is wrong with a picture, empty if it is good.
 
     It must be finite, not negative, not Cycles' magenta for a missing texture, and cover the part
     of the frame that the geometry covers.
@@ -54,8 +54,8 @@ def magenta(radiance: np.ndarray) -> bool:
     return red and blue and not green
 
 
-def geometry(shot: SeenGeometry, segments: int) -> list[str]:
-    """Return what is wrong with geometry.
+def geometry_faults(shot: SeenGeometry, segments: int) -> list[str]:
+    """Return a list of what is wrong with geometry, empty if it is good.
 
     The object must be in the frame, normals must have unit length, and segments must be 1 to
     `segments` inside the mask and 0 outside.

@@ -20,7 +20,7 @@ import torch
 
 from learn.agreement import surface
 from learn.agreement.scenes import Condition
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.records import Sample
 from learn.layer import render
 from learn.layer.predictions import MEASURED, TEXEL_SUM
@@ -136,9 +136,9 @@ def rendered(sample: Sample, tolerance: float, device: str | torch.device = "cpu
     pixel = 2 * camera.half_extent / max(camera.size)
     view = np.array([0.0, 0.0, 1.0]) if sample.view is None else sample.view.numpy()
     inner = surface.inner(n, segments, depth, pixel)
-    centre = array(integral.double())
+    centre = to_numpy(integral.double())
     spread = footprint(sample, centre, inner, tolerance, device)
-    return Layer(centre, spread, array(total.double()), segments > 0, inner, (n * view).sum(-1))
+    return Layer(centre, spread, to_numpy(total.double()), segments > 0, inner, (n * view).sum(-1))
 
 
 def narrow(m: torch.Tensor) -> bool:
@@ -201,7 +201,7 @@ def at_pixels(
         given = sample.upright(torch.from_numpy(n.astype(np.float32)))
         one["n"] = given[None, None].to(device)
     with torch.no_grad():
-        return array(render(**one, method=MEASURED.method, tolerance=tolerance)[0, 0].double())
+        return to_numpy(render(**one, method=MEASURED.method, tolerance=tolerance)[0, 0].double())
 
 
 def measure(

@@ -191,7 +191,7 @@ def principled_material(
     usual = {"specular": 0.5, "sheen": 0.0, "coat": 0.0}
     written = [f"{key}={value:.3g}" for key, value in numbers.items() if value != usual.get(key)]
     text = f"principled(base_color={color}, {', '.join(written)})"
-    label = material_expression.fitted(text).label
+    label = material_expression.fit_expression(text).label
     return Chosen(text, np.asarray(label, np.float32).reshape(SIZE))
 
 
@@ -226,7 +226,7 @@ def light_of_file(path: Path) -> LightChoice:
             other, "a light map FILE.exr, twice as wide as high", "another file", "convert it"
         )
 
-    return LightChoice(path.name, 0.0, desired_light.light_of(str(path), refuse))
+    return LightChoice(path.name, 0.0, desired_light.resolve_light(str(path), refuse))
 
 
 def mask_options(names: list[str]) -> list[str]:
@@ -333,7 +333,7 @@ def read(path: Path) -> Edit:
             label = material_file.require_label(label, path)
             return Chosen(entry.text, label, named=False, read=entry.read)
         if material_expression.is_expression(entry.text):
-            label = np.asarray(material_expression.fitted(entry.text).label, np.float32)
+            label = np.asarray(material_expression.fit_expression(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))
         return catalogue_material(entry.text)
 

@@ -145,7 +145,7 @@ class Session:
 
     def load_example(self) -> str:
         """Take the program's example, a cup on a saucer, with its two regions."""
-        path, regions = photograph.example(EXAMPLE, [], None)
+        path, regions = photograph.resolve_example(EXAMPLE, [], None)
         assert regions is not None
         radiance, _ = photographs.read_pixels(path)
         self._take(path, EXAMPLE, radiance)
@@ -179,7 +179,7 @@ class Session:
         if work.photograph is None and work.name != EXAMPLE:
             raise InputError(work.name, EXAMPLE, "another example", work_file.REMEDY)
         # all files are read before the photograph that is open gives way
-        opened = work.photograph or photograph.example(EXAMPLE, [], None)[0]
+        opened = work.photograph or photograph.resolve_example(EXAMPLE, [], None)[0]
         radiance, alpha = self._read(opened)
         if work.mask is not None:
             coverage = photographs.read_mask(work.mask, radiance.shape[:2])

@@ -25,7 +25,7 @@ from PIL import Image
 
 from learn.app.choices import Edit, LightChoice, Painted
 from learn.data import framing
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import drawing, interactive, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
@@ -50,13 +50,13 @@ class Viewer:
     def __init__(self, decomposed: Decomposition):
         self.decomposition = decomposed
         self.small = Compositor(reduced(decomposed, LONGEST), predictions.SHOWN.tolerance, DETAIL)
-        self.exposure = drawing.exposure_of(decomposed.photograph)
-        self.own_light = array(decomposed.parts.light[0].movedim(0, -1))
-        n, segments = self.small.n, array(self.small.segments)
+        self.exposure = drawing.display_exposure(decomposed.photograph)
+        self.own_light = to_numpy(decomposed.parts.light[0].movedim(0, -1))
+        n, segments = self.small.n, to_numpy(self.small.segments)
         self._pixels = [
             np.flatnonzero(segments == number) for number in range(1, len(decomposed.label) + 1)
         ]
-        self._normals = [array(n.reshape(-1, 3)[torch.from_numpy(at)]) for at in self._pixels]
+        self._normals = [to_numpy(n.reshape(-1, 3)[torch.from_numpy(at)]) for at in self._pixels]
         self._maps: OrderedDict[tuple[bytes, bytes, bool], np.ndarray] = OrderedDict()
         self._scenes: OrderedDict[bytes, reflectance_store.Scene] = OrderedDict()
         self._lock = threading.Lock()
@@ -143,7 +143,7 @@ class Viewer:
         with self._lock:
             if key not in self._scenes:
                 L = torch.from_numpy(np.array(light.of(self.own_light), np.float32))
-                scene = interactive.scene_of(
+                scene = interactive.make_scene(
                     self.small, L.movedim(-1, 0)[None].contiguous().to(self.small.n)
                 )
                 exposure = self.exposure / self.decomposition.exposure
@@ -184,7 +184,7 @@ class Viewer:
             return compositor.radiance(label, read)
         L = np.ascontiguousarray(light.of(self.own_light), np.float32)
         frame = compositor.relit(label, L, read)
-        square = framing.placed(frame, self.decomposition.framed.box)
+        square = framing.cut_square(frame, self.decomposition.framed.box)
         return square / self.decomposition.exposure.astype(np.float32)
 
     def _composed(self, object_: np.ndarray, edit: Edit) -> np.ndarray:
@@ -221,7 +221,7 @@ class Viewer:
     def parts(self) -> list[tuple[str, np.ndarray]]:
         """Return captions and display pictures of the decomposition."""
         decomposed, photograph = self.decomposition, self.small.decomposition.photograph
-        n = array(decomposed.parts.n[0].movedim(0, -1))
+        n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
         again = drawing.on_ground(
             tone.display(self.small.rendered_again(), self.exposure), photograph
         )

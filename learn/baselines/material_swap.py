@@ -17,7 +17,7 @@ import torch
 
 from learn.data import devices
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.relit import BRIGHTEST, RelitDataset
 from learn.data.settings import Losses
 from learn.figures.montage import grid
@@ -26,7 +26,7 @@ from learn.metrics.pictures import display_l2
 from learn.networks.coding import Ranges, compressed
 from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
 from learn.networks.features import Features
-from learn.networks.prediction import required
+from learn.networks.prediction import require_part
 from learn.training.loop import VALIDATION_BATCHES, Training
 from learn.training.losses import compared_by
 from manifests.files import write_image
@@ -121,7 +121,7 @@ def terms(
     features  needed where target_features has a weight
     """
     inside = (batch.segments > 0)[:, None] * batch.mask
-    truth = compressed(required(batch.target))
+    truth = compressed(require_part(batch.target))
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
     result = {"material": read + embedded}
@@ -140,13 +140,13 @@ def figures(edited: Edited, batch: ExampleBatch, ranges: Ranges) -> dict[str, fl
     The first two are display L2 over the mask against the true O, of O' and of the input returned
     unchanged; code_l2 is of the input's material.
     """
-    drawn = array(radiance(edited.picture).movedim(1, -1))
+    drawn = to_numpy(radiance(edited.picture).movedim(1, -1))
     result: dict[str, list[float]] = {"target_l2": [], "unchanged_l2": []}
-    for i, truth in enumerate(array(required(batch.target).movedim(1, -1))):
-        mask = array(batch.segments[i] > 0)
+    for i, truth in enumerate(to_numpy(require_part(batch.target).movedim(1, -1))):
+        mask = to_numpy(batch.segments[i] > 0)
         for name, picture in (
             ("target_l2", drawn[i]),
-            ("unchanged_l2", array(batch.image[i].movedim(0, -1))),
+            ("unchanged_l2", to_numpy(batch.image[i].movedim(0, -1))),
         ):
             result[name].append(display_l2(picture, truth, mask))
     code_l2 = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean().item()
@@ -156,10 +156,10 @@ def figures(edited: Edited, batch: ExampleBatch, ranges: Ranges) -> dict[str, fl
 def write_montage(path: Path, batch: ExampleBatch, edited: Edited) -> None:
     """Write a JPEG with one row per example: the picture as seen, O' and O."""
     rows = []
-    drawn = array((radiance(edited.picture) * batch.mask).movedim(1, -1))
+    drawn = to_numpy((radiance(edited.picture) * batch.mask).movedim(1, -1))
     for i in range(min(ROWS, len(drawn))):
-        truth = array(required(batch.target)[i].movedim(0, -1))
-        exposure = tone.auto_exposure(truth, array(batch.segments[i] > 0))
-        cells = (array(batch.image[i].movedim(0, -1)), drawn[i], truth)
+        truth = to_numpy(require_part(batch.target)[i].movedim(0, -1))
+        exposure = tone.auto_exposure(truth, to_numpy(batch.segments[i] > 0))
+        cells = (to_numpy(batch.image[i].movedim(0, -1)), drawn[i], truth)
         rows.append([tone.display(cell, exposure) for cell in cells])
     write_image(path, grid(rows).astype(np.uint8), "JPEG", quality=90)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from learn.data.seen import KEY, Seen, encoded
+from learn.data.seen import KEY, Seen, encode_seen
 from learn.networks import tensor_file, weights
 from learn.networks.coding import unit_mean
 from learn.refinement.coordinates import spherical_harmonics
@@ -150,13 +150,15 @@ def save(path: Path, priors: Priors, report: Mapping[str, Any], seen: Seen | Non
     seen    the same as hashes; None: the file does not say
     """
     metadata = {"format": FORMAT, "fitted": json.dumps(report)}
-    weights.save(path, vars(priors), metadata if seen is None else metadata | {KEY: encoded(seen)})
+    weights.save(
+        path, vars(priors), metadata if seen is None else metadata | {KEY: encode_seen(seen)}
+    )
 
 
 def load(path: str | Path) -> Priors:
     """Return the Priors of a file. Raises InputError."""
     remedy = "fit them: python -m learn train-baselines"
-    with tensor_file.opened(path, "priors in a .safetensors file", remedy) as stored:
+    with tensor_file.open_tensor_file(path, "priors in a .safetensors file", remedy) as stored:
         names = Priors.__dataclass_fields__
         if stored.metadata.get("format") != FORMAT or set(stored.shapes) != set(names):
             raise InputError(

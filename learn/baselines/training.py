@@ -39,7 +39,7 @@ def make(
         return f"{target} is there already"
     options.out.mkdir(parents=True, exist_ok=True)
     run = None if preset is None else resolved(settings.read_run(preset), options)
-    data_splits = sources.data_splits(
+    data_splits = sources.load_data_splits(
         held_out(options, settings.Data() if run is None else run.data),
         options.data,
         options.lights,
@@ -64,7 +64,7 @@ def make(
 
 def fitted_to(data_split: DataSplit) -> seen.Seen:
     """Return what priors saw of a split: materials and light maps, but no shapes."""
-    return seen.of(
+    return seen.make_seen(
         {
             "shapes": (),
             "materials": map(seen.label_hash, data_split.labels.values()),
@@ -89,7 +89,7 @@ def held_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
     """
     if options.like is None:
         return settings.with_materials(data, options.materials)
-    with tensor_file.opened(options.like) as stored:
+    with tensor_file.open_tensor_file(options.like) as stored:
         like = settings.decode_run(stored.metadata.get("run", "{}").encode(), options.like).data
     data = msgspec.structs.replace(
         data,

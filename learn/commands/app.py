@@ -144,7 +144,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
     )
     edit = choices.read(arguments.repeat)
     masks = [] if arguments.mask is None else [arguments.mask]
-    opened = photograph.opened(arguments.photo, masks, arguments.regions)
+    opened = photograph.open_photograph(arguments.photo, masks, arguments.regions)
     if len(edit.regions) != opened.count:
         rule = f"{opened.count} regions, as the mask has"
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")

@@ -1,4 +1,4 @@
-"""`learn edit`: the object of a photograph in another material."""
+"""`learn edit`: change the material of an object in a photograph."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "edit",
         help="change what the object of a photograph is made of",
         description=(
-            "Changes the material of one object in a photograph. Normals, light and material"
-            " are predicted from the photograph and refined until a rendering of them looks like"
-            " it; then the object is rendered again in each of the materials that you name, in"
-            " front of its own background and at the photograph's size. Writes the edited"
-            " pictures, the decomposition, and one contact sheet (sheet.png)."
+            "Changes the material of one object in a photograph. A network estimates the object's"
+            " normals, its material and the light, and refinement adjusts them until a rendering of"
+            " them looks like the photograph. The object is then rendered in each material that you"
+            " name, and put back in front of its background. Writes the edited pictures, the"
+            " decomposition, and one contact sheet (sheet.png)."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -43,16 +43,19 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         default=[],
         metavar="FILE",
         help=(
-            "a picture that is white where the object is; without it, or with 'alpha', the"
-            " photograph's transparency is used. Given several times, each mask is a region with a"
-            " material of its own"
+            "a picture that is white where the object is (default, also written 'alpha': the"
+            " photograph's transparency). Repeat the option to give the object several regions, one"
+            " mask each, which can then have different materials"
         ),
     )
     parser.add_argument(
         "--regions",
         type=Path,
         metavar="FILE",
-        help="a picture with one grey or colour for each region of the object, black outside",
+        help=(
+            "instead of several masks: one picture with a grey or a colour for each region of the"
+            " object, black elsewhere"
+        ),
     )
     parser.add_argument(
         "--material",
@@ -61,11 +64,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         metavar="MATERIAL",
         help=(
-            "a material's name (`python -m factory materials list`); an expression in quotes, such"
-            " as 'principled(base_color=#a03020, roughness=.35, metallic=0)', 'lambert(#c0c0c0)' or"
-            " 'ggx(f0=.9, roughness=.2)'; a material.json; or a picture"
-            " to take the material from (with transparency, or NAME.mask.png beside it). With"
-            " regions, A+B gives each its own; 'keep' leaves one"
+            "one or more materials, each of which makes one edit: a name (`python -m factory"
+            " materials list` prints them); a description in quotes, such as"
+            " 'principled(base_color=#a03020, roughness=.35, metallic=0)', 'lambert(#c0c0c0)' or"
+            " 'ggx(f0=.9, roughness=.2)'; a material.json; or a picture whose material is to be"
+            " used (with transparency, or with its mask in NAME.mask.png in the same folder). For"
+            " an object with regions, write A+B to give the first region A and the second B;"
+            " 'keep' leaves a region as it is"
         ),
     )
     options.add_out(parser)
@@ -73,18 +78,18 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--record",
         metavar="ID",
         help=(
-            "if PHOTO is a data set's folder, the record to edit (default: the first one that is"
-            " held out and has none of the target materials)"
+            "if PHOTO is a data set's folder: the id of the record to edit (default: the first"
+            " held-out record that is not already in one of the materials)"
         ),
     )
     parser.add_argument(
         "--interactive",
         action="store_true",
         help=(
-            "also write interactive.html: one file to keep or to send, in which the object can be"
-            " given any material of the catalogue, blends, and other lights, in a browser without a"
-            " network. It takes some minutes. Example: python -m learn edit"
-            " example:espresso-cup --material brass --interactive --out edited"
+            "also write interactive.html, a single page on which anyone can try all materials of"
+            " the catalogue, blends of them and other lights, in a browser and without a network."
+            " This takes some minutes. Example: python -m learn edit example:espresso-cup"
+            " --material brass --interactive --out edited"
         ),
     )
     editing_options.add(parser)
@@ -121,7 +126,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _require_masks_with_effect(arguments: argparse.Namespace) -> None:
-    """Raise InputError for masks of which one, or whose being regions, would have no effect."""
+    """Raise InputError if several masks are given together with something that overrides them."""
     if len(arguments.mask) < 2:
         return
     if editing_options.ALPHA in arguments.mask:

@@ -1,4 +1,4 @@
-"""Options that `edit`, `transfer` and `predict` share, and what their values must be."""
+"""Options that `edit`, `transfer` and `predict` share, and the checks of their values."""
 
 from __future__ import annotations
 
@@ -18,46 +18,49 @@ ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add them to a parser."""
-    parser.add_argument(
+    """Add the options to a parser: those that most users leave alone in a group of their own."""
+    finer = parser.add_argument_group(
+        "finer control", "The defaults suit most photographs; docs/editing.md explains each option."
+    )
+    finer.add_argument(
         "--refine",
         action=argparse.BooleanOptionalAction,
         default=True,
         help=(
-            "adjust the predicted normals, light and material until their rendering looks like the"
-            " photograph (default: yes); --no-refine saves some seconds per photograph"
+            "adjust the predicted normals, light and material until a rendering of them looks like"
+            " the photograph (default: yes); --no-refine saves some seconds per photograph"
         ),
     )
-    options.add_refinement_method(parser)
-    parser.add_argument(
+    options.add_refinement_method(finer)
+    finer.add_argument(
         "--tolerance",
         type=float,
         default=1e-2,
         metavar="T",
-        help="relative error allowed in rendering (default 0.01)",
+        help="largest relative error of the rendering layer (default 0.01); smaller is slower",
     )
-    parser.add_argument(
+    finer.add_argument(
         "--detail",
         type=float,
         default=0.25,
         metavar="D",
         help=(
-            "share of the photograph's fine shading that is kept, from 0 to 1 (default 0.25); it"
-            " includes fine highlights"
+            "how much of the photograph's fine shading to keep, from 0 (none) to 1 (all, including"
+            " fine highlights); default 0.25"
         ),
     )
-    options.add_exposure(parser, "photograph")
-    parser.add_argument(
+    options.add_exposure(finer, "photograph")
+    finer.add_argument(
         "--white-balance",
         default="none",
         metavar="W",
         help=(
-            "none: leave the colours as they are (default); grey: make the background grey on"
-            " average; or three factors R,G,B"
+            "correct a colour cast before the network sees the photograph: none (default); grey,"
+            " which assumes that the background is grey on average; or three factors R,G,B"
         ),
     )
-    options.add_weights(parser)
-    options.add_device(parser)
+    options.add_weights(finer)
+    options.add_device(finer)
     options.add_overwrite(parser)
 
 
@@ -93,11 +96,12 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
 def refinement_of_photographs(
     refine: bool, method: str | None, name: str
 ) -> RefinementSettings | None:
-    """Return the settings by which photographs are refined, or None where they are not.
+    """Return the settings for refining photographs, or None if they are not to be refined.
 
-    method  of LAYER_METHODS, or None: auto
-    name    of the option that gives it, for messages
-    Raises  InputError: a method that is not known, or one without refinement
+    refine  whether to refine
+    method  how refinement renders: one of LAYER_METHODS; None means "auto"
+    name    the option or argument that gave the method, for error messages
+    Raises  InputError: an unknown method, or a method although `refine` is False
     """
     from learn.refinement import PHOTOGRAPHS
     from manifests.errors import InputError, closest
@@ -115,18 +119,18 @@ def refinement_of_photographs(
 
 
 def mask_files(given: Iterable[str]) -> list[Path]:
-    """Return the files among the masks that a user gave; ALPHA is none."""
+    """Return the masks that are files; ALPHA, which stands for transparency, is left out."""
     return [Path(mask) for mask in given if mask != ALPHA]
 
 
 def check_exposure(value: float | None) -> None:
-    """Raise InputError for a factor that is not above 0 and finite; None is the default."""
+    """Raise InputError unless the exposure is None (estimate it) or a finite number above 0."""
     if value is not None:
         check("--exposure", 0 < value < float("inf"), "a number above 0", value)
 
 
 def check(name: str, holds: bool, rule: str, value: float) -> None:
-    """Raise InputError where a rule does not hold of an option's value."""
+    """Raise InputError if an option's value breaks its rule, that is, if `holds` is False."""
     from manifests.errors import InputError
 
     if not holds:
@@ -134,9 +138,9 @@ def check(name: str, holds: bool, rule: str, value: float) -> None:
 
 
 def balance_of(given: str | Sequence[float]) -> str | tuple[float, ...]:
-    """Return "none", "grey", or three positive factors, of a text or of three numbers.
+    """Parse a white balance: "none", "grey", or three positive factors as text or as numbers.
 
-    Raises InputError.
+    Raises InputError for anything else.
     """
     from manifests.errors import InputError
 

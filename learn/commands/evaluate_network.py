@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> None:
     device = devices.choose(arguments.device if arguments.ray is None else "cpu")
     _, metadata = checkpoint.load_network(arguments.weights)
     settings = decode_run(json.dumps(metadata["run"]).encode(), arguments.weights)
-    data_splits = sources.data_splits(
+    data_splits = sources.load_data_splits(
         settings.data, arguments.data, arguments.lights, pictures=arguments.pictures
     )
     seen = overlap.sentences(

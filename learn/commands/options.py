@@ -9,6 +9,9 @@ from learn.networks import own_weights
 from manifests.option_types import MATERIALS, positive, whole
 from manifests.training_runs import LAYER_METHODS
 
+# where options can be added: a parser, or a group of its options
+ParserOrGroup = argparse.ArgumentParser | argparse._ArgumentGroup
+
 DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
 WEIGHTS_FOLDER = own_weights.FOLDER
 EDITING_WEIGHTS = own_weights.EDITING
@@ -34,9 +37,8 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
         "--overwrite",
         action="store_true",
         help=(
-            "replace earlier results in the folder, that is, every file that has the name of one;"
-            " results of an earlier run that this one does not make are removed, unless they were"
-            " changed since"
+            "allow replacing earlier results in the folder. Files that an earlier run wrote and"
+            " this one does not are removed, unless you have changed them"
         ),
     )
 
@@ -45,14 +47,14 @@ def add_lights(
     parser: argparse.ArgumentParser,
     what: str = (
         "further light maps: an .npz of arrays of shape (64, 128, 3), or a folder that"
-        " `factory lights make` filled"
+        " `python -m factory lights make` filled"
     ),
 ) -> None:
     """Add --lights, light maps besides those of the data set."""
     parser.add_argument("--lights", type=Path, metavar="FILE.npz|DIR", help=what)
 
 
-def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS) -> None:
+def add_weights(parser: ParserOrGroup, default: Path = EDITING_WEIGHTS) -> None:
     """Add --weights FILE|NAME; default: a file of WEIGHTS_FOLDER."""
     parser.add_argument(
         "--weights",
@@ -60,11 +62,11 @@ def add_weights(parser: argparse.ArgumentParser, default: Path = EDITING_WEIGHTS
         default=default,
         metavar="FILE|NAME",
         help=(
-            "weights.safetensors of a training run, or the name of weights that come with the"
-            " program: general-compact (any object, and photographs), joint-compact (chairs, sofas,"
-            " cars and monitors seen from one elevation; used for most published figures), or"
-            " general-two-encoders (better normals than general-compact, but no better edits)"
-            f" (default: {default.stem})"
+            f"the network to use (default: {default.stem}): weights.safetensors of a training run,"
+            " or the name of weights that come with the program. general-compact is for photographs"
+            " and any object; joint-compact, behind most published figures, knows chairs, sofas,"
+            " cars and monitors from one elevation; general-two-encoders predicts better normals"
+            " than general-compact, but its edits are no better"
         ),
     )
 
@@ -94,21 +96,22 @@ def add_refinement_method(parser: argparse.ArgumentParser) -> None:
         "--refinement-method",
         choices=LAYER_METHODS,
         help=(
-            "how refinement renders: auto, by the sum over the light map's texels (default); or"
-            " quadrature, by the integral, which narrow highlights need and which takes longer"
+            "how refinement renders: auto (default) sums over the texels of the light map;"
+            " quadrature integrates between them, which is more accurate for narrow highlights and"
+            " slower"
         ),
     )
 
 
-def add_exposure(parser: argparse.ArgumentParser, picture: str) -> None:
+def add_exposure(parser: ParserOrGroup, picture: str) -> None:
     """Add --exposure X; `picture` is what the help calls the picture."""
     parser.add_argument(
         "--exposure",
         type=float,
         metavar="X",
         help=(
-            f"multiply the {picture} by X to get radiance (default: estimated from a rendering of"
-            " the predicted object and from the background)"
+            f"the factor by which to multiply the {picture}'s linear values before the network sees"
+            " them; a larger X makes edits darker (default: estimated)"
         ),
     )
 
@@ -187,8 +190,8 @@ def add_allow_overlap(parser: argparse.ArgumentParser) -> None:
         "--allow-overlap",
         action="store_true",
         help=(
-            "measure even if the weights saw a tested shape, material or light in training; the"
-            " report then says so at its top"
+            "measure even if the weights saw some of the tested shapes, materials or lights in"
+            " training; the report then says so at its top"
         ),
     )
 
@@ -204,14 +207,14 @@ def add_size(parser: argparse.ArgumentParser, default: int) -> None:
     )
 
 
-def add_device(parser: argparse.ArgumentParser) -> None:
+def add_device(parser: ParserOrGroup) -> None:
     """Add --device; arguments.device is then one of DEVICES."""
     parser.add_argument(
         "--device",
         choices=DEVICES,
         default="auto",
         help=(
-            "where networks and the layer compute (default auto: cuda if torch sees a CUDA device,"
-            " else cpu)"
+            "where the networks and the rendering layer run (default auto: cuda if torch sees a"
+            " CUDA device, else cpu)"
         ),
     )

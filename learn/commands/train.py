@@ -22,18 +22,18 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "train",
         help="train networks that predict normals, material and light from a picture",
         description=(
-            "Trains a network on a data set's geometry. While training, the rendering layer"
-            " relights the geometry, each time in other materials and under other lights of the"
-            " data set (or in the built-in materials, where the run or --materials says so)."
-            " Writes weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json"
-            " and, from time to time, a contact sheet. The same command continues a stopped run,"
-            " which then ends with the same weights as one that was never stopped."
+            "Trains a network on a data set's geometry. The rendering layer makes the pictures"
+            " during training, each time with other materials and lights of the data set (or with"
+            " the built-in materials, if the run or --materials says so). Writes"
+            " weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and, at"
+            " intervals, a contact sheet. To continue a run that was stopped, give the same command"
+            " again; the weights are the same as without the stop."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
     )
     parser.add_argument(
-        "settings", metavar="RUN", help=f"a run file (JSON), or a preset: {presets}"
+        "settings", metavar="RUN", help=f"a run file (JSON), or the name of a preset: {presets}"
     )
     options.add_data(parser)
     options.add_out(parser)
@@ -51,7 +51,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--skip-bad",
         action="store_true",
-        help="leave damaged records out and count them, instead of stopping before training",
+        help="leave damaged records out and report how many, instead of refusing to train",
     )
     parser.add_argument(
         "--tensorboard",
@@ -68,7 +68,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--start",
         type=Path,
         metavar="FILE",
-        help="weights.safetensors of an earlier run to begin with (default: as the run says)",
+        help="weights.safetensors of an earlier run to start from (default: as the run says)",
     )
     options.add_count(
         parser, "--sheet-every", 500, "steps between contact sheets and validations", least=0
@@ -108,14 +108,14 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError("--pictures", rule, '"relit", which uses no pictures', remedy)
     torch.set_num_threads(arguments.threads)
     with processes.only_writer(arguments.out):
-        data_splits = sources.data_splits(
+        data_splits = sources.load_data_splits(
             chosen.data,
             arguments.data,
             arguments.lights,
             pictures=arguments.pictures,
             skip_bad=arguments.skip_bad,
         )
-        if left_out := sources.skipped(data_splits):
+        if left_out := sources.list_skipped(data_splits):
             notice(f"{len(left_out)} left out, the first: {next(iter(left_out.values()))}")
         kind = SwapTraining if chosen.network == SwapTraining.network_name else loop.Training
         saving = arguments.sheet_every, arguments.checkpoint_every
@@ -131,7 +131,7 @@ def run(arguments: argparse.Namespace) -> None:
         begun = training.step
         figures = training.train()
         known = training.step == begun and (arguments.out / "made.json").exists()
-        # of the first process; a run that was complete keeps what its last command wrote
+        # only the first process has a journal; a run that was complete already keeps its made.json
         if training.journal is not None and not known:
             training.journal.made(
                 provenance(),

@@ -20,7 +20,7 @@ EXPOSURE = 0.3  # standard deviation of the logarithm
 SHIFT = 0.04  # of the picture's side, at most
 
 
-def by(
+def augment(
     data: Data,
     training: bool,
     rng: np.random.Generator,
@@ -28,30 +28,34 @@ def by(
     mask: np.ndarray,
     along: Sequence[torch.Tensor],
 ) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
-    """Return (image, mask, [tensors]) of a picture as a run's data say; arguments as `seen`."""
+    """Augment a picture as a run's settings ask for; only pictures for training are changed.
+
+    along    tensors (H, W, …) that must stay aligned with the picture
+    Returns  image (H, W, 3), mask (H, W) bool, [tensors]
+    """
     photograph = training and data.photograph
     if photograph and data.camera_model and rng.random() < data.camera_model:
-        return seen_by_camera(rng, image, mask, along)
-    return seen(rng, image, mask, along, photograph)
+        return prepare_photograph(rng, image, mask, along)
+    return prepare_picture(rng, image, mask, along, photograph)
 
 
-def seen(
+def prepare_picture(
     rng: np.random.Generator,
     image: np.ndarray,
     mask: np.ndarray,
     along: Sequence[torch.Tensor],
     photograph: bool,
 ) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
-    """Return a picture and its mask as a network sees them, and the tensors moved with them.
+    """Mask a picture for the network; vary exposure, noise, mask and position if it is augmented.
 
-    along       tensors (H, W, …) that stay in register with the picture
-    photograph  whether the picture is augmented; otherwise the mask is applied to it, no more
+    along       tensors (H, W, …) that must stay aligned with the picture; they are shifted with it
+    photograph  whether to augment; otherwise the mask is applied and nothing else changes
     Returns     image (H, W, 3), mask (H, W) bool, [tensors]
     """
     if photograph:
         image, eroded, step = (
-            photographed(rng, image, mask),
-            eroded_mask(rng, mask),
+            vary_exposure_and_noise(rng, image, mask),
+            erode_mask(rng, mask),
             shift(rng, mask),
         )
         image, mask = np.roll(image, step, (0, 1)), np.roll(eroded, step, (0, 1))
@@ -59,33 +63,34 @@ def seen(
     return image * mask[..., None], mask, list(along)
 
 
-def seen_by_camera(
+def prepare_photograph(
     rng: np.random.Generator,
     image: np.ndarray,
     mask: np.ndarray,
     along: Sequence[torch.Tensor],
 ) -> tuple[np.ndarray, np.ndarray, list[torch.Tensor]]:
-    """Return what `seen` does of a picture that learn.data.camera_model takes.
+    """Take the picture with the simulated camera of learn.data.camera_model, then mask it.
 
-    A mask that is drawn too large shows the background; what an occluder hides is in no mask.
+    A mask that was drawn too large lets the background show. The returned mask and tensors leave
+    out what an occluder hides. Arguments and results are those of `prepare_picture`.
     """
-    rows, columns = camera_model.window(rng, mask)
+    rows, columns = camera_model.draw_window(rng, mask)
     image, mask = image[np.ix_(rows, columns)], mask[np.ix_(rows, columns)]
     along = [tensor[torch.from_numpy(rows)][:, torch.from_numpy(columns)] for tensor in along]
     step = shift(rng, mask)
     image, mask = (np.roll(each, step, (0, 1)) for each in (image, mask))
     along = [tensor.roll(step, (0, 1)) for tensor in along]
-    visible = camera_model.occluded(rng, mask)
-    drawn = camera_model.drawn_mask(rng, visible)
-    image = np.where(visible[..., None], image, camera_model.background(rng, image))
-    image, _ = camera_model.photographed(rng, image, drawn)
+    visible = camera_model.occlude(rng, mask)
+    drawn = camera_model.draw_mask(rng, visible)
+    image = np.where(visible[..., None], image, camera_model.draw_background(rng, image))
+    image, _ = camera_model.take_photograph(rng, image, drawn)
     hidden = torch.from_numpy(visible)
     along = [tensor * hidden.reshape(*mask.shape, *(1,) * (tensor.ndim - 2)) for tensor in along]
     return image * drawn[..., None], drawn, along
 
 
 def shift(rng: np.random.Generator, mask: np.ndarray) -> tuple[int, int]:
-    """Return rows and columns to roll by that keep the object inside the frame."""
+    """Draw a shift (rows, columns) that keeps the object inside the frame."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     limit = int(SHIFT * len(mask))
     down, right = (
@@ -95,10 +100,10 @@ def shift(rng: np.random.Generator, mask: np.ndarray) -> tuple[int, int]:
     return down, right
 
 
-def eroded_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
-    """Return the mask with up to a pixel missing along its rim, in places.
+def erode_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
+    """Remove up to one pixel along parts of a mask's rim, as masks of photographs are never exact.
 
-    Masks of photographs are never exact.
+    Half of the masks are returned unchanged.
     """
     if rng.random() < 0.5:
         return mask
@@ -109,8 +114,10 @@ def eroded_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
     return mask & (inner | (rng.random(mask.shape) < rng.uniform(0, 1)))
 
 
-def photographed(rng: np.random.Generator, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the picture at another exposure, with sensor noise and, at times, JPEG's losses."""
+def vary_exposure_and_noise(
+    rng: np.random.Generator, image: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
+    """Change a picture's exposure, add sensor noise and, one time in four, compress it as JPEG."""
     image = image * np.exp(rng.normal(0, EXPOSURE))
     image = image + rng.normal(0, 1, image.shape) * np.sqrt(
         np.maximum(image, 0) * rng.uniform(0, 2e-3) + rng.uniform(0, 5e-3) ** 2

@@ -1,6 +1,6 @@
 """A batch of examples: the pictures that a network sees, and the truth about them.
 
-B pictures, S regions, H, W picture
+Shapes have B for pictures, S for regions, and H and W for height and width.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,18 +15,18 @@ import torch
 class ExampleBatch:
     """Pictures and their truth, in the frames and units of learn.data.records, channels first.
 
-    image         (B, 3, H, W) linear radiance as a network sees it, augmented
-    mask          (B, 1, H, W) float, as a network sees it
+    image         (B, 3, H, W) linear radiance as the network sees it, that is, after augmentation
+    mask          (B, 1, H, W) float, likewise
     n             (B, 3, H, W) unit normals, camera frame, 0 outside the object
     segments      (B, H, W) int64, 1 … S, 0 outside the object
-    label         (B, S, 108) natural logarithms
+    label         (B, S, 108) natural logarithms, one row for each region
     light         (B, 3, 64, 128) linear radiance of unit mean luminance, light frame
     target_label  (B, S, 108) the material of the target image O, for the same shape and light
-    names         of the pictures, for messages: shape, …, material, separated by spaces
-    elevation     of the camera, radians
-    picture       (B, 3, H, W) the true I if another renderer made it; None: what the layer makes of
-                  the truth
-    target        (B, 3, H, W) the true O, likewise
+    names         what messages call the pictures: shape, …, material, separated by spaces
+    elevation     of all pictures' camera, radians
+    picture       (B, 3, H, W) the true picture I if another renderer made it; None: the layer's
+                  rendering of the truth
+    target        (B, 3, H, W) the true target O, likewise
     clipped       (B, 3, H, W) in [0, 1]: the share of each pixel and channel of `image` that the
                   file shows as white, so that its value is a lower bound; None: nothing is clipped
     """
@@ -66,11 +66,11 @@ class ExampleBatch:
         return replace(self, **new)
 
 
-def joined(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
-    """Return a batch of examples, whose arrays are channels last.
+def collate(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
+    """Return the batch of examples whose arrays have their channels last.
 
-    examples   tuples (image, mask, n, segments, label, light, target label, name); they may go on
-               with picture and target, but then all must
+    examples   tuples (image, mask, n, segments, label, light, target label, name); picture and
+               target may follow, in all of them or in none
     elevation  of the camera, radians
     """
     image, mask, n, segments, label, light, target, names, *true = zip(*examples, strict=True)

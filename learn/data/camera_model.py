@@ -27,7 +27,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from learn.data.framing import ESTIMATED, exposure_of
+from learn.data.framing import ESTIMATED, resolve_exposure
 from learn.data.photographs import NEAR_WHITE
 from shaders import tone
 from shaders.tone import LUMINANCE
@@ -50,7 +50,7 @@ class Clipping:
     white: np.ndarray
 
 
-def photographed(
+def take_photograph(
     rng: np.random.Generator, image: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, Clipping]:
     """Return what the reader makes of a photograph, and what the camera clipped.
@@ -87,14 +87,14 @@ def photographed(
     radiance = radiance * max(1.0, 1.001 * ESTIMATED[0] / max(brightness, 1e-12))
     if brightness <= 0:
         radiance = np.where(mask[..., None], 2 * ESTIMATED[0], radiance)
-    exposure = exposure_of(radiance, mask, None, "a picture of training")
+    exposure = resolve_exposure(radiance, mask, None, "a picture of training")
     clipped = (stored >= NEAR_WHITE) & mask[..., None]
     return (radiance * exposure).astype(np.float32), Clipping(
         clipped, (1 / gain).astype(np.float32)
     )
 
 
-def window(rng: np.random.Generator, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def draw_window(rng: np.random.Generator, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows (H,) and columns (W,) whose pixels become the picture: a part of it, enlarged.
 
     The part shows at least half of the object; the whole frame is returned in 0.7 of the calls.
@@ -112,7 +112,7 @@ def window(rng: np.random.Generator, mask: np.ndarray) -> tuple[np.ndarray, np.n
     return (rows, columns) if 2 * kept >= mask.sum() else whole
 
 
-def occluded(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
+def occlude(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
     """Return the mask of what an occluder and holes leave: at least LEAST_SHARE of it."""
     left = mask
     if rng.random() < 0.2:
@@ -123,7 +123,7 @@ def occluded(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
     return left if left.sum() >= LEAST_SHARE * mask.sum() else mask
 
 
-def drawn_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
+def draw_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
     """Return the mask as a user or a program draws it: exact, worn, too large or coarse."""
     kind = rng.random()
     if kind < 0.4:
@@ -146,7 +146,7 @@ def drawn_mask(rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
     return polygons if (polygons & mask).sum() >= LEAST_SHARE * mask.sum() else mask
 
 
-def background(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
+def draw_background(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
     """Return a blurred random background (H, W, 3) as bright as the picture, within two stops."""
     height, width = image.shape[:2]
     coarse = np.exp(rng.normal(0, 0.5, (4, 4, 1)) + rng.normal(0, 0.3, 3))

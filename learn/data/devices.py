@@ -15,10 +15,10 @@ CHOICES = ("auto", "cpu", "cuda")
 
 
 def choose(name: str = "auto") -> torch.device:
-    """Return the device of a name of CHOICES; auto: CUDA where torch sees it, else the CPU.
+    """Return the device of a name in CHOICES; auto: CUDA if torch sees it, else the CPU.
 
-    Of several processes of one run (torchrun) each takes the CUDA device of its own number,
-    LOCAL_RANK. Raises InputError if CUDA is requested and torch sees none.
+    If torchrun started several processes, each takes the CUDA device of its own number, LOCAL_RANK.
+    Raises InputError if CUDA is requested and torch does not see it.
     """
     if name not in CHOICES:
         raise ValueError(f"device: expected one of {', '.join(CHOICES)}, found {name!r}")
@@ -44,14 +44,14 @@ def choose(name: str = "auto") -> torch.device:
     raise InputError("--device", "a CUDA device", result, remedy)
 
 
-def of(module: torch.nn.Module) -> torch.device:
+def device_of(module: torch.nn.Module) -> torch.device:
     """Return the device of a module's first parameter or buffer; the CPU if it has neither."""
     tensors = (*module.parameters(), *module.buffers())
     return tensors[0].device if tensors else torch.device("cpu")
 
 
-def array(tensor: torch.Tensor) -> np.ndarray:
-    """Return the values of a tensor of any device in numpy; on the CPU the same memory."""
+def to_numpy(tensor: torch.Tensor) -> np.ndarray:
+    """Return a tensor's values as a numpy array, which shares memory with a tensor on the CPU."""
     return tensor.detach().cpu().numpy()
 
 

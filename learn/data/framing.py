@@ -1,7 +1,8 @@
-"""The square over an object in a picture, at the size that networks take, and its exposure.
+"""Crops a picture to a square around its object, at the size that networks take, and exposes it.
 
-An object is accepted if its brightness allows its exposure to be estimated (ESTIMATED) and suits
-the networks (SEEN), constant and fully clipped objects too.
+An object whose brightness does not allow its exposure to be estimated (ESTIMATED), or that networks
+never see so dark or so bright (SEEN), is refused. Objects of one colour and fully clipped ones are
+accepted.
 """
 
 from dataclasses import dataclass
@@ -14,14 +15,15 @@ from learn.data.photographs import LEAST_PIXELS
 from manifests.errors import InputError
 from shaders.tone import LUMINANCE
 
-# pixels along the side of the square over the object: of a square picture of MOST_PIXELS
+# largest side of the square around an object: that of a square picture of MOST_PIXELS pixels
 MOST_SQUARE = 9600
-MARGIN = 1.18  # of the square over the object: objects span 0.85 of the median training picture
-# A photograph's scale is unknown: that under which a light of unit mean lit it is guessed from the
-# object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE: the best line over 200 pictures
-# of known light, exposed for their 99th percentile. `python -m learn.experiments exposure` measures
-# it (docs/editing.md): over 600 others it is as good as their own line, and a third of them lie off
-# either by more than a factor of 2.5.
+# side of the square, relative to the object's: in training, the object fills 0.85 of a picture
+MARGIN = 1.18
+# The scale of a photograph is unknown. The factor to radiance under a light of unit mean is guessed
+# from the object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE. This was the best line
+# over 200 pictures of known light, exposed for their 99th percentile; on 600 others it is as good
+# as a line fitted to them, and either is wrong by more than a factor of 2.5 for a third of them.
+# `python -m learn.experiments exposure` measures this (docs/editing.md).
 TYPICAL, DEPENDENCE = 0.23, 0.19
 # Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
 # it a file is in units of its own.
@@ -50,17 +52,19 @@ class Framed:
     clipped: np.ndarray | None = None
 
 
-def exposure_of(
+def resolve_exposure(
     radiance: np.ndarray,
     mask: np.ndarray,
     exposure: float | None = None,
     where: object = "the object",
 ) -> float:
-    """Return the factor from a picture's radiance to the networks'.
+    """Return the factor by which a picture's radiance is multiplied for the networks.
 
-    exposure  the factor itself; None: estimated from the object's brightness
-    radiance (H, W, 3), mask (H, W) bool, not empty
-    Raises  InputError at `where` for an object that is black, or too dark or too bright to be read
+    radiance  (H, W, 3) linear
+    mask      (H, W) bool, not empty
+    exposure  the factor, which is only checked; None: guess it from the object's brightness
+    where     what an error names as its place
+    Raises    InputError for an object that is black, too dark or too bright
     """
     Y = float((radiance[mask] @ LUMINANCE).mean())
     shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
@@ -71,7 +75,7 @@ def exposure_of(
                 where,
                 rule,
                 shown,
-                "expose it so that white is 1, or say by --exposure what to multiply it by",
+                "scale the file so that white is 1, or give --exposure",
             )
         return TYPICAL * Y**-DEPENDENCE
     if not SEEN[0] <= exposure * Y <= SEEN[1]:
@@ -82,7 +86,7 @@ def exposure_of(
     return exposure
 
 
-def framed(
+def frame_object(
     radiance: np.ndarray,
     mask: np.ndarray,
     size: int,
@@ -90,13 +94,17 @@ def framed(
     where: object = "the object",
     clipped: np.ndarray | None = None,
 ) -> Framed:
-    """Return the object's square at the networks' size.
+    """Crop a picture to the square around its object, and scale the square to size².
 
-    exposure  None: estimated from the object's brightness
-    where     names the picture in an InputError
-    clipped   (H, W, 3) bool of `saturated`, or None
-    Returns   Framed with radiance (size, size, 3), mask (size, size)
-    Raises    InputError: too little of it is left at that size; as `exposure_of`
+    radiance  (H, W, 3) linear
+    mask      (H, W) bool, not empty
+    size      side of the networks' pictures, in pixels
+    exposure  as `resolve_exposure` takes it
+    where     what an error names as its place
+    clipped   (H, W, 3) bool: channels that are white in the file; None if nothing can be clipped
+    Returns   Framed with radiance (size, size, 3), times the exposure, and mask (size, size)
+    Raises    InputError: too few pixels of the object are left at that size, the object is too
+              large, or what `resolve_exposure` raises
     """
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     side = max(int(np.ceil(MARGIN * max(np.ptp(rows), np.ptp(columns)))) + 1, 4)
@@ -105,15 +113,15 @@ def framed(
         rule = f"an object at most {int(MOST_SQUARE / MARGIN)} pixels across"
         raise InputError(where, rule, str(across), "make the picture smaller")
     top, left = (rows[0] + rows[-1] + 1 - side) // 2, (columns[0] + columns[-1] + 1 - side) // 2
-    exposure = exposure_of(radiance, mask, exposure, where)
-    weight = placed(mask.astype(np.float32), (top, left, side))
-    covered = resized(weight, size)
+    exposure = resolve_exposure(radiance, mask, exposure, where)
+    weight = cut_square(mask.astype(np.float32), (top, left, side))
+    covered = resize_square(weight, size)
     colour = (
-        resized(placed(radiance * mask[..., None], (top, left, side)), size)
+        resize_square(cut_square(radiance * mask[..., None], (top, left, side)), size)
         / np.maximum(covered, 1e-3)[..., None]
     )
     inside = covered >= 0.5
-    # wires and rims: the pixels that hold most of it, as many as its area
+    # a thin object covers few pixels by half: take its most covered pixels, as many as its area
     if inside.sum() < 0.5 * covered.sum():
         inside = covered >= max(np.sort(covered, None)[-round(float(covered.sum()))], 1e-2)
     if inside.sum() < LEAST_PIXELS:
@@ -123,8 +131,8 @@ def framed(
         )
     share = None
     if clipped is not None:
-        part = placed((clipped & mask[..., None]).astype(np.float32), (top, left, side))
-        share = resized(part, size) / np.maximum(covered, 1e-3)[..., None]
+        part = cut_square((clipped & mask[..., None]).astype(np.float32), (top, left, side))
+        share = resize_square(part, size) / np.maximum(covered, 1e-3)[..., None]
         share = (np.clip(share, 0, 1) * inside[..., None]).astype(np.float32)
     return Framed(
         (colour * inside[..., None] * exposure).astype(np.float32),
@@ -135,7 +143,7 @@ def framed(
     )
 
 
-def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
+def frame_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
     """Return regions (H, W) in the object's square, (size, size) int64.
 
     Each pixel of the framed mask has the nearest pixel's region; 0 outside the mask.
@@ -143,12 +151,12 @@ def framed_regions(regions: np.ndarray, framed: Framed) -> np.ndarray:
     size = len(framed.mask)
     at = ((np.arange(size) + 0.5) * framed.box[2] / size).astype(int)
     near = distance_transform_edt(
-        placed(regions, framed.box) == 0, return_distances=False, return_indices=True
+        cut_square(regions, framed.box) == 0, return_distances=False, return_indices=True
     )
-    return placed(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
+    return cut_square(regions, framed.box)[tuple(near)][at][:, at].astype(np.int64) * framed.mask
 
 
-def placed(array: np.ndarray, box: Box) -> np.ndarray:
+def cut_square(array: np.ndarray, box: Box) -> np.ndarray:
     """Return the square of an array (H, W, …), 0 where it extends beyond the picture."""
     top, left, side = box
     out = np.zeros((side, side, *array.shape[2:]), array.dtype)
@@ -159,7 +167,7 @@ def placed(array: np.ndarray, box: Box) -> np.ndarray:
     return out
 
 
-def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
+def paste_square(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
     """Return a copy of the array with a square in its place, as far as it lies inside."""
     top, left, side = box
     out = array.copy()
@@ -169,7 +177,7 @@ def put_back(array: np.ndarray, square: np.ndarray, box: Box) -> np.ndarray:
     return out
 
 
-def resized(array: np.ndarray, size: int) -> np.ndarray:
+def resize_square(array: np.ndarray, size: int) -> np.ndarray:
     """Return an array (side, side, …) averaged or interpolated to (size, size, …)."""
     planes = array[..., None] if array.ndim == 2 else array
     method = Image.Resampling.BOX if len(array) >= size else Image.Resampling.BILINEAR

@@ -74,7 +74,7 @@ def without_duplicates(maps: Maps, held: Container[str]) -> dict[str, np.ndarray
     return {name: L for (name, L), is_kept in zip(ordered.items(), kept, strict=True) if is_kept}
 
 
-def joined(maps: Maps, others: Maps, where: str, remedy: str) -> dict[str, np.ndarray]:
+def join_maps(maps: Maps, others: Maps, where: str, remedy: str) -> dict[str, np.ndarray]:
     """Return all maps of both; of copies under one name, those of `others`.
 
     where, remedy  of the InputError

@@ -115,11 +115,11 @@ def draw(rng: np.random.Generator, maps: Sequence[np.ndarray], real: float) -> n
             rng, maps
         ) * _tint(rng, 0.3)
     else:
-        L = computed(rng)
+        L = draw_computed(rng)
     return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
 
 
-def tilted(rng: np.random.Generator, L: np.ndarray) -> np.ndarray:
+def tilt(rng: np.random.Generator, L: np.ndarray) -> np.ndarray:
     """Return a light as a camera of unknown elevation and roll sees it, of unit mean luminance.
 
     The result is in the frame that lies below the camera by the preset elevation, whatever the
@@ -131,7 +131,7 @@ def tilted(rng: np.random.Generator, L: np.ndarray) -> np.ndarray:
     return envmap.unit_mean(envmap.rotated(L, rotation))[0].astype(np.float32)
 
 
-def computed(rng: np.random.Generator) -> np.ndarray:
+def draw_computed(rng: np.random.Generator) -> np.ndarray:
     """Return a sky with a sun, a room with lamps, or a mixture of both, over a ground."""
     w, _ = envmap.directions(HEIGHT, WIDTH)
     up = w[..., 1]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from learn.data.batch import ExampleBatch, joined
+from learn.data.batch import ExampleBatch, collate
 from learn.data.records import Records
 from manifests.errors import InputError
 from manifests.schema import Record
@@ -36,7 +36,7 @@ class EditPair:
         return f"{self.source.id}-{self.truth.id}"
 
 
-def scene(record: Record) -> Hashable:
+def scene_key(record: Record) -> Hashable:
     """Return what the pictures of an edit share, as a key."""
     r = record
     return (
@@ -58,7 +58,7 @@ def edits_between(records: Iterable[Record]) -> dict[str, list[EditPair]]:
     """
     scenes: dict[Hashable, dict[tuple[str, ...], Record]] = defaultdict(dict)
     for record in sorted(records, key=lambda r: (r.samples, r.id)):
-        scenes[scene(record)].setdefault(record.materials, record)
+        scenes[scene_key(record)].setdefault(record.materials, record)
     edits = {}
     for group in scenes.values():
         several = any(len(set(materials)) > 1 for materials in group)
@@ -69,7 +69,7 @@ def edits_between(records: Iterable[Record]) -> dict[str, list[EditPair]]:
     return {id_: pairs for id_, pairs in edits.items() if pairs}
 
 
-def repeats(records: Iterable[Record]) -> dict[tuple, list[Record]]:
+def find_repeats(records: Iterable[Record]) -> dict[tuple, list[Record]]:
     """Return {(scene, materials): records that differ in their seed alone}.
 
     Two or more of them show the noise. Of several numbers of samples the largest that was rendered
@@ -77,7 +77,7 @@ def repeats(records: Iterable[Record]) -> dict[tuple, list[Record]]:
     """
     groups: dict[tuple, dict[int, list[Record]]] = defaultdict(lambda: defaultdict(list))
     for record in sorted(records, key=lambda r: r.id):
-        groups[scene(record), record.materials][record.samples].append(record)
+        groups[scene_key(record), record.materials][record.samples].append(record)
     return {key: by_samples[_finest(by_samples)] for key, by_samples in groups.items()}
 
 
@@ -86,15 +86,15 @@ def _finest(by_samples: Mapping[int, Sequence[Record]]) -> int:
     return max(twice) if twice else min(by_samples)
 
 
-def chosen(records: Iterable[Record], count: int, seed: int) -> list[EditPair]:
+def choose_edits(records: Iterable[Record], count: int, seed: int) -> list[EditPair]:
     """Return the first `count` edits, picture after picture.
 
-    A larger count begins with the same edits. Raises as `by_picture`.
+    A larger count begins with the same edits. Raises as `edits_by_picture`.
     """
-    return [edit for edits in by_picture(records, seed) for edit in edits][:count]
+    return [edit for edits in edits_by_picture(records, seed) for edit in edits][:count]
 
 
-def by_picture(records: Iterable[Record], seed: int) -> list[list[EditPair]]:
+def edits_by_picture(records: Iterable[Record], seed: int) -> list[list[EditPair]]:
     """Return the edits of each source picture, in an order that the seed determines.
 
     Shapes take turns, each time with another picture. Raises InputError where no two pictures make
@@ -125,12 +125,12 @@ def _shuffled(seed: int, name: str) -> bytes:
     return hashlib.sha256(f"{seed} {name}".encode()).digest()
 
 
-def shown(records: Records, edit: EditPair) -> ExampleBatch:
-    """Return the batch of one that methods see of an edit's source, as of `picture`."""
-    return picture(records, edit.source, edit.several)
+def make_source_batch(records: Records, edit: EditPair) -> ExampleBatch:
+    """Return the batch of one that methods see of an edit's source, as of `make_batch`."""
+    return make_batch(records, edit.source, edit.several)
 
 
-def picture(records: Records, record: Record, several: bool = False) -> ExampleBatch:
+def make_batch(records: Records, record: Record, several: bool = False) -> ExampleBatch:
     """Return the batch of one that methods see of a record.
 
     several  whether it has one region per segment, as where a scene has several materials;
@@ -150,12 +150,12 @@ def picture(records: Records, record: Record, several: bool = False) -> ExampleB
     label = sample.label[: None if several else 1].numpy()
     image = sample.image.numpy() * mask[..., None]
     name = f"{record.shape} view {record.viewpoint} {'+'.join(dict.fromkeys(record.materials))}"
-    return joined(
+    return collate(
         [(image, mask, sample.n, segments, label, sample.light, label, name)], sample.elevation
     )
 
 
 def target_label(records: Records, edit: EditPair) -> torch.Tensor:
-    """Return the label (S, 108) of an edit's target, one row per region of `shown`."""
+    """Return the label (S, 108) of an edit's target, one row per region of `make_source_batch`."""
     names = edit.truth.materials if edit.several else edit.truth.materials[:1]
     return torch.from_numpy(np.stack([records.label(name) for name in names]))

@@ -25,7 +25,7 @@ from manifests.wording import number_of
 LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
 
 
-def checked(
+def check_records(
     records: Records,
     chosen: Iterable[Record],
     geometry: Geometry,
@@ -66,7 +66,7 @@ def checked(
             good.append(record)
         except InputError as problem:
             if not skip_bad:
-                raise skippable(problem) from None
+                raise mention_skip_bad(problem) from None
             skipped[record.id] = str(problem)
     # on a full disk, or in a read-only data set, the next run checks them again
     with contextlib.suppress(OSError):
@@ -75,7 +75,7 @@ def checked(
     return good, skipped
 
 
-def skippable(problem: InputError) -> InputError:
+def mention_skip_bad(problem: InputError) -> InputError:
     """Return the InputError with a remedy that names --skip-bad too."""
     return InputError(
         problem.where,

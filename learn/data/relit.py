@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 from learn.data import augmentation, deformations, lights, patterns, shadows
-from learn.data.batch import ExampleBatch, joined
-from learn.data.devices import array
+from learn.data.batch import ExampleBatch, collate
+from learn.data.devices import to_numpy
 from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation
 from learn.data.settings import Data
@@ -129,7 +129,7 @@ class RelitDataset:
 
     def __getitem__(self, k: int) -> ExampleBatch:
         """Return the k-th batch."""
-        return joined(
+        return collate(
             [example for g in self.groups for example in self._group(k, g)],
             self.data_split.geometry.elevation,
         )
@@ -158,7 +158,7 @@ class RelitDataset:
         if training:
             L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
             if self.data.unknown_camera:
-                L = lights.tilted(rng, L)
+                L = lights.tilt(rng, L)
         else:
             L = np.roll(
                 self.data_split.maps[rng.integers(len(self.data_split.maps))],
@@ -191,7 +191,7 @@ class RelitDataset:
         result = []
         for i in range(count):
             mask = (segments[i] > 0).numpy()
-            image, drawn, (normals, covered) = augmentation.by(
+            image, drawn, (normals, covered) = augmentation.augment(
                 self.data, training, rng, images[i], mask, (n[i], segments[i])
             )
             truth = (normals, covered, label, L, target, names[i])
@@ -311,7 +311,7 @@ class RelitDataset:
                 tolerance=self.data.tolerance,
                 elevation=self.data_split.geometry.elevation,
             )
-        return array(picture.clamp(0, BRIGHTEST))
+        return to_numpy(picture.clamp(0, BRIGHTEST))
 
     def _shadowed(
         self,

@@ -1,8 +1,8 @@
-"""Examples from pictures that Cycles rendered: the records of a data set.
+"""Examples from pictures that Cycles rendered, that is, from the records of a data set.
 
-Their order is a function of (seed, side, number) alone. The target O is another record of the same
-shape, view and light where there is one; otherwise the layer renders it. The truth about both is
-the picture itself, not the layer's rendering of it, so that a network learns to cope with what the
+Their order depends only on (seed, side, number). The target O is another record of the same shape,
+view and light if there is one; otherwise the layer renders it. Losses compare with the pictures
+themselves, not with the layer's renderings of them, so that a network learns to cope with what the
 layer leaves out.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from learn.data import augmentation
-from learn.data.batch import ExampleBatch, joined
-from learn.data.devices import array
+from learn.data.batch import ExampleBatch, collate
+from learn.data.devices import to_numpy
 from learn.data.geometry import Geometry
 from learn.data.records import Records
 from learn.data.relit import BRIGHTEST, SIDES, DataSplit, RelitDataset
@@ -30,9 +30,10 @@ ORDER, DRAW = 10, 20  # of a SeedSequence's key, far from what relit pictures us
 class RenderedSplit:
     """The pictures of one side of the split.
 
-    records    geometry is of the same folder
-    chosen     the records of this side
-    skipped    {id: what is wrong} of the data set's records that were left out
+    records    all records of a data set
+    geometry   of the same data set
+    chosen     the records on this side
+    skipped    {id: what is wrong} for the records of the data set that were left out
     """
 
     def __init__(
@@ -75,9 +76,9 @@ def fits(record: Record, regions: int) -> bool:
 
 
 class RenderedDataset:
-    """Batches of rendered examples; arguments as learn.data.relit.RelitDataset's.
+    """Batches of rendered examples; the arguments are those of learn.data.relit.RelitDataset.
 
-    Raises  InputError for pictures that do not suit the size; ValueError for a split without any
+    Raises  InputError if the pictures cannot be used at this size; ValueError if there are none
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class RenderedDataset:
 
     def __getitem__(self, k: int) -> ExampleBatch:
         """Return the k-th batch."""
-        return joined(
+        return collate(
             [self._example(k * self.batch + j) for j in self.places],
             self.rendered_split.geometry.elevation,
         )
@@ -159,7 +160,7 @@ class RenderedDataset:
         )
         mask = (segments > 0).numpy()
         true_pictures = (torch.from_numpy(each * mask[..., None]) for each in (image, target))
-        image, seen, (n, segments, picture, target_picture) = augmentation.by(
+        image, seen, (n, segments, picture, target_picture) = augmentation.augment(
             self.data, training, rng, image, mask, (n, segments, *true_pictures)
         )
         name = (
@@ -198,13 +199,13 @@ class RenderedDataset:
                 tolerance=self.data.tolerance,
                 elevation=self.rendered_split.geometry.elevation,
             )
-        return array(picture[0].clamp(0, BRIGHTEST))
+        return to_numpy(picture[0].clamp(0, BRIGHTEST))
 
 
 class MixedDataset:
-    """Batches of two sources: a share rendered by Cycles, spread evenly, the rest relit.
+    """Batches of two sources: a share rendered by Cycles, spread evenly, and the rest relit.
 
-    The source of a batch is a function of its number alone.
+    The source of a batch depends only on its number.
     """
 
     def __init__(self, relit: RelitDataset, cycles: RenderedDataset, share: float):

@@ -69,7 +69,7 @@ class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         reasons = dict.fromkeys(
             each.reconstructed for each in (self, other) if each.reconstructed is not UNSET
         )
-        return of(
+        return make_seen(
             {kind: (*getattr(self, kind), *getattr(other, kind)) for kind in KINDS},
             self.complete and other.complete,
             "; ".join(map(str, reasons))[:LONGEST_REASON],
@@ -83,7 +83,9 @@ class _Stored(Struct, frozen=True, forbid_unknown_fields=True):
     digest: str
 
 
-def of(hashes: Mapping[str, Iterable[str]], complete: bool = True, reconstructed: str = "") -> Seen:
+def make_seen(
+    hashes: Mapping[str, Iterable[str]], complete: bool = True, reconstructed: str = ""
+) -> Seen:
     """Return Seen of {kind: hashes of at least DIGITS digits}, in any order.
 
     reconstructed  as of Seen; "": the training wrote the lists
@@ -110,7 +112,7 @@ def map_hash(L: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(L, "<f4").tobytes()).hexdigest()[:DIGITS]
 
 
-def drawn_from(data_splits: Iterable[DataSplit], source: str) -> Seen:
+def seen_in_splits(data_splits: Iterable[DataSplit], source: str) -> Seen:
     """Return what examples of these splits are drawn from.
 
     source  of the examples, as learn.data.settings.Data: "relit", "pictures" or "mix"
@@ -127,7 +129,7 @@ def drawn_from(data_splits: Iterable[DataSplit], source: str) -> Seen:
         if rendered:
             for kind, of_kind in names_in_pictures(data_split).items():
                 hashes[kind] |= of_kind.keys()
-    return of(hashes)
+    return make_seen(hashes)
 
 
 def names_in_pictures(data_split: DataSplit) -> dict[str, dict[str, str]]:
@@ -149,12 +151,12 @@ def names_in_pictures(data_split: DataSplit) -> dict[str, dict[str, str]]:
     }
 
 
-def encoded(seen: Seen) -> str:
+def encode_seen(seen: Seen) -> str:
     """Return the lists as text for a file's metadata."""
     return msgspec.json.encode(_Stored(seen, _digest(seen))).decode()
 
 
-def of_metadata(metadata: Mapping[str, str], where: object) -> Seen | None:
+def read_seen(metadata: Mapping[str, str], where: object) -> Seen | None:
     """Return the lists in a file's metadata; None where it has none.
 
     where   names the file in an InputError

@@ -113,7 +113,7 @@ def _in_current_names(data: bytes, where: str | Path) -> bytes:
         return data
 
 
-def converted(values: Any, type_: type[T], where: str | Path, strict: bool = True) -> T:
+def convert(values: Any, type_: type[T], where: str | Path, strict: bool = True) -> T:
     """Return plain values as a `type_`.
 
     strict  whether numbers must be numbers; otherwise texts of them are read too
@@ -136,7 +136,7 @@ def converted(values: Any, type_: type[T], where: str | Path, strict: bool = Tru
 
 def require_trainable(run: Run, where: str | Path) -> None:
     """Raise InputError for a run whose values are out of range, or that trains nothing."""
-    converted(msgspec.to_builtins(run), Run, where)
+    convert(msgspec.to_builtins(run), Run, where)
     phases = {f"stages[{i}]": (stage.parts, stage.losses) for i, stage in enumerate(run.stages)}
     phases[""] = (run.parts, run.losses)
     for stage, (parts, losses) in phases.items():

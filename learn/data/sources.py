@@ -1,7 +1,8 @@
-"""From a run's settings and folders to its batches, split into training, validation and test.
+"""Loads what a run's settings and folders name, and splits it into training, validation and test.
 
-Shapes, materials and lights are the data set's own, in the splits that it gives them. The built-in
-materials take the place of its own where the run says so ("materials": "built-in").
+Shapes, materials and lights come from the data set, which says which of them are for testing; some
+of the others are set aside for validation. If the run says "materials": "built-in", the built-in
+materials replace those of the data set.
 """
 
 import hashlib
@@ -13,7 +14,7 @@ import numpy as np
 
 from learn.data import preflight
 from learn.data.geometry import Geometry, PackedView
-from learn.data.light_copies import KnownLights, Maps, joined, without_duplicates
+from learn.data.light_copies import KnownLights, Maps, join_maps, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
 from learn.data.relit import SIDES, DataSplit, RelitDataset
@@ -26,18 +27,18 @@ from manifests.materials import Material, load_catalogue
 from manifests.schema import Record
 from manifests.wording import number_of
 
-VALIDATION_SHAPES = 25  # one of this many training shapes is for validation instead
-VALIDATION_MATERIALS = 8  # at most, and one of LEAST_FOR_VALIDATION training materials
+VALIDATION_SHAPES = 25  # one in this many training shapes is for validation instead
+VALIDATION_MATERIALS = 8  # at most, and no more than one in LEAST_FOR_VALIDATION
 LEAST_FOR_VALIDATION = 10
-VALIDATION_LIGHTS = 6  # one of this many training maps, where the run names none
+VALIDATION_LIGHTS = 6  # one in this many training maps, if the run names none
 
 
-def by_hash(name: str, parts: int) -> int:
-    """Return a number below `parts` that depends on the name alone."""
+def number_from_hash(name: str, parts: int) -> int:
+    """Return a whole number from 0 to parts − 1 that depends only on the name."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big") % parts
 
 
-def data_splits(
+def load_data_splits(
     data: Data,
     folder: str | Path,
     maps_file: str | Path | None = None,
@@ -47,15 +48,18 @@ def data_splits(
 ) -> dict[str, DataSplit]:
     """Return {"train", "validation", "test": DataSplit}, disjoint in shapes, materials and lights.
 
-    Everything is checked before training starts. Test without a light of its own is lit by all
-    maps, and validation by all that are not for testing, where there are any. Without a material of
-    their own both draw from those of training; training never sees a held-out one.
+    Everything is checked before training starts. If there are no test lights, all maps light the
+    test split; if there are no validation lights, all maps but the test lights light the validation
+    split. Without materials of their own, both use those of training. Training itself never sees
+    anything that is held out.
 
-    folder     a data set with geometry; its lights are used too
+    data       the settings under "data" of the run
+    folder     a data set with geometry, whose lights are used too
     maps_file  an .npz or a folder of further light maps (learn.data.lights.read_maps), or None
-    pictures   a data set with records that Cycles rendered; None: `folder`, where the run needs
+    progress   whether to show progress bars
+    pictures   a data set with records that Cycles rendered; None: `folder`, if the run needs
                pictures
-    skip_bad   whether damaged files are left out and counted; otherwise the first one raises
+    skip_bad   whether to leave damaged files out and list them, instead of raising at the first
     Raises     InputError: two lights of one name, a held-out light that is not there, a split
                without shapes, no material for training, a damaged material, damaged geometry or
                pictures
@@ -65,7 +69,7 @@ def data_splits(
     all_maps = _all_maps(data, records, maps_file)
     maps = without_duplicates(all_maps, (*data.validation_lights, *data.test_lights))
     held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
-    materials, bad = materials_of(data, records, skip_bad)
+    materials, bad = split_materials(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
     known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
@@ -137,9 +141,12 @@ def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
 def source_of(
     data_split: DataSplit, run: Run, batch: int, seed: int, part: tuple[int, int] = (0, 1)
 ) -> RelitDataset | RenderedDataset | MixedDataset:
-    """Return the batches of one split from the run's source; a split without pictures is relit.
+    """Return the source of one split's batches: relit geometry, Cycles' pictures, or a mixture.
 
-    part  (i, n): of every batch only the i-th of n equal parts, for several processes
+    The run decides which; a split without pictures is always relit.
+
+    batch  number of pictures per batch
+    part   (i, n): return only the i-th of n equal parts of each batch, for process i of n
     """
     relit = RelitDataset(data_split, run.data, batch, run.size, seed, part)
     if run.data.source == "relit" or not data_split.rendered_split:
@@ -152,8 +159,8 @@ def source_of(
     )
 
 
-def skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
-    """Return {record id, geometry hash or material: what is wrong} of all that was left out."""
+def list_skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
+    """Return {record id, geometry hash or material: what is wrong} for all that was left out."""
     train = data_splits["train"]
     result = train.geometry.skipped | train.skipped
     for data_split in data_splits.values():
@@ -163,9 +170,10 @@ def skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
 
 
 def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
-    """Return {name: "validation" or "test"} of the maps that training must not see.
+    """Return {name: "validation" or "test"} for the maps that training must not see.
 
-    entries  the lights of dataset.json. Raises InputError for a name that is not there
+    entries  the lights of dataset.json
+    Raises   InputError if the run holds out a light that does not exist
     """
     named = dict.fromkeys(data.test_lights, "test") | dict.fromkeys(
         data.validation_lights, "validation"
@@ -189,7 +197,7 @@ def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, s
     return held | {
         name: "validation"
         for name in maps
-        if name not in held and by_hash(hashes[name], VALIDATION_LIGHTS) == 0
+        if name not in held and number_from_hash(hashes[name], VALIDATION_LIGHTS) == 0
     }
 
 
@@ -204,11 +212,12 @@ def _rendered_splits(
 ) -> dict[str, RenderedSplit]:
     """Return {side: pictures that Cycles rendered}.
 
-    A picture is for training or testing if its shape, materials and light all are; for validation
-    if its shape is and nothing of it is for testing.
+    A picture is for training or for testing if its shape, materials and light all are. It is for
+    validation if its shape is, and nothing in it is for testing.
 
-    maps       {name: (side, L)}; materials: as of `materials_of`
-    Raises     InputError for no pictures, or damaged ones
+    maps       {name: (side, L)}
+    materials  {side: materials} as `split_materials` returns them
+    Raises     InputError if there are no pictures, or damaged ones
     """
     records = Records(folder)
     geometry = (
@@ -225,7 +234,7 @@ def _rendered_splits(
             f"none in {number_of(len(records), 'record')}",
             remedy,
         )
-    good, wrong = preflight.checked(records, fitting, geometry, skip_bad, progress)
+    good, wrong = preflight.check_records(records, fitting, geometry, skip_bad, progress)
     side_of = {key: side for side in SIDES for m in materials[side] for key in (m.name, m.hash)}
     shape = {view.hash: _side(view) for view in geometry.views}
     light = _light_sides({name: records.light(name) for name in {r.light for r in good}}, maps)
@@ -252,7 +261,7 @@ def _rendered_splits(
 
 
 def _side_of_material(records: Records, name: str, side_of: Mapping[str, str]) -> str:
-    """Return the strictest side that a material's data set, its name or its hash gives it.
+    """Return the strictest of the sides that a material's data set, name and hash put it on.
 
     side_of  {name or hash: side} of the materials that the run draws from
     """
@@ -263,9 +272,9 @@ def _side_of_material(records: Records, name: str, side_of: Mapping[str, str]) -
 def _light_sides(
     lights: Mapping[str, np.ndarray], maps: Mapping[str, tuple[str, np.ndarray]]
 ) -> dict[str, str]:
-    """Return {name: side} of lights, under whatever names; unknown maps are for training.
+    """Return {name: side} of lights, recognised by their content; unknown ones are for training.
 
-    maps  {name: (side, L)} of the known ones
+    maps  {name: (side, L)} of the known lights
     """
     known = KnownLights({name: L for name, (_, L) in maps.items()})
     copies = {name: known.copy_of(L) for name, L in lights.items()}
@@ -275,20 +284,20 @@ def _light_sides(
 def _side(view: PackedView) -> str:
     if view.side == "test":
         return "test"
-    return "validation" if by_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
+    return "validation" if number_from_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
 
 
-def materials_of(
+def split_materials(
     data: Data, records: Records | None, skip_bad: bool = False
 ) -> tuple[dict[str, list[Material]], dict[str, str]]:
     """Return ({side: materials that a run draws from}, {name: what is wrong} of those left out).
 
-    Some of the training materials are for validation instead: one in ten, eight at most. A data set
-    with fewer than ten keeps all of them for training, and so does a run of all materials.
+    One in ten of the training materials, but at most eight, is set aside for validation. A data set
+    with fewer than ten keeps all of them for training, and so does a run that uses all materials.
 
-    data      determines whose materials: the data set's own, or the built-in ones
-    records   of the data set; may be None for the built-in ones
-    skip_bad  whether damaged materials are left out; otherwise the first one raises
+    data      says whose materials to use: the data set's own, or the built-in ones
+    records   the data set's; may be None for the built-in materials
+    skip_bad  whether to leave damaged materials out, instead of raising at the first
     Raises    InputError: a damaged material, no material for training
     """
     bad: dict[str, str] = {}
@@ -303,12 +312,12 @@ def materials_of(
                 known.append((records.material(name), records.side(name)))
             except InputError as problem:
                 if not skip_bad:
-                    raise preflight.skippable(problem) from None
+                    raise preflight.mention_skip_bad(problem) from None
                 bad[name] = str(problem)
     if data.all_materials_and_lights:
         known = [(m, "train") for m, _ in known]
     train = sorted(
-        (m for m, side in known if side == "train"), key=lambda m: by_hash(m.name, 1 << 30)
+        (m for m, side in known if side == "train"), key=lambda m: number_from_hash(m.name, 1 << 30)
     )
     if not train:
         result = f"{len(known)}, all of them for testing" if known else "none"

@@ -1,1 +1,1 @@
-"""Material editing: a photograph and a target material in, the edited photograph out."""
+"""Material editing: from a photograph and a target material to the edited photograph."""

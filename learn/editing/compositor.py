@@ -1,13 +1,15 @@
-"""Compositing: a photograph with its object rendered again in other materials.
+"""Compositing: renders an object in other materials and puts it back into its photograph.
 
     edited = share · O / (exposure · balance) + (1 − share) · background
 
 where O is the layer's picture of normals, light and target material, times the correction of
-learn.editing.brightness. The background behind the object's soft edge is taken from the nearest
-pixel that the object does not touch. The object's share of a pixel's colour is its coverage; before
-a transparent background it is 1. Normals come at the network's size, are continued beyond the mask
-by their nearest neighbour, upsampled bilinearly and scaled to unit length; the layer renders them
-on a grid as fine as the photograph, between COARSEST and FINEST.
+learn.editing.brightness.
+
+- Background behind the object's soft edge: the nearest pixel that the object does not touch.
+- Share of the object in a pixel's colour: its coverage, or 1 in front of a transparent background.
+- Normals: predicted at the network's size, extended beyond the mask by their nearest neighbours,
+  upsampled bilinearly, and scaled to unit length. The layer renders them on a grid as fine as the
+  photograph, but no coarser than COARSEST and no finer than FINEST.
 """
 
 from collections.abc import Sequence
@@ -18,23 +20,23 @@ import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import framing
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
 
-# rows of the rendered grid: smaller objects are supersampled, and normals have no finer detail
+# rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
 DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
-LARGEST_DETAIL = 1.5  # factor
+LARGEST_DETAIL = 1.5  # factor by which fine shading may brighten or darken a pixel
 
 
 class Compositor:
-    """Puts the object of a Decomposition into its photograph in other materials.
+    """Renders the object of a Decomposition in other materials, and puts it into its photograph.
 
-    tolerance  of the layer
-    detail     share of the shading finer than the network's pixels that is kept: 0 none, 1 all
+    tolerance  largest relative error of the rendering layer
+    detail     how much of the shading finer than the network's pixels to keep: 0 none, 1 all
     """
 
     def __init__(
@@ -46,12 +48,12 @@ class Compositor:
         self.decomposition, self.tolerance, self.detail = decomposition, tolerance, detail
         top, left, side = decomposition.framed.box
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
-        self.regions = framing.placed(decomposition.photograph.regions, (top, left, side))
-        self.coverage = framing.placed(decomposition.photograph.coverage, (top, left, side))
-        self.n = upsampled_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
-        self.filled = nearest(self.regions, self.regions > 0)
+        self.regions = framing.cut_square(decomposition.photograph.regions, (top, left, side))
+        self.coverage = framing.cut_square(decomposition.photograph.coverage, (top, left, side))
+        self.n = upsample_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
+        self.filled = fill_from_nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
-        wide = dilated(self.coverage > 0)[rows][:, rows]
+        wide = dilate(self.coverage > 0)[rows][:, rows]
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
@@ -66,7 +68,7 @@ class Compositor:
         """Return linear radiance (side, side, 3) of the object in the photograph's own exposure.
 
         label  (S, 108), or (1, 108) for all regions
-        read   of `brightness`
+        read   as `brightness` takes it
         """
         picture = self._rendered(label, self.decomposition.parts.light, read)
         return picture / self.decomposition.exposure.astype(np.float32)
@@ -79,16 +81,17 @@ class Compositor:
     ) -> np.ndarray:
         """Return linear radiance (H, W, 3) of the object alone under another light.
 
-        It is that of the light, in the photograph's frame; 0 outside the object.
+        The result has the size of the photograph but the scale of the light, and is 0 outside the
+        object.
 
         label  (S, 108), or (1, 108) for all regions
         light  (64, 128, 3), light frame
-        read   of `brightness`
+        read   as `brightness` takes it
         """
         L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
         picture = self._rendered(label, L, read) * (self.coverage > 0)[..., None]
         frame = np.zeros_like(self.decomposition.photograph.radiance)
-        return framing.put_back(frame, picture, self.decomposition.framed.box)
+        return framing.paste_square(frame, picture, self.decomposition.framed.box)
 
     def _rendered(
         self,
@@ -97,15 +100,15 @@ class Compositor:
         read: Sequence[np.ndarray],
     ) -> np.ndarray:
         """Return radiance (side, side, 3) under a light (1, 3, 64, 128), at the network's scale."""
-        labels = array(torch.as_tensor(label, dtype=torch.float32))
-        segments = array(self.segments)
+        labels = to_numpy(torch.as_tensor(label, dtype=torch.float32))
+        segments = to_numpy(self.segments)
         picture = np.zeros((self.grid, self.grid, 3), np.float32)
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
                 picture[inside] = self.brightness(row, read) * reflectance_store.at_normals(
                     row,
-                    array(self.n)[inside],
+                    to_numpy(self.n)[inside],
                     light,
                     self.decomposition.batch.elevation,
                     self.tolerance,
@@ -113,10 +116,10 @@ class Compositor:
         return self.upsampled(picture)
 
     def brightness(self, label: np.ndarray, read: Sequence[np.ndarray] = ()) -> np.float32:
-        """Return the factor by which the layer's radiance in a material (108,) is multiplied.
+        """Return the factor that corrects the layer's radiance in a material (108,).
 
-        It is 1 for materials that were read from a picture, this one or another: they were fitted
-        under such normals and light.
+        It is 1 for materials that were read from a picture, this one or another, because they were
+        estimated along with normals and a light that have the same errors.
 
         read  labels (108,) of materials that were read from other pictures
         """
@@ -126,16 +129,16 @@ class Compositor:
 
     def upsampled(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
-        return framing.resized(picture, self.side)
+        return framing.resize_square(picture, self.side)
 
     def edited(
         self, labels: Sequence[np.ndarray | None], read: Sequence[np.ndarray] = ()
     ) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with its object in other materials.
 
-        labels  one (108,) for each region, or None for a region that stays as it is; a single one
-                is for all regions
-        read    of `brightness`
+        labels  a label (108,) for each region, or None for a region that stays as it is; a single
+                one is for all regions
+        read    as `brightness` takes it
         """
         regions = len(self.own)
         requested = list(labels) * regions if len(labels) == 1 else list(labels)
@@ -152,36 +155,36 @@ class Compositor:
         return self.put_back(object_, np.isin(self.filled, unchanged))
 
     def rendered_again(self) -> np.ndarray:
-        """Return the photograph (H, W, 3), linear, with its object rendered from its own parts."""
+        """Return the photograph (H, W, 3), linear, with its object in its own materials."""
         return self.put_back(self.own_radiance())
 
     def put_back(
         self, object_: np.ndarray, unchanged: np.ndarray | None = None, alone: bool = False
     ) -> np.ndarray:
-        """Return the photograph (H, W, 3), linear, with an object before its background.
+        """Return the photograph (H, W, 3), linear, with an object in front of its background.
 
         object_    (side, side, 3) linear radiance
         unchanged  (side, side) bool: pixels that stay as they are; None: no pixel
-        alone      whether the background will be transparent
+        alone      whether the result is to be shown without its background
         """
         photograph = self.decomposition.photograph
         inside = self.share(alone)
         if unchanged is not None:
             inside = inside * ~unchanged
-        cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
+        cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
         soft = (inside > 0) & (inside < 1 - CLEAR)
         behind = np.where(soft[..., None], self.background(), cut) if soft.any() else cut
         mixed = inside[..., None] * object_ + (1 - inside)[..., None] * behind
-        return framing.put_back(
+        return framing.paste_square(
             photograph.radiance, mixed.astype(np.float32), self.decomposition.framed.box
         )
 
     def share(self, alone: bool = False) -> np.ndarray:
         """Return the object's share (side, side) in the colour of each pixel that it covers.
 
-        Of a pixel that is transparent but for the object, all colour is the object's.
+        A pixel that would be transparent without the object has the object's colour alone.
 
-        alone  whether the background will be transparent everywhere
+        alone  whether the result is to be shown without its background
         """
         photograph = self.decomposition.photograph
         if alone or photograph.cut_out:
@@ -189,18 +192,18 @@ class Compositor:
         if self._share is None:
             self._share = self.coverage
             if photograph.alpha is not None:
-                alpha = framing.placed(photograph.alpha, self.decomposition.framed.box)
-                behind = (1 - self.coverage) * nearest(alpha, self.coverage < CLEAR)
+                alpha = framing.cut_square(photograph.alpha, self.decomposition.framed.box)
+                behind = (1 - self.coverage) * fill_from_nearest(alpha, self.coverage < CLEAR)
                 whole = np.where(self.coverage > 0, self.coverage + behind, 1)
                 self._share = (self.coverage / whole).astype(np.float32)
         return self._share
 
     def background(self) -> np.ndarray:
-        """Return radiance (side, side, 3) behind the object: the nearest that is beside it."""
+        """Return radiance (side, side, 3) with the object replaced by the nearest background."""
         if self._background is None:
             photograph = self.decomposition.photograph
-            cut = framing.placed(photograph.radiance, self.decomposition.framed.box)
-            self._background = nearest(cut, self.coverage < CLEAR)
+            cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
+            self._background = fill_from_nearest(cut, self.coverage < CLEAR)
         return self._background
 
     def own_radiance(self) -> np.ndarray:
@@ -210,13 +213,13 @@ class Compositor:
         return self._own_radiance
 
     def fine_shading(self) -> np.ndarray:
-        """Return factors (side, side, 3): the photograph's shading that normals are too coarse for.
+        """Return factors (side, side, 3): shading of the photograph that is finer than the normals.
 
-        They are the photograph over its own re-rendering, without the coarse part of this ratio.
+        They are the fine part of the photograph divided by its re-rendering.
         """
         if self._fine_shading is None:
             again = self.own_radiance()
-            seen = framing.placed(
+            seen = framing.cut_square(
                 self.decomposition.photograph.radiance, self.decomposition.framed.box
             )
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
@@ -234,25 +237,25 @@ class Compositor:
         return self._fine_shading
 
 
-def upsampled_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
-    """Return unit normals (size, size, 3) of n (3, h, w), continued beyond the mask (h, w)."""
-    filled = torch.stack([torch.from_numpy(nearest(channel, mask)) for channel in array(n)]).to(
-        n.device
-    )
+def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:
+    """Upsample n (3, h, w) to unit normals (size, size, 3), extended beyond the mask (h, w)."""
+    filled = torch.stack(
+        [torch.from_numpy(fill_from_nearest(channel, mask)) for channel in to_numpy(n)]
+    ).to(n.device)
     smooth = F.interpolate(
         filled[None], (size, size), mode="bilinear", antialias=size < n.shape[-1]
     )[0]
     return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
 
 
-def nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Return an array (H, W) or (H, W, C) with the nearest value of `where` (H, W) elsewhere."""
+def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Replace values (H, W) or (H, W, C) outside `where` (H, W) by the nearest ones inside."""
     if not where.any():
         return values
     index = distance_transform_edt(~where, return_distances=False, return_indices=True)
     return values[tuple(index)]
 
 
-def dilated(mask: np.ndarray) -> np.ndarray:
-    """Return the mask (H, W) bool with the pixels beside it."""
+def dilate(mask: np.ndarray) -> np.ndarray:
+    """Return the mask (H, W) bool widened by one pixel."""
     return distance_transform_edt(~mask) < 1.5

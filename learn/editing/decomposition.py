@@ -1,6 +1,7 @@
-"""Intrinsic decomposition of a photograph: the network's prediction, refined or not.
+"""Intrinsic decomposition of a photograph: the network's prediction, and its refinement.
 
-The network sees a square about the object, at its own size (128² as a rule).
+The network sees a square around the object, scaled to the size of its training pictures (usually
+128²).
 """
 
 from collections.abc import Callable
@@ -23,15 +24,15 @@ from shaders.frames import ELEVATION
 
 
 class Parts(NamedTuple):
-    """A Prediction with all of its parts: n, label and light, as Prediction has them."""
+    """A complete Prediction: n, label and light, in the layout of learn.networks.prediction."""
 
     n: torch.Tensor
     label: torch.Tensor
     light: torch.Tensor
 
 
-def parts_of(prediction: Prediction) -> Parts:
-    """Return the parts of a prediction. Raises ValueError where one is missing."""
+def require_parts(prediction: Prediction) -> Parts:
+    """Return the parts of a prediction. Raises ValueError if one is missing."""
     n, label, light = prediction.n, prediction.label, prediction.light
     if n is None or label is None or light is None:
         raise ValueError("prediction: expected normals, material and light, found fewer parts")
@@ -40,13 +41,13 @@ def parts_of(prediction: Prediction) -> Parts:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """A photograph and what was read from it.
+    """A photograph, and the normals, light and material estimated from it.
 
-    framed   what the network saw, under the exposure that its prediction corrects
+    framed   the square that the network saw, in the corrected exposure (learn.editing.exposure)
     batch    the same as a batch of one picture
-    start    the network's prediction
-    refined  the refinement's result, or None where no refinement was requested
-    cues     by which the exposure was estimated, or None where it was given
+    start    the network's prediction, from which refinement starts
+    refined  the refinement's result; None if no refinement was requested
+    cues     what the exposure was estimated from; None if the user gave it
     """
 
     photograph: Photograph
@@ -58,19 +59,19 @@ class Decomposition:
 
     @cached_property
     def parts(self) -> Parts:
-        """The parts to edit with: the refined ones, if there are any, without a green light."""
+        """The parts to edit with: refined ones if there are any, with the light's green removed."""
         read = self.start if self.refined is None else self.refined.prediction
-        return light_colour.without_green(parts_of(read))
+        return light_colour.remove_green(require_parts(read))
 
     @property
     def exposure(self) -> np.ndarray:
-        """Factors (3,) from the photograph's radiance to the network's."""
+        """Factors (3,) by which the photograph's radiance is multiplied for the network."""
         return self.framed.exposure * self.photograph.balance
 
     @property
     def label(self) -> np.ndarray:
         """Labels (S, 108) float32 of the object's regions."""
-        return devices.array(self.parts.label[0].float())
+        return devices.to_numpy(self.parts.label[0].float())
 
 
 def decompose(
@@ -82,24 +83,25 @@ def decompose(
 ) -> Decomposition:
     """Return the Decomposition of a photograph.
 
-    network, size  from learn.networks.weights.load_network
-    settings       of refinement; None for no refinement
-    watch          as of learn.refinement.refine
+    network   predicts normals, light and material
+    size      side of the network's pictures, in pixels
+    settings  how to refine; None: do not refine
+    watch     called during refinement, see learn.refinement.refine
     """
-    framed = framing.framed(
+    framed = framing.frame_object(
         photograph.balanced,
         photograph.mask,
         size,
         photograph.exposure,
         clipped=photograph.clipped,
     )
-    regions = framing.framed_regions(photograph.regions, framed)
+    regions = framing.frame_regions(photograph.regions, framed)
     batch, start = predict_framed(framed, network, regions, photograph.count)
     cues = None
     if photograph.exposure is None:
-        again = exposure.rendered_again(batch, start)
-        framed, batch, cues = exposure.corrected(
-            framed, batch, again, exposure.background_of(photograph)
+        again = exposure.render_prediction(batch, start)
+        framed, batch, cues = exposure.correct_exposure(
+            framed, batch, again, exposure.measure_background(photograph)
         )
     batch = replace(batch, elevation=photograph.elevation)
     labels: np.ndarray | None = getattr(network, "training_labels", None)
@@ -113,11 +115,13 @@ def predict_framed(
     regions: np.ndarray | None = None,
     count: int = 1,
 ) -> tuple[ExampleBatch, Prediction]:
-    """Return a framed picture as a batch of one, and its prediction, on the network's device.
+    """Return a framed picture as a batch of one, and the network's prediction of it.
 
-    regions  (size, size) 1 … S, None for one region
-    count    S; at the network's size a small region may have no pixel left
-    Raises   InputError: the network predicts numbers that are not finite
+    Both are on the network's device.
+
+    regions  (size, size) numbers 1 … S, 0 outside the object; None: one region
+    count    S, which `regions` may not show: a small region can have no pixel left at this size
+    Raises   InputError if the network predicts numbers that are not finite
     """
     image = torch.from_numpy(framed.radiance).movedim(-1, 0)[None].contiguous()
     mask = torch.from_numpy(framed.mask)
@@ -137,12 +141,12 @@ def predict_framed(
         if framed.clipped is None
         else torch.from_numpy(framed.clipped).movedim(-1, 0)[None].contiguous(),
     )
-    batch = batch.to(devices.of(network))
+    batch = batch.to(devices.device_of(network))
     with torch.no_grad():
         predicted = network(
             batch.image, batch.mask, batch.segments if count > 1 else None, regions=count
         )
-    # 0 where numbers before their scaling overflowed
+    # normals have length 0 where the numbers overflowed before they were scaled to unit length
     lengths = predicted.n.movedim(1, -1)[mask[None].to(predicted.n.device)].norm(dim=-1)
     finite = all(part.isfinite().all() for part in (predicted.n, predicted.label, predicted.light))
     if not (finite and ((lengths - 1).abs() <= LENGTH_TOLERANCE).all()):

@@ -23,7 +23,7 @@ LARGEST_SEED = 2**63 - 1
 FORMS = "a map FILE.exr or FILE.npz#NAME, computed:SEED, or a picture with its mask"
 
 
-def light_of(
+def resolve_light(
     text: str, of_picture: Callable[[Path], np.ndarray], rotation_deg: float = 0.0
 ) -> np.ndarray:
     """Return L of the light that `text` names.
@@ -49,7 +49,7 @@ def _computed(text: str) -> np.ndarray:
     seed = text.removeprefix(COMPUTED)
     if not (seed.isascii() and seed.isdigit() and int(seed) <= LARGEST_SEED):
         raise InputError(f"--light {text}", "a whole number after computed:", seed, "computed:7")
-    return lights.computed(np.random.default_rng(int(seed)))
+    return lights.draw_computed(np.random.default_rng(int(seed)))
 
 
 def _of_collection(text: str) -> np.ndarray:

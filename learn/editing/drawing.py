@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import reflectance_store, targets
-from learn.editing.decomposition import Decomposition, parts_of
+from learn.editing.decomposition import Decomposition, require_parts
 from learn.editing.photograph import Photograph
 from learn.figures import montage, spheres
 from learn.figures.montage import Tile
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 TILE, SPHERE = 224, 128  # pixels of a contact sheet's tiles, and of a material sphere
 
 
-def exposure_of(opened: Photograph) -> float:
+def display_exposure(opened: Photograph) -> float:
     """Return the exposure under which a photograph and its edits are shown.
 
     It is 1 for a photograph, whose values are a display's already; for radiance from a renderer it
@@ -45,7 +45,7 @@ def on_ground(picture: np.ndarray, opened: Photograph) -> np.ndarray:
     return montage.GROUND + (picture - montage.GROUND) * opened.opacity[..., None]
 
 
-def cropped(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
+def crop_to_object(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
     """Return the part of a picture inside the square about the object."""
     top, left, side = decomposed.framed.box
     return picture[max(top, 0) : top + side, max(left, 0) : left + side]
@@ -58,11 +58,11 @@ def material_sphere(label: np.ndarray | torch.Tensor, decomposed: Decomposition)
 
 def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     """Return tiles of the first region's reflectance map: observed, predicted and refined."""
-    first, elevation = array(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
+    first, elevation = to_numpy(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
     # at the network's size the region may be too small to be seen
     mask = first if first.any() else decomposed.framed.mask
     exposure = tone.auto_exposure(decomposed.framed.radiance, mask)
-    n = array(decomposed.parts.n[0].movedim(0, -1))
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
     what = "reflectance map" if decomposed.photograph.count == 1 else "reflectance map 1"
     observed = spheres.observed_reflectance(decomposed.framed.radiance, n, mask, TILE, exposure)
     tiles: list[Tile] = [(f"{what}, observed", observed)]
@@ -70,17 +70,17 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     if decomposed.refined:
         stages.append(("refined", decomposed.refined.prediction))
     for name, prediction in stages:
-        _, label, light = parts_of(prediction)
+        _, label, light = require_parts(prediction)
         sphere = spheres.sphere_normals(SPHERE)
         inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
         picture[inside] = reflectance_store.at_normals(
-            array(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
+            to_numpy(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
         )
         tiles.append((f"{what}, {name}", tone.display(picture, exposure)))
     return tiles
 
 
-def rows(
+def make_sheet_rows(
     result: "EditResult", exposure: float, own: Sequence[np.ndarray], maps: list[Tile]
 ) -> list[list[Tile]]:
     """Return the rows of a contact sheet: the parts, the reflectance maps, and each edit.
@@ -98,15 +98,17 @@ def rows(
     first = [
         before,
         ("rendered again", on_ground(tone.display(result.rendering, exposure), opened)),
-        ("normals", montage.normals_picture(array(parts.n[0].movedim(0, -1)), mask)),
-        ("light", montage.light_picture(array(parts.light[0].movedim(0, -1)))),
+        ("normals", montage.normals_picture(to_numpy(parts.n[0].movedim(0, -1)), mask)),
+        ("light", montage.light_picture(to_numpy(parts.light[0].movedim(0, -1)))),
         *zip(names, own, strict=True),
     ]
-    of_edits = [edit_row(edit, decomposed, before, exposure) for edit in result.edits]
+    of_edits = [make_sheet_row(edit, decomposed, before, exposure) for edit in result.edits]
     return [first, maps, *of_edits]
 
 
-def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float) -> list[Tile]:
+def make_sheet_row(
+    edit: "Edit", decomposed: Decomposition, before: Tile, exposure: float
+) -> list[Tile]:
     """Return a contact sheet's row of one edit.
 
     It shows the photograph, the edit, its target materials, and the truth with the difference from
@@ -116,7 +118,7 @@ def edit_row(edit: "Edit", decomposed: Decomposition, before: Tile, exposure: fl
     if edit.truth is not None:
         exposure = tone.auto_exposure(edit.truth, opened.mask)
     shown = tone.display(edit.picture, exposure)
-    named = targets.parts_of(edit.text)
+    named = targets.split_by_region(edit.text)
     names = named if len(named) == len(edit.labels) else [edit.text] * len(edit.labels)
     materials = {
         targets.caption_of(name): material_sphere(label, decomposed)

@@ -1,6 +1,7 @@
-"""`learn edit`: one photograph with its object in other materials, and the parts read from it.
+"""What `learn edit` does: decompose a photograph, and render its object in other materials.
 
-`run` computes (this module), draws (learn.editing.drawing) and writes (learn.editing.edit_files).
+`run` does everything: `compute` makes the edits, learn.editing.drawing draws the contact sheet, and
+learn.editing.edit_files writes the files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,12 +27,13 @@ class EditOptions:
     """How pictures are decomposed and edited.
 
     weights    file of the network's weights
-    settings   of refinement; None for no refinement
-    tolerance  of the layer
-    detail     share of fine shading that is kept, as learn.editing.compositor.Compositor has it
-    exposure   factor from a photograph's radiance, balanced, to the network's; None: estimated
+    settings   how to refine; None: do not refine
+    tolerance  largest relative error of the rendering layer
+    detail     share of the photograph's fine shading that edits keep, 0 to 1
+    exposure   factor by which the photograph's radiance, after white balance, is multiplied for the
+               network; None: estimated
     balance    "none", "grey", or three factors by which colours are multiplied
-    device     of the network, refinement and the layer: as torch.device takes it
+    device     where the network, refinement and the layer run, as torch.device takes it
     """
 
     weights: Path
@@ -43,7 +45,7 @@ class EditOptions:
     device: str | torch.device = "cpu"
 
     def as_metadata(self) -> dict[str, object]:
-        """Return what a result's JSON says of these options."""
+        """Return the options that edit.json and transfer.json record."""
         return {
             "weights": Path(self.weights).name,
             "tolerance": self.tolerance,
@@ -57,9 +59,9 @@ class Edit:
     """An edited photograph.
 
     text     the target material as the user named it
-    labels   (108,) of each region, or None where it stays as it is
-    picture  (H, W, 3) linear
-    truth    (H, W, 3) linear, a rendered picture of the same edit, or None
+    labels   label (108,) of each region, or None for a region that stays as it is
+    picture  (H, W, 3) linear: the edited photograph
+    truth    (H, W, 3) linear: a data set's own rendering of the same edit; None if there is none
     """
 
     text: str
@@ -72,10 +74,10 @@ class Edit:
 class EditResult:
     """What `learn edit` computes.
 
-    decomposition  of the photograph
-    rendering      (H, W, 3) linear: the photograph with its object rendered from its own parts
+    decomposition  the photograph's normals, light and material
+    rendering      (H, W, 3) linear: the photograph with its object rendered from these
     edits          in the order of the requested materials
-    metadata       of the network's weights
+    metadata       what the file of the network's weights says about them
     """
 
     decomposition: Decomposition
@@ -97,18 +99,22 @@ def run(
 ) -> dict:
     """Edit a photograph, write all results into the folder `out`, and return edit.json.
 
-    materials  texts as `learn.editing.targets` reads them; "A+B" gives regions 1 and 2 their own
+    path       the photograph, a data set's folder, or "example:espresso-cup"
+    masks      files; each of several masks is a region of its own
+    regions    a file with one value for each region, or None
+    materials  target materials as `learn.editing.targets` reads them; "A+B" names one per region
+    record     id of the record to edit if `path` is a data set
     overwrite  whether to replace the results of an earlier run
     with_page  whether to write the page of learn.editing.interactive as well
     Raises     InputError
     """
     out = Path(out)
-    parts = [part for text in materials for part in targets.parts_of(text)]
+    parts = [part for text in materials for part in targets.split_by_region(text)]
     inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *parts]
     pages = [interactive.NAME] if with_page else []
     names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
-    opened = photograph.opened(
+    opened = photograph.open_photograph(
         path,
         masks,
         regions,
@@ -139,7 +145,8 @@ def compute(
 ) -> EditResult:
     """Decompose a photograph and return its edits.
 
-    labels  {target material as the user named it: (108,) of each region, or None}
+    labels    {target material as the user named it: label (108,) or None of each region}
+    progress  a bar that is advanced by one for the decomposition and for each edit
     """
     result = decomposition.decompose(opened, network, metadata["size"], edit_options.settings)
     progress.update()
@@ -147,8 +154,8 @@ def compute(
     edits = []
     for text, each in labels.items():
         progress.set_description(text[:24])
-        edited = compositor.edited(each, targets.read_labels(text, each))
-        edits.append(Edit(text, each, edited, truth_of(opened, text)))
+        edited = compositor.edited(each, targets.labels_from_pictures(text, each))
+        edits.append(Edit(text, each, edited, find_truth(opened, text)))
         progress.update()
     return EditResult(result, compositor.rendered_again(), edits, metadata)
 
@@ -160,28 +167,32 @@ def requested_labels(
     size: int,
     edit_options: EditOptions,
 ) -> dict[str, list[np.ndarray | None]]:
-    """Return {text: labels of each region} of the target materials that a user named."""
+    """Return {text: label (108,) or None of each region} for the materials that a user named."""
     known = {}
     if opened.records is not None:
         known = {name: opened.records.label(name) for name in opened.records.materials}
 
     def of_picture(path: Path) -> np.ndarray:
-        return material_of(path, network, size, edit_options)
+        return read_label_from_picture(path, network, size, edit_options)
 
-    return {text: labels_of(text, opened.count, of_picture, known) for text in materials}
+    return {text: labels_by_region(text, opened.count, of_picture, known) for text in materials}
 
 
-def labels_of(
+def labels_by_region(
     text: str,
     regions: int,
     of_picture: Callable[[Path], np.ndarray],
     known: Mapping[str, np.ndarray] | None = None,
 ) -> list[np.ndarray | None]:
-    """Return the labels of each region, (108,) or None, that a text requests.
+    """Return the label (108,) that a text requests for each region; None leaves a region alone.
 
-    of_picture, known  as learn.editing.targets.label_of has them
+    regions            number of the object's regions
+    of_picture, known  see learn.editing.targets.resolve_labels
+    Raises             InputError if the text names neither one material nor one for each region
     """
-    parts = [targets.label_of(part, of_picture, known) for part in targets.parts_of(text)]
+    parts = [
+        targets.resolve_labels(part, of_picture, known) for part in targets.split_by_region(text)
+    ]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
     if len(parts) not in (1, regions):
@@ -195,18 +206,18 @@ def labels_of(
     return labels if len(labels) > 1 else labels * regions
 
 
-def material_of(
+def read_label_from_picture(
     path: Path, network: torch.nn.Module, size: int, edit_options: EditOptions
 ) -> np.ndarray:
     """Return the label (1, 108) of the object in another picture.
 
-    Its mask is its transparency, or NAME.mask.png beside it. An exposure, or factors of white
-    balance, that a user gave are the photograph's own: this picture's exposure is estimated, and
-    its colours are left as they are.
+    Its mask is its transparency, or NAME.mask.png in the same folder. The exposure and the factors
+    of white balance that a user gave belong to the photograph that is edited. They do not apply to
+    this picture: its exposure is estimated, and its colours are left as they are.
     """
-    beside = region_masks.beside(path)
+    beside = region_masks.find_mask_beside(path)
     balance = "grey" if edit_options.balance == "grey" else "none"
-    opened = photograph.opened(
+    opened = photograph.open_photograph(
         path,
         [beside] if beside else [],
         None,
@@ -216,15 +227,15 @@ def material_of(
     return decomposition.decompose(opened, network, size, edit_options.settings).label[:1]
 
 
-def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
-    """Return the rendered picture (H, W, 3) of an edit, None where the dataset has none.
+def find_truth(opened: Photograph, text: str) -> np.ndarray | None:
+    """Return a data set's rendering (H, W, 3) of an edit; None if it has none.
 
-    It is the picture of a record of the same scene in the materials that the text requests.
+    It is the picture of a record that shows the same scene in the materials that the text requests.
     """
     record, records = opened.record, opened.records
     if record is None or records is None:
         return None
-    names = targets.parts_of(text)
+    names = targets.split_by_region(text)
     names = names * len(record.materials) if len(names) == 1 else names
     # segments that the camera does not see have no part in the text
     requested = tuple(
@@ -234,7 +245,7 @@ def truth_of(opened: Photograph, text: str) -> np.ndarray | None:
     same = (
         other
         for other in records.records
-        if pairs.scene(other) == pairs.scene(record)
+        if pairs.scene_key(other) == pairs.scene_key(record)
         and other.materials[: len(requested)] == requested
     )
     return next((records.image(other) for other in same), None)

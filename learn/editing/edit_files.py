@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn.data import photographs
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import drawing, material_file, targets
 from learn.figures import montage
 from learn.metrics.pictures import display_l2
@@ -84,9 +84,9 @@ def write(
     """
     decomposed, opened = result.decomposition, result.decomposition.photograph
     parts, mask = decomposed.parts, decomposed.framed.mask
-    n, L = array(parts.n[0].movedim(0, -1)), array(parts.light[0].movedim(0, -1))
-    exposure = drawing.exposure_of(opened)
-    report = report_of(result, edit_options)
+    n, L = to_numpy(parts.n[0].movedim(0, -1)), to_numpy(parts.light[0].movedim(0, -1))
+    exposure = drawing.display_exposure(opened)
+    report = make_report(result, edit_options)
     # drawn once: each takes a third of a second where a material is sharp
     own = [drawing.material_sphere(label, decomposed) for label in parts.label[0]]
     maps = drawing.reflectance_maps(decomposed)
@@ -104,7 +104,7 @@ def write(
         )
         material_file.write(
             out / "material.json",
-            array(parts.label[0]),
+            to_numpy(parts.label[0]),
             decomposed.framed,
             result.metadata,
             edit_options.weights,
@@ -116,7 +116,9 @@ def write(
                 photographs.write_picture(out / f"{name}.exr", edit.picture, opened.opacity)
         save(
             out / "sheet.png",
-            montage.contact_sheet(drawing.rows(result, exposure, own, maps), drawing.TILE),
+            montage.contact_sheet(
+                drawing.make_sheet_rows(result, exposure, own, maps), drawing.TILE
+            ),
         )
         for name, text in (texts or {}).items():
             files.write_text(out / name, text)
@@ -131,7 +133,7 @@ def write(
     return report
 
 
-def report_of(result: "EditResult", edit_options: "EditOptions") -> dict:
+def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
     """Return what edit.json holds."""
     decomposed, opened = result.decomposition, result.decomposition.photograph
     refined = decomposed.refined

@@ -1,16 +1,17 @@
-"""The exposure of a photograph: what it must be multiplied by to be that of a light of unit mean.
+"""Estimates the exposure of a photograph: the factor that turns its values into radiance under a
+light of unit mean luminance.
 
-A file does not say how bright the scene was. The network sees the object under a first guess, which
-follows from how bright it is in the file (learn.data.framing). Two things then say more, and the
-exposure is a line through their logarithms:
+A file does not say how bright its scene was. The network therefore sees the object in a first
+guess, which depends only on the object's brightness in the file (learn.data.framing). Two cues then
+allow a better estimate, which is linear in their logarithms:
 
-- how much brighter than the picture the network's prediction is when it is rendered again: a dark
-  material in bright light and a bright one in dim light give different pictures;
-- how bright the background is, because a camera exposes for the whole frame: what is darker than
-  its surroundings is likely to be dark.
+- how much brighter the re-rendered prediction is than the picture, because a dark material in
+  bright light looks different from a bright material in dim light;
+- how bright the background is, because a camera exposes for the whole frame, so an object that is
+  darker than its surroundings is likely to be dark.
 
-The line was fitted to display values, where white is 1: `python -m learn.experiments
-exposure-line` fits it, and `photographed-edits` and `room-photographs` measure it.
+The coefficients were fitted to display values, where white is 1. `python -m learn.experiments
+exposure-line` fits them, and `photographed-edits` and `room-photographs` measure the result.
 """
 
 from dataclasses import dataclass, replace
@@ -18,17 +19,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.framing import DEPENDENCE, TYPICAL, Framed
 from learn.editing.photograph import CLEAR, Photograph
 from learn.layer import predictions
-from learn.networks.prediction import Prediction, required
+from learn.networks.prediction import Prediction, require_part
 from shaders.tone import LUMINANCE
 
-MOST = 4.0  # stops by which a first exposure is corrected at most
+MOST = 4.0  # stops, the largest correction of the first guess
 LEAST_PIXELS = 16
-LEAST_BACKGROUND = 0.05  # of a picture that shows more than its object
-DARKEST = 1 / 256  # of the background's mean: 8 bits hold no finer ratio
+LEAST_BACKGROUND = 0.05  # share of the picture below which it counts as a cut-out
+DARKEST = 1 / 256  # smallest luminance relative to the background's mean that 8 bits can hold
 LEAST_LUMINANCE = 1e-6
 
 
@@ -37,9 +38,9 @@ class Cues:
     """What a photograph says about its exposure, in stops: logarithms to base 2.
 
     object      mean luminance of the object in the file
-    again       how much brighter the prediction, rendered again, is than the picture under the
-                first exposure; None: cannot be said
-    background  mean of the logarithm of what lies behind the object; None where nothing does
+    again       how much brighter the re-rendered prediction is than the picture in its first
+                exposure; None: unknown
+    background  mean logarithm of the background's luminance; None: hardly any background is visible
     """
 
     object: float
@@ -49,7 +50,10 @@ class Cues:
 
 @dataclass(frozen=True)
 class Line:
-    """An exposure in stops: a constant and the sum of slopes times cues; an unknown cue is 0."""
+    """An exposure in stops that is linear in the cues: a constant and a slope for each.
+
+    Unknown cues count as 0.
+    """
 
     constant: float
     object: float = 0.0
@@ -66,17 +70,17 @@ class Line:
         )
 
 
-FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the guess under which the network sees it
-# fitted alike to objects before their light map and in rooms (docs/results/exposure-line)
+FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the first guess, that of learn.data.framing
+# fitted alike to objects in front of their light map and in rooms (docs/results/exposure-line)
 WITH_BACKGROUND = Line(-2.3, again=0.47, background=-0.77)
 CUT_OUT = Line(-0.83, again=0.55)
-# about the 5th and the 95th percentile of their backgrounds: black says no more than dark
+# cues of the background are limited to about its 5th and 95th percentile in these photographs
 BACKGROUNDS = (-3.5, -1.0)
-USUAL = 2.0  # of `again`, in these photographs, for one that says nothing of it
+USUAL = 2.0  # the typical `again` of these photographs, used where it is unknown
 
 
-def exposure_of(cues: Cues) -> float:
-    """Return the factor from a photograph's radiance to that under light of unit mean."""
+def exposure_from_cues(cues: Cues) -> float:
+    """Return the exposure that the cues suggest, as a factor."""
     first = FIRST(cues)
     known = cues if cues.again is not None else replace(cues, again=USUAL)
     line = CUT_OUT
@@ -86,10 +90,10 @@ def exposure_of(cues: Cues) -> float:
     return float(2 ** np.clip(line(known), first - MOST, first + MOST))
 
 
-def background_of(photograph: Photograph) -> float | None:
-    """Return the background of a photograph's Cues; None where it shows hardly any.
+def measure_background(photograph: Photograph) -> float | None:
+    """Return the cue `background` of a photograph; None if hardly any background is visible.
 
-    What is far darker than its mean counts as DARKEST of it.
+    Pixels darker than DARKEST times the mean count as that dark.
     """
     there = photograph.coverage < CLEAR
     if photograph.alpha is not None:
@@ -103,11 +107,11 @@ def background_of(photograph: Photograph) -> float | None:
     return float(np.log2(np.maximum(luminance, DARKEST * mean)).mean())
 
 
-def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:
-    """Return the Cues of a photograph under its first exposure.
+def measure_cues(framed: Framed, rendered: np.ndarray, background: float | None) -> Cues:
+    """Return the Cues of a photograph that is framed in its first exposure.
 
-    rendered    (H, W, 3) radiance, as from `rendered_again`
-    background  of the Cues
+    rendered    (H, W, 3) radiance that `render_prediction` returned
+    background  the cue that `measure_background` returned
     """
     seen = float((framed.radiance[framed.mask] @ LUMINANCE).mean()) / framed.exposure
     ratio = brightness_ratio(framed, rendered)
@@ -115,33 +119,33 @@ def cues_of(framed: Framed, rendered: np.ndarray, background: float | None) -> C
     return Cues(float(np.log2(max(seen, LEAST_LUMINANCE))), again, background)
 
 
-def corrected(
+def correct_exposure(
     framed: Framed, batch: ExampleBatch, rendered: np.ndarray, background: float | None
 ) -> tuple[Framed, ExampleBatch, Cues]:
-    """Return a framed photograph and its batch under the exposure of its Cues, and these.
+    """Return a framed photograph and its batch in the exposure that its Cues suggest, and the Cues.
 
-    batch       of the one picture, as the network saw it; its image is scaled alike
-    rendered, background  as of `cues_of`
+    batch                 the picture as the network saw it
+    rendered, background  as `measure_cues` takes them
     """
-    cues = cues_of(framed, rendered, background)
-    exposure = exposure_of(cues)
+    cues = measure_cues(framed, rendered, background)
+    exposure = exposure_from_cues(cues)
     factor = exposure / framed.exposure
     scaled = replace(framed, radiance=framed.radiance * np.float32(factor), exposure=exposure)
     return scaled, replace(batch, image=batch.image * factor), cues
 
 
-def rendered_again(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
-    """Return the radiance (H, W, 3) of a prediction of a batch of one picture."""
-    n, label, light = map(required, (prediction.n, prediction.label, prediction.light))
+def render_prediction(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
+    """Render the prediction of a batch of one picture; return its radiance (H, W, 3)."""
+    n, label, light = map(require_part, (prediction.n, prediction.label, prediction.light))
     segments, elevation = batch.segments, batch.elevation
-    return array(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
+    return to_numpy(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
 
 
 def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:
-    """Return how much brighter a re-rendering (H, W, 3) is than the picture; None: cannot be said.
+    """Return how many times as bright as the picture a re-rendering (H, W, 3) is; None: unknown.
 
-    Brightness is the mean luminance of the object where the file clips no channel. Nothing can be
-    said of a picture that is white almost everywhere, or of a re-rendering that is black.
+    Brightness is the mean luminance of the object where the file clips no channel. The ratio is
+    unknown if the picture is white almost everywhere, or if the re-rendering is black.
     """
     kept = framed.mask if framed.clipped is None else framed.mask & (framed.clipped.max(-1) == 0)
     if kept.sum() < LEAST_PIXELS:

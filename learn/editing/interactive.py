@@ -32,10 +32,10 @@ from scipy.ndimage import map_coordinates
 
 from learn.data import framing
 from learn.data import lights as light_maps
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import drawing, interactive_maps, reflectance_store, targets
 from learn.editing.chunks import Chunks, differences, split_bytes
-from learn.editing.compositor import LARGEST_DETAIL, Compositor, nearest
+from learn.editing.compositor import LARGEST_DETAIL, Compositor, fill_from_nearest
 from learn.editing.photograph import CLEAR
 from learn.figures import html, montage, spheres
 from manifests.errors import InputError
@@ -98,19 +98,21 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     }
     picture, n = picture_data(compositor, chunks)
     header |= picture
-    materials = materials_of(result)
+    materials = list_materials(result)
     header["materials"] = [
         {key: value for key, value in material.items() if key != "label"} for material in materials
     ]
     header["chosen"] = chosen_materials(result, materials)
-    read = [x for each in result.edits for x in targets.read_labels(each.text, each.labels)]
+    read = [
+        x for each in result.edits for x in targets.labels_from_pictures(each.text, each.labels)
+    ]
     labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
     nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
     maps: list[list[list[interactive_maps.TriedMap]]] = []
     with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
         for L in lights.values():
-            scene = scene_of(compositor, L)._replace(
+            scene = make_scene(compositor, L)._replace(
                 checked=checked_of(n), finest=reflectance_store.SIDES[-1], nodes=nodes, coded=True
             )
             maps.append([])
@@ -122,7 +124,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
                 progress.update()
     header["parts"] = [
         {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
-        for caption, picture in parts_of(result)
+        for caption, picture in draw_decomposition(result)
     ]
     # four characters of base64 hold three bytes
     left = LARGEST_FILE - len(assembled(header, chunks).encode()) - FRAME
@@ -155,22 +157,24 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
     height, width = opened.mask.shape
     scale = min(1.0, LONGEST / max(height, width))
     size = max(1, round(height * scale)), max(1, round(width * scale))
-    exposure = drawing.exposure_of(opened)
+    exposure = drawing.display_exposure(opened)
 
     def small(picture: np.ndarray) -> np.ndarray:
         return reduced(montage.eight_bit(picture), size)
 
     frame = np.zeros((height, width), np.float32)
-    coverage = framing.put_back(frame, compositor.coverage, box)
-    regions = framing.put_back(frame.astype(np.uint8), compositor.filled, box)
+    coverage = framing.paste_square(frame, compositor.coverage, box)
+    regions = framing.paste_square(frame.astype(np.uint8), compositor.filled, box)
     share = compositor.share()
-    cut = framing.placed(opened.radiance, box)
+    cut = framing.cut_square(opened.radiance, box)
     soft = (share > 0) & (share < 1 - CLEAR)
     cut = np.where(soft[..., None], compositor.background(), cut).astype(np.float32)
-    behind = small(tone.display(framing.put_back(opened.radiance, cut, box), exposure))
+    behind = small(tone.display(framing.paste_square(opened.radiance, cut, box), exposure))
     photo = small(tone.display(opened.radiance, exposure))
     fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
-    fine = framing.put_back(np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box)
+    fine = framing.paste_square(
+        np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box
+    )
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
     planes = [
@@ -181,10 +185,10 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         small(fine),
     ]
     if opened.opacity is not None:
-        share = framing.put_back(frame, share, box)
+        share = framing.paste_square(frame, share, box)
         planes += [small(255 * opened.opacity[..., None]), small(255 * share[..., None])]
-    n = array(decomposed.parts.n[0].movedim(0, -1))
-    filled = nearest(n, decomposed.framed.mask)
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
+    filled = fill_from_nearest(n, decomposed.framed.mask)
     normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
     square = [float(x * scale) for x in box]
     header = {
@@ -230,14 +234,14 @@ def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.stack(planes, -1)
 
 
-def scene_of(compositor: Compositor, light: torch.Tensor) -> reflectance_store.Scene:
+def make_scene(compositor: Compositor, light: torch.Tensor) -> reflectance_store.Scene:
     """Return the Scene of a light (1, 3, Hl, Wl); maps are compared at the object's normals."""
     decomposed = compositor.decomposition
-    n = array(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))[decomposed.framed.mask]
     return reflectance_store.Scene(
         light,
         decomposed.batch.elevation,
-        drawing.exposure_of(decomposed.photograph) / decomposed.exposure,
+        drawing.display_exposure(decomposed.photograph) / decomposed.exposure,
         compositor.tolerance,
         checked_of(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
     )
@@ -261,7 +265,7 @@ def lights_of(own: torch.Tensor) -> dict[str, torch.Tensor]:
     return result
 
 
-def materials_of(result: "EditResult") -> list[dict]:
+def list_materials(result: "EditResult") -> list[dict]:
     """Return name, family, search words and label of each material.
 
     The materials read from the photograph are first, then those that the user named and that are
@@ -299,11 +303,15 @@ def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
     ]
 
 
-def parts_of(result: "EditResult") -> list[tuple[str, np.ndarray]]:
+def draw_decomposition(result: "EditResult") -> list[tuple[str, np.ndarray]]:
     """Return captions and display pictures of the decomposition."""
     decomposed, opened = result.decomposition, result.decomposition.photograph
-    n, L = (array(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light))
-    again = drawing.on_ground(tone.display(result.rendering, drawing.exposure_of(opened)), opened)
+    n, L = (
+        to_numpy(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light)
+    )
+    again = drawing.on_ground(
+        tone.display(result.rendering, drawing.display_exposure(opened)), opened
+    )
     names = (
         ["material"] if opened.count == 1 else [f"material {s + 1}" for s in range(opened.count)]
     )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import reflectance_store
 from learn.editing.chunks import Chunks, differences, split_bytes
 from learn.figures import html, montage
@@ -72,7 +72,7 @@ def light_data(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chun
     chosen = [each[-1] for each in maps]
     parts = [np.frombuffer(zlib.decompress(map_.packed), np.uint8) for map_ in chosen]
     low, high = zip(*(np.split(part, 2) for part in parts), strict=True)
-    picture = montage.light_picture(array(light[0].movedim(0, -1)))
+    picture = montage.light_picture(to_numpy(light[0].movedim(0, -1)))
     return {
         "sides": [map_.side for map_ in chosen],
         "errors": [round(map_.error, 2) for map_ in chosen],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from shaders import envmap
 from shaders.dsbrdf import MAX_EXPONENT, SHAPE
 from shaders.tone import LUMINANCE
@@ -29,13 +29,13 @@ def green_of(colour: np.ndarray) -> float:
     return float(g - (r + b) / 2)
 
 
-def without_green(parts: "Parts") -> "Parts":
+def remove_green(parts: "Parts") -> "Parts":
     """Return parts of a batch of one whose light is neither green nor magenta on the whole.
 
     The mean luminance of the light stays, and the material takes on what the light loses: matte
     ones exactly, of a highlight its height.
     """
-    mean = envmap.mean_radiance(array(parts.light[0].movedim(0, -1)))
+    mean = envmap.mean_radiance(to_numpy(parts.light[0].movedim(0, -1)))
     if not (mean > 0).all():
         return parts
     factor = 2 ** (np.array([1.0, -2.0, 1.0]) * np.clip(green_of(mean), -MOST, MOST) / 3)

@@ -52,12 +52,12 @@ def is_expression(text: str) -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def fitted(text: str) -> LabelFit:
+def fit_expression(text: str) -> LabelFit:
     """Return the label of an expression with its error. Raises InputError."""
-    return principled_fit.fit(parsed(text))
+    return principled_fit.fit(parse_expression(text))
 
 
-def parsed(text: str) -> PrincipledMaterial:
+def parse_expression(text: str) -> PrincipledMaterial:
     """Return the material that an expression describes. Raises InputError."""
     shown = text if len(text) <= 60 else text[:57] + "…"
     where = f"--material {shown}"

@@ -1,10 +1,10 @@
-"""A picture to be edited, with its object's mask, its regions, and its source.
+"""Reads a picture to be edited, with its object's mask and regions.
 
 radiance  (H, W, 3) linear, as the file has it
 coverage  (H, W) in [0, 1]: how much of a pixel the object covers
 regions   (H, W) uint8 1 … S, 0 in the background
-balance   (3,) factors by which colours are multiplied before the network sees them; an edited
-          picture is divided by them
+balance   (3,) factors by which colours are multiplied before the network sees them; the edited
+          object is divided by them
 """
 
 from collections.abc import Sequence
@@ -22,24 +22,24 @@ from manifests.schema import Record
 from shaders.frames import ELEVATION
 from shaders.tone import LUMINANCE
 
-# coverage from which a mask has greys: half a step of 8 bits is 0.002, and white through the sRGB
-# curve is 1 − 6e-8
+# a mask is black and white if its coverage is everywhere closer to 0 or 1 than this: half a step of
+# 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
 GREY = 1e-3
-SOFTENING = 0.7  # pixels, of a black and white mask, whose steps would show
+SOFTENING = 0.7  # pixels by which a black and white mask is blurred, so that its steps do not show
 STRONGEST_BALANCE = 8.0
-CLEAR = 0.02  # coverage under which a pixel is background
+CLEAR = 0.02  # coverage below which a pixel counts as background
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A picture to be edited; see above.
+    """A picture to be edited; the module describes the arrays.
 
-    name             for messages and files
-    exposure         factor from balanced radiance to the network's; None: estimated
-    cut_out          its background is transparent
-    alpha            (H, W) in [0, 1]: transparency of its own beside a mask, or None
-    linear           the file holds radiance, not display values: an EXR, or a record
-    records, record  of a dataset
+    name             what messages and files call it
+    exposure         factor that balanced radiance is multiplied by for the network; None: estimated
+    cut_out          whether its background is transparent
+    alpha            (H, W) in [0, 1]: the file's own opacity if a mask was given besides; else None
+    linear           whether the file holds radiance (an EXR, a record) instead of display values
+    records, record  the data set and the record that it comes from; else None
     """
 
     name: str
@@ -56,12 +56,12 @@ class Photograph:
 
     @property
     def mask(self) -> np.ndarray:
-        """Pixels (H, W) bool of which the object covers the greater part."""
+        """Pixels (H, W) bool that the object covers by at least half."""
         return self.regions > 0
 
     @property
     def opacity(self) -> np.ndarray | None:
-        """Opacity (H, W) in [0, 1] of an edited picture, or None where it is opaque."""
+        """Opacity (H, W) in [0, 1] of an edited picture; None if it is opaque."""
         return self.coverage if self.cut_out else self.alpha
 
     @property
@@ -71,12 +71,12 @@ class Photograph:
 
     @property
     def clipped(self) -> np.ndarray | None:
-        """Channels (H, W, 3) bool that are white in the file; None where it holds radiance."""
+        """Channels (H, W, 3) bool that are white in the file; None if the file holds radiance."""
         return None if self.linear else photographs.saturated(self.radiance)
 
     @property
     def elevation(self) -> float:
-        """The camera's elevation in radians: a record's own, the usual one where none is known."""
+        """The camera's elevation in radians: a record's own; for a photograph the usual one."""
         if self.record is None:
             return float(ELEVATION)
         return float(np.radians(self.record.camera.elevation_deg))
@@ -87,10 +87,10 @@ class Photograph:
         return self.radiance * self.balance
 
 
-def example(
+def resolve_example(
     path: str | Path, masks: Sequence[Path], regions: Path | None
 ) -> tuple[Path, Path | None]:
-    """Return the path and regions of a picture, which may be "example:espresso-cup".
+    """Return the path and the regions of a picture, also if it is "example:espresso-cup".
 
     This example is a photograph that comes with scikit-image, by Rachel Michetti (Pikolo Espresso
     Bar), CC0; its regions, 1 cup and 2 saucer, come with this package.
@@ -107,7 +107,7 @@ def example(
     return Path(skimage.data.__file__).parent / "coffee.png", None if masks else regions or cup
 
 
-def opened(
+def open_photograph(
     path: str | Path,
     masks: Sequence[Path] = (),
     regions: Path | None = None,
@@ -122,12 +122,12 @@ def opened(
     masks    files; each of several is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
-    record   id of a dataset's record, or its beginning; None: as `of_record` chooses
-    remedy   that the error for a picture without a mask names
-    targets  names of the target materials, which such a choice avoids
+    record   id of a data set's record, or its beginning; None: `open_record` chooses one
+    remedy   what the error for a picture without a mask suggests
+    targets  names of the target materials, which the chosen record should not show already
     Raises   InputError
     """
-    path, regions = example(path, masks, regions)
+    path, regions = resolve_example(path, masks, regions)
     if path.is_dir():
         _require_none(
             path,
@@ -136,7 +136,7 @@ def opened(
             regions,
             balance,
         )
-        return of_record(path, exposure, record, targets)
+        return open_record(path, exposure, record, targets)
     if record is not None:
         raise InputError(
             f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
@@ -148,7 +148,7 @@ def opened(
         labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
         radiance, _, alpha = photographs.read_soft(path, masks[0])
-        coverage, labels = region_masks.several(masks, radiance.shape[:2])
+        coverage, labels = region_masks.read_region_masks(masks, radiance.shape[:2])
     if regions is not None:
         whole = photographs.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
@@ -170,7 +170,7 @@ def from_arrays(
     exposure: float | None = None,
     name: str = "photograph",
 ) -> Photograph:
-    """Return the Photograph of arrays, any of which may also be a file.
+    """Return the Photograph of arrays or files.
 
     picture  (H, W, 3) uint8 display values in sRGB, or floats: linear radiance. (H, W, 4) has its
              transparency as the fourth channel, 0 … 255 or 0 … 1
@@ -224,14 +224,14 @@ def _assembled(
     is_transparency: bool,
     linear: bool,
 ) -> Photograph:
-    """Return a Photograph of what was read, its mask softened and its colours balanced.
+    """Return the Photograph of what was read, after softening its mask and finding its balance.
 
     is_transparency  whether the coverage is the picture's own transparency, which is not softened
     """
     if not is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
     factors = _balance(balance, radiance, coverage, not cut_out)
-    framing.exposure_of(radiance * factors, labels > 0, exposure, path)
+    framing.resolve_exposure(radiance * factors, labels > 0, exposure, path)
     own = alpha if not cut_out and (alpha < 1).any() else None
     return Photograph(
         path.stem,
@@ -257,9 +257,9 @@ def _require_none(path, rule, masks, regions, balance):
 
 
 def _balance(requested, radiance, coverage, background):
-    """Factors (3,) that leave luminance unchanged.
+    """Return factors (3,) for white balance that leave luminance unchanged.
 
-    "grey" assumes that the background, or the object where there is none, is grey on average.
+    "grey" assumes that the background is grey on average, or the object if there is no background.
     """
     if requested == "none":
         return np.ones(3, np.float32)
@@ -279,7 +279,7 @@ def _balance(requested, radiance, coverage, background):
     return factors / float(factors @ LUMINANCE)
 
 
-def of_record(
+def open_record(
     folder: Path,
     exposure: float | None = None,
     requested: str | None = None,
@@ -287,9 +287,9 @@ def of_record(
 ) -> Photograph:
     """Return a record's picture; its light has unit mean luminance, so its exposure is 1.
 
-    requested  id of the record, or its beginning; None: the first one that is held out and has no
-               target material; if there is none, the first one that is held out, or the first
-    targets    names of materials, of which an edit into one that the object has would show nothing
+    requested  id of the record, or its beginning. None: the first held-out record in none of the
+               target materials; if there is none, the first held-out record, or the first of all
+    targets    names of the target materials; an edit into the object's own material shows nothing
     Raises     InputError: no such record, or one by a perspective or rolled camera
     """
     records = Records(folder)
@@ -324,7 +324,7 @@ def of_record(
         regions = (regions > 0).astype(np.uint8)
     coverage, ones = (regions > 0).astype(np.float32), np.ones(3, np.float32)
     picture = sample.image.numpy()
-    exposure = framing.exposure_of(
+    exposure = framing.resolve_exposure(
         picture, regions > 0, 1.0 if exposure is None else exposure, f"record {record.id}"
     )
     return Photograph(

@@ -12,11 +12,11 @@ import torch
 
 from learn.data import framing, photographs
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import light_colour, material_file, photograph
-from learn.editing.decomposition import Parts, parts_of, predict_framed
+from learn.editing.decomposition import Parts, predict_framed, require_parts
 from learn.editing.edit_files import save
-from learn.editing.exposure import background_of, corrected, rendered_again
+from learn.editing.exposure import correct_exposure, measure_background, render_prediction
 from learn.figures import montage
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
@@ -86,37 +86,37 @@ def compute(
     Regions are one object here: there is one material.
     """
     network, metadata = checkpoint.load_parts(weights, device)
-    opened = photograph.opened(image, [] if mask is None else [mask], exposure=exposure)
-    framed = framing.framed(
+    opened = photograph.open_photograph(image, [] if mask is None else [mask], exposure=exposure)
+    framed = framing.frame_object(
         opened.radiance, opened.mask, metadata["size"], opened.exposure, image, opened.clipped
     )
     batch, predicted = predict_framed(framed, network)
     batch = replace(batch, elevation=opened.elevation)
-    parts = light_colour.without_green(parts_of(predicted))
+    parts = light_colour.remove_green(require_parts(predicted))
     if opened.exposure is None:
-        again = rendered_again(batch, predicted)
-        framed, batch, _ = corrected(framed, batch, again, background_of(opened))
+        again = render_prediction(batch, predicted)
+        framed, batch, _ = correct_exposure(framed, batch, again, measure_background(opened))
     shown = predicted._replace(label=parts.label, light=parts.light)
-    rendering = rendered_again(batch, shown)
+    rendering = render_prediction(batch, shown)
     return PredictedPicture(framed, batch, shown, parts, rendering, metadata)
 
 
 def write(out: Path, result: PredictedPicture, weights: Path) -> None:
     """Write every file into the folder `out`, all or none."""
     framed, parts = result.framed, result.parts
-    n = array((parts.n[0] * result.batch.mask[0]).movedim(0, -1))
+    n = to_numpy((parts.n[0] * result.batch.mask[0]).movedim(0, -1))
     exposure = tone.auto_exposure(framed.radiance, framed.mask)
     cells = training_montage.parts(result.batch, result.prediction, result.rendering, exposure)
     row = [(CAPTIONS.get(name, name), cell) for name, cell in cells.items()]
     out.mkdir(parents=True, exist_ok=True)
     with files.transaction():
         photographs.write_exr(out / "normals.exr", n, "XYZ")
-        photographs.write_exr(out / "light.exr", array(parts.light[0].movedim(0, -1)))
+        photographs.write_exr(out / "light.exr", to_numpy(parts.light[0].movedim(0, -1)))
         photographs.write_exr(out / "rendering.exr", result.rendering)
         for name, cell in cells.items():
             save(out / f"{name}.png", cell)
         save(out / "mask.png", 255.0 * framed.mask)
         save(out / "sheet.png", montage.contact_sheet([row], TILE))
         material_file.write(
-            out / "material.json", array(parts.label[0]), framed, result.metadata, weights
+            out / "material.json", to_numpy(parts.label[0]), framed, result.metadata, weights
         )

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt, maximum_filter
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.layer import predictions
 from learn.layer.display_method import method_for
 from learn.methods import lobe_shapes, reflectance_map
@@ -187,7 +187,7 @@ def radiance(n: np.ndarray, label: np.ndarray, scene: Scene, method: str) -> np.
         scene.elevation,
         predictions.Policy(method, scene.tolerance),
     )
-    return array(picture[0, 0]) * scene.exposure.astype(np.float32)
+    return to_numpy(picture[0, 0]) * scene.exposure.astype(np.float32)
 
 
 class Nodes(NamedTuple):

@@ -14,7 +14,7 @@ RIM = 3  # pixels without a label that hand-drawn regions may leave along the ma
 OVERLAPPING = 1.02
 
 
-def beside(path: Path, folder: Path | None = None) -> Path | None:
+def find_mask_beside(path: Path, folder: Path | None = None) -> Path | None:
     """Return the mask file of a picture, None where there is none.
 
     It is NAME.mask.png beside the picture; of a folder of masks, its NAME.mask.png or NAME.png.
@@ -34,7 +34,9 @@ def beside(path: Path, folder: Path | None = None) -> Path | None:
     )
 
 
-def several(masks: Sequence[Path], size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def read_region_masks(
+    masks: Sequence[Path], size: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return coverage (H, W) and regions (H, W) uint8 of one mask per region.
 
     masks   files; where two overlap the later one counts

@@ -18,7 +18,7 @@ KEEP = "keep"
 LONGEST_STEM = 60  # characters of an expression that a file's name shows
 
 
-def label_of(
+def resolve_labels(
     text: str,
     of_picture: Callable[[Path], np.ndarray],
     known: Mapping[str, np.ndarray] | None = None,
@@ -36,7 +36,7 @@ def label_of(
     if known and text in known:
         return known[text][None]
     if is_expression(text):
-        return material_expression.fitted(text).label.reshape(1, SIZE).astype(np.float32)
+        return material_expression.fit_expression(text).label.reshape(1, SIZE).astype(np.float32)
     path = Path(text)
     if path.suffix.lower() == ".json":
         return material_file.read(path)
@@ -45,7 +45,7 @@ def label_of(
     return find(text).label.reshape(1, SIZE).astype(np.float32)
 
 
-def is_read(text: str, region: int = 0) -> bool:
+def is_from_picture(text: str, region: int = 0) -> bool:
     """Return whether a text names a material that was read from a picture.
 
     It is a picture's file, or a material.json that does not say otherwise of this region.
@@ -65,9 +65,9 @@ def is_expression(text: str) -> bool:
 
 def fit_errors(texts: Iterable[str]) -> dict[str, float]:
     """Return {expression: relative L1 of its label} of all expressions in the users' texts."""
-    parts = (part for text in texts for part in parts_of(text))
+    parts = (part for text in texts for part in split_by_region(text))
     return {
-        part: round(material_expression.fitted(part).error, 4)
+        part: round(material_expression.fit_expression(part).error, 4)
         for part in parts
         if is_expression(part)
     }
@@ -81,7 +81,7 @@ def is_file(text: str) -> bool:
         return False
 
 
-def parts_of(text: str) -> list[str]:
+def split_by_region(text: str) -> list[str]:
     """Return the texts of each region: "A+B" is split, but not in a file's name or parentheses."""
     return [text] if is_file(text) else re.split(r"\+(?![^()]*\))", text)
 
@@ -90,29 +90,30 @@ def of_regions(
     text: str, labels: Sequence[np.ndarray | None]
 ) -> list[tuple[str, np.ndarray | None]]:
     """Return (text, label) of each region of a target material as the user named it."""
-    named = parts_of(text)
+    named = split_by_region(text)
     return list(
         zip(named if len(named) == len(labels) else [text] * len(labels), labels, strict=True)
     )
 
 
-def read_labels(text: str, labels: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+def labels_from_pictures(text: str, labels: Sequence[np.ndarray | None]) -> list[np.ndarray]:
     """Return the labels (108,) of a target material that were read from pictures."""
     return [
         label
         for region, (part, label) in enumerate(of_regions(text, labels))
-        if label is not None and is_read(part, region)
+        if label is not None and is_from_picture(part, region)
     ]
 
 
 def caption_of(text: str) -> str:
     """Return a target material's caption on a contact sheet; files go by their name alone."""
-    return "+".join(Path(part).name for part in parts_of(text))
+    return "+".join(Path(part).name for part in split_by_region(text))
 
 
 def file_name(text: str) -> str:
     """Return the part of a file's name that stands for a target material."""
     stems = "+".join(
-        part[:LONGEST_STEM] if is_expression(part) else Path(part).stem for part in parts_of(text)
+        part[:LONGEST_STEM] if is_expression(part) else Path(part).stem
+        for part in split_by_region(text)
     )
     return re.sub(r"[^A-Za-z0-9+_-]+", "-", stems).strip("-") or "material"

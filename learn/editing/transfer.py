@@ -121,7 +121,7 @@ def run(
             decomposition.decompose(photo, network, metadata["size"], edit_options.settings)
         )
 
-    maps = [desired_light.light_of(text, of_picture, rotation_deg) for text in lights]
+    maps = [desired_light.resolve_light(text, of_picture, rotation_deg) for text in lights]
     out.mkdir(parents=True, exist_ok=True)
     report = []
     count = sum(len(group) * (1 + len(group) * len(maps)) for group in groups)
@@ -157,13 +157,13 @@ def run(
 
 def light_in(decomposed: Decomposition) -> np.ndarray:
     """Return the light (64, 128, 3) of a decomposed picture, at unit mean."""
-    L = array(decomposed.parts.light[0].movedim(0, -1))
+    L = to_numpy(decomposed.parts.light[0].movedim(0, -1))
     return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)
 
 
 def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
     """Return the Photograph at a path, with its mask."""
-    return photograph.opened(
+    return photograph.open_photograph(
         path,
         masks(path, mask_folder),
         None,
@@ -175,7 +175,7 @@ def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> P
 
 def masks(path: Path, folder: Path | None) -> list[Path]:
     """Return the mask file of a picture, in a list; an empty one where its transparency serves."""
-    beside = region_masks.beside(path, folder)
+    beside = region_masks.find_mask_beside(path, folder)
     if folder is not None and beside is None:
         raise InputError(
             Path(folder) / f"{Path(path).stem}.png",

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from learn.baselines import FILES, posterior, priors
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.evaluation.methods import Layered, Method, network
 from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
@@ -136,7 +136,7 @@ class Swapped:
                     self.net(seen.image * at_size, at_size, requested[None, None]).picture
                 )
                 picture += interpolated(drawn, picture.shape[-2:]) * region
-        return array(picture[0].movedim(0, -1))
+        return to_numpy(picture[0].movedim(0, -1))
 
 
 def regions(batch: ExampleBatch) -> list[torch.Tensor]:

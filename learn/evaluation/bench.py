@@ -15,7 +15,7 @@ import torch
 from learn.agreement import causes, surface
 from learn.data import pairs
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.pairs import EditPair
 from learn.data.records import Records, Sample
 from learn.evaluation import gallery, methods
@@ -63,7 +63,7 @@ class Bench:
         refinement_method: str = "auto",
     ):
         self.records = Records(data)
-        self.repeats = pairs.repeats(self.records.records)
+        self.repeats = pairs.find_repeats(self.records.records)
         self._judged: dict[str, dict[str, float]] = {}  # by id of the truth
         net, self.metadata = checkpoint.load_parts(weights, device)
         self.device = torch.device(device)
@@ -98,7 +98,7 @@ class Bench:
         whole   whether the source's own row is requested
         folder  for pictures of the edits; None: no pictures
         """
-        batch = pairs.shown(self.records, first).to(self.device)
+        batch = pairs.make_source_batch(self.records, first).to(self.device)
         if batch.image.shape[-2:] != (self.size, self.size):
             result = f"{batch.image.shape[-1]} × {batch.image.shape[-2]}"
             raise InputError(
@@ -111,7 +111,7 @@ class Bench:
         return row, [self._edit_row(edit, batch, folder) for edit in edits]
 
     def _picture_row(self, record: Record, batch: ExampleBatch) -> dict:
-        truth = array(batch.image[0].movedim(0, -1))
+        truth = to_numpy(batch.image[0].movedim(0, -1))
         row: dict = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
         done: dict[tuple, dict] = {}  # many methods share a part, which is then measured once
         for method in (*self.entrants.edits, *self.entrants.parts):
@@ -158,7 +158,7 @@ class Bench:
                 done[tensors] = metrics.compare(
                     methods.rendered(three[0], three[1], three[2], batch),
                     truth,
-                    array(inside),
+                    to_numpy(inside),
                     self.perceptual,
                 )
             result[f"rendered_{name}"] = done[tensors]
@@ -166,7 +166,7 @@ class Bench:
 
     def _edit_row(self, edit: EditPair, batch: ExampleBatch, folder: str | None) -> dict:
         label, truth = pairs.target_label(self.records, edit), self.records.image(edit.truth)
-        mask = array(batch.segments[0] > 0)
+        mask = to_numpy(batch.segments[0] > 0)
         truth = truth * mask[..., None]
         row: dict = {
             "id": edit.id,
@@ -212,7 +212,7 @@ class Bench:
             "l2_inner": float(error[inner].mean()) if inner.any() else None,
             "node_fit": float(np.mean([np.mean(fit) for fit in fits])) if all(fits) else None,
         }
-        seeds = self.repeats[pairs.scene(edit.truth), edit.truth.materials]
+        seeds = self.repeats[pairs.scene_key(edit.truth), edit.truth.materials]
         if len(seeds) > 1 and inner.any():
             if edit.truth.id not in self._judged:  # two edits may share a truth
                 pictures = np.stack([self.records.image(record) for record in seeds])

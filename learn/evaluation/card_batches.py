@@ -27,7 +27,7 @@ from learn.data.relit import DataSplit, RelitDataset
 from learn.data.rendered import RenderedDataset
 from learn.data.settings import Run, decode_run
 from learn.networks import weights as checkpoint
-from learn.networks.prediction import Prediction, required
+from learn.networks.prediction import Prediction, require_part
 from learn.training import validation
 from manifests import ray_tasks
 from manifests.line_files import encoded
@@ -82,7 +82,7 @@ class Bench:
         self, network: Any, batch: ExampleBatch, parts: Sequence[str]
     ) -> tuple[ExampleBatch, Prediction]:
         """Return a batch on the network's device, and the prediction of these parts."""
-        batch = batch.to(devices.of(network))
+        batch = batch.to(devices.device_of(network))
         with torch.no_grad():
             segments = batch.segments if self.run.data.regions > 1 else None
             prediction = network(
@@ -98,13 +98,13 @@ class Bench:
         own = self.batch(kind, k)
         if kind in PATTERNS:
             batch, prediction = self.predicted(self.networks[0], own, ("normals",))
-            cosine = (required(prediction.n) * batch.n).sum(1).clamp(-1, 1)
+            cosine = (require_part(prediction.n) * batch.n).sum(1).clamp(-1, 1)
             angle = validation.means(cosine.arccos().rad2deg(), batch.segments > 0)
             return [({"angle_deg": angle}, batch.names)]
         result: list[Measured] = []
         for network in self.networks:
             batch, prediction = self.predicted(network, own, self.run.parts)
-            result.append((validation.of(prediction, batch, self.constant), batch.names))
+            result.append((validation.measure_batch(prediction, batch, self.constant), batch.names))
         return result
 
 
@@ -165,7 +165,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     given = msgspec.json.decode(settings)
     weights = [Path(each) for each in given["weights"]]
     run = run_of(weights[0])
-    data_splits = sources.data_splits(
+    data_splits = sources.load_data_splits(
         run.data, given["data"], given["lights"], pictures=given["pictures"]
     )
     networks = [checkpoint.load_network(each)[0] for each in weights]

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.figures.montage import eight_bit, grid
 from manifests.files import write_image
 from shaders import tone
@@ -33,7 +33,7 @@ def write(
     pictures  {name: (H, W, 3) radiance}, in the order of the columns
     """
     exposure, window = tone.auto_exposure(truth, mask), around(mask)
-    seen = array(batch.image[0].movedim(0, -1))
+    seen = to_numpy(batch.image[0].movedim(0, -1))
     right = tone.display(truth, exposure)
     empty = np.full((*mask.shape, 3), BACKGROUND)
     above, below = (

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from learn.data import framing, photographs
-from learn.data.batch import ExampleBatch, joined
+from learn.data.batch import ExampleBatch, collate
 from learn.data.records import Records, Sample
 from learn.evaluation.ladder_design import Rung, Scene
 from manifests.files import write_image
@@ -47,7 +47,7 @@ def shown(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
     mask, image = sample.mask.numpy(), sample.image.numpy()
     normals, exposure = ray_frame_normals(sample), 1.0
     if rung.eight_bit:
-        framed = framing.framed(*through_png(image, mask), size)
+        framed = framing.frame_object(*through_png(image, mask), size)
         image, exposure = framed.radiance, framed.exposure
         truth, normals = (_cropped(values, mask, framed, size) for values in (truth, normals))
         mask = framed.mask & (np.linalg.norm(normals, axis=-1) > 0)
@@ -65,7 +65,7 @@ def shown(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
         f"{scene.shape} {scene.light} {rung.name}",
     )
     target = records.label(scene.truth[rung.name].materials[0])[None]
-    batch = joined([example], float(ELEVATION))
+    batch = collate([example], float(ELEVATION))
     return Shown(batch, truth * mask[..., None], mask, target, exposure)
 
 
@@ -97,7 +97,7 @@ def ray_frame_normals(sample: Sample) -> np.ndarray:
 
 
 def _cropped(values: np.ndarray, mask: np.ndarray, framed: framing.Framed, size: int) -> np.ndarray:
-    """Values (H, W, 3) in the square of a framed picture, as `framing.framed` crops it."""
-    covered = framing.resized(framing.placed(mask.astype(np.float32), framed.box), size)
-    inside = framing.placed((values * mask[..., None]).astype(np.float32), framed.box)
-    return framing.resized(inside, size) / np.maximum(covered, 1e-3)[..., None]
+    """Values (H, W, 3) in the square of a framed picture, as `framing.frame_object` crops it."""
+    covered = framing.resize_square(framing.cut_square(mask.astype(np.float32), framed.box), size)
+    inside = framing.cut_square((values * mask[..., None]).astype(np.float32), framed.box)
+    return framing.resize_square(inside, size) / np.maximum(covered, 1e-3)[..., None]

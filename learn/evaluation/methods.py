@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.records import Records
 from learn.editing import brightness
-from learn.editing.decomposition import parts_of
-from learn.editing.light_colour import without_green
+from learn.editing.decomposition import require_parts
+from learn.editing.light_colour import remove_green
 from learn.layer import predictions
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementResult
@@ -61,7 +61,7 @@ def rendered(
     n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)
     """
     label = (label if label.ndim == 3 else label[None]).to(light.device)
-    return array(predictions.picture(n, label, light, batch.segments, batch.elevation)[0])
+    return to_numpy(predictions.picture(n, label, light, batch.segments, batch.elevation)[0])
 
 
 class Layered:
@@ -113,13 +113,13 @@ class AsEdited(Layered):
 
     def _corrected(self, batch: ExampleBatch) -> Prediction:
         prediction = self.method.parts(batch)
-        parts = without_green(parts_of(prediction))
+        parts = remove_green(require_parts(prediction))
         return prediction._replace(label=parts.label, light=parts.light)
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in other materials (S, 108)."""
-        factors = np.array([1.0, *(brightness.factor(array(row)) for row in label)])
-        segments = array(batch.segments[0]).clip(0, len(factors) - 1)
+        factors = np.array([1.0, *(brightness.factor(to_numpy(row)) for row in label)])
+        segments = to_numpy(batch.segments[0]).clip(0, len(factors) - 1)
         return super().edit(batch, label) * factors[segments][..., None].astype(np.float32)
 
 
@@ -133,7 +133,7 @@ class Unchanged:
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return the input's radiance (H, W, 3), zeros outside the mask."""
-        return array((batch.image * batch.mask)[0].movedim(0, -1))
+        return to_numpy((batch.image * batch.mask)[0].movedim(0, -1))
 
 
 class MeanMaterial(Layered):

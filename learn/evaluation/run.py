@@ -101,7 +101,7 @@ def make(options: Options) -> dict:
             result,
             remedy,
         )
-    chosen = pairs.chosen(used, options.edits, options.seed)
+    chosen = pairs.choose_edits(used, options.edits, options.seed)
     out = Path(options.out)
     with lock.writing(out, patience=0):
         # here first, so that unusable weights are reported before any process starts
@@ -214,14 +214,14 @@ def units(
     An edit is measured again if it is to be shown and its picture is missing, or if its truth has
     more seeds than before; of two lines the later one counts.
 
-    repeats  learn.data.pairs.repeats of the records
+    repeats  learn.data.pairs.find_repeats of the records
     """
     pictures, done = rows_of(out / "pictures.jsonl"), rows_of(out / "edits.jsonl")
     shown = {edit.id for edit in chosen[:gallery]}
 
     def finished(edit: EditPair) -> bool:
         drawn = edit.id not in shown or (out / "gallery" / f"{edit.id}.png").exists()
-        seeds = len(repeats[pairs.scene(edit.truth), edit.truth.materials])
+        seeds = len(repeats[pairs.scene_key(edit.truth), edit.truth.materials])
         judged = edit.id in done and (
             done[edit.id]["layer"].get("seeds", 1) == seeds
             or done[edit.id]["layer"]["l2_inner"] is None

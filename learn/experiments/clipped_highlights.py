@@ -58,7 +58,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.settings import Data
-    from learn.data.sources import data_splits
+    from learn.data.sources import load_data_splits
     from learn.evaluation.methods import network
     from learn.networks import weights as checkpoint
     from learn.refinement import RefinementSettings, refine
@@ -71,7 +71,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     settings = replace(RefinementSettings(), outer_iterations=arguments.outer_iterations)
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}
     outputs.pin_settings(arguments.out / "settings.json", about)
-    split = data_splits(Data(), arguments.data)["test"]
+    split = load_data_splits(Data(), arguments.data)["test"]
     predict = network(net)
     cases = {
         k: case_of(split, k, arguments.seed, metadata["size"]) for k in range(arguments.pictures)
@@ -104,7 +104,7 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
     import torch
 
     from learn.data import framing, photographs
-    from learn.data.batch import joined
+    from learn.data.batch import collate
     from learn.data.relit import RelitDataset, gloss
     from learn.data.settings import Data
     from shaders import tone
@@ -126,9 +126,9 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
     exposure = tone.auto_exposure(radiance, mask)
     file = tone.linear_from_srgb(np.rint(tone.display(radiance, exposure)) / 255)
     file = (file * mask[..., None]).astype(np.float32)
-    guessed = framing.exposure_of(file, mask)
+    guessed = framing.resolve_exposure(file, mask)
     label = split.labels[name][None]
-    batch = joined(
+    batch = collate(
         [(file * np.float32(guessed), mask, n[0], segments[0], label, light, label, name)],
         split.geometry.elevation,
     )

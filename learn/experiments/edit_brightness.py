@@ -67,7 +67,7 @@ def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
     {"shape", "group", "light", "source", "target", "metal", method: {"stops": of brightness above
     the truth's, "l2": with each of FACTORS, "l2_one_factor": with its own best one}}
     """
-    from learn.editing.decomposition import parts_of
+    from learn.editing.decomposition import require_parts
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
 
@@ -84,7 +84,7 @@ def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
         "target": target,
         "metal": bench.records.material(target).family == "metal",
     } | {
-        name: figures(parts_of(parts), picture)
+        name: figures(require_parts(parts), picture)
         for name, parts in zip(METHODS, (predicted, refined), strict=True)
     }
 

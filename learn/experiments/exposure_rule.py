@@ -1,4 +1,4 @@
-"""The rule of learn.data.framing.framed, fitted and measured on pictures of known light.
+"""The rule of learn.data.framing.frame_object, fitted and measured on pictures of known light.
 
 A rendered picture's light has unit mean luminance. Exposed as a camera would expose it, with its
 object's 99th percentile at the file's white, it becomes what a user has: values in [0, 1] of

@@ -53,7 +53,7 @@ def write(path: Path, batch: ExampleBatch) -> None:
 def read(path: Path) -> ExampleBatch:
     """Return the batch of a file that `write` wrote. Raises InputError."""
     known = {field.name for field in fields(ExampleBatch)} - {"names", "elevation"}
-    with tensor_file.opened(path, "a batch in a .safetensors file", REMEDY) as stored:
+    with tensor_file.open_tensor_file(path, "a batch in a .safetensors file", REMEDY) as stored:
         return ExampleBatch(
             **{name: stored.tensor(name) for name in stored.shapes if name in known},
             names=json.loads(stored.metadata["names"]),

@@ -49,7 +49,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(arguments.held_out))
-    data_splits = sources.data_splits(data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(data, arguments.data, arguments.lights)
     tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
     seeds = range(arguments.seeds)
     todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]

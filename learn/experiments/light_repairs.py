@@ -104,7 +104,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data import sources
     from learn.data.settings import read_run
-    from learn.data.sources import source_of
+    from learn.data.sources import make_batch_source
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
     from manifests import outputs
@@ -123,11 +123,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "lights": None if arguments.lights is None else arguments.lights.name,
     }
     outputs.pin_settings(arguments.out / "settings.json", pinned)
-    data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(run.data, arguments.data, arguments.lights)
     tests = objective_training.tests(data_splits, run, arguments.size, arguments.batches)
     of_all = settings(REFERENCE, run, arguments)
     kept = KeptBatches(
-        source_of(data_splits["train"], of_all, of_all.schedule.batch, of_all.seed),
+        make_batch_source(data_splits["train"], of_all, of_all.schedule.batch, of_all.seed),
         arguments.out / "batches",
     )
     results = {}
@@ -202,13 +202,13 @@ def rows(
 
     from learn.metrics import light_probes
     from learn.metrics.radiometry import irradiance_error
-    from learn.networks.prediction import required
+    from learn.networks.prediction import require_part
     from learn.training import validation
 
     with torch.no_grad():
         prediction = network(batch.image, batch.mask, None, ("light",), batch.n)
-    light, target = required(prediction.light), batch.target_label
-    edits = validation.compared(batch.n, target, light, target, batch, batch.target)
+    light, target = require_part(prediction.light), batch.target_label
+    edits = validation.compare_renderings(batch.n, target, light, target, batch, batch.target)
     of_batch = light_figures(light, batch.light) | {
         "irradiance": irradiance_error(light, batch.light),
         "target_l2": torch.from_numpy(edits),

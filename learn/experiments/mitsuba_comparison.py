@@ -138,7 +138,7 @@ def compared(
 
     import torch
 
-    from learn.editing.decomposition import parts_of
+    from learn.editing.decomposition import require_parts
     from learn.evaluation import methods
     from learn.metrics.pictures import display_l2
     from learn.refinement import RefinementSettings, refine
@@ -149,10 +149,10 @@ def compared(
         "held": RefinementSettings(order=("material", "light")),
         "refined": RefinementSettings(),
     }
-    parts, seconds = {"predicted": parts_of(start)}, {"predicted": 0.0}
+    parts, seconds = {"predicted": require_parts(start)}, {"predicted": 0.0}
     for name, chosen in settings.items():
         began = time.process_time()
-        parts[name] = parts_of(refine(batch, start, chosen, labels).prediction)
+        parts[name] = require_parts(refine(batch, start, chosen, labels).prediction)
         seconds[name] = time.process_time() - began
     image = batch.image[0].movedim(0, -1).numpy()
     result: dict[str, Any] = {}
@@ -240,11 +240,11 @@ def problem(
     """
     import numpy as np
 
-    from learn.editing.decomposition import parts_of
+    from learn.editing.decomposition import require_parts
     from learn.refinement import RefinementSettings
     from shaders import tone
 
-    mask, parts = picture.mask, parts_of(start)
+    mask, parts = picture.mask, require_parts(start)
     image = picture.batch.image[0].movedim(0, -1).numpy()[mask]
     exposure = tone.auto_exposure(image, np.ones(len(image), bool))
     return {

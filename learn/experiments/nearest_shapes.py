@@ -151,9 +151,9 @@ def row_of(network: Coded, records: Records, record: Record) -> dict[str, Any]:
     """Return the errors of predicted normals, and of normals facing the viewer, on a picture."""
     import torch
 
-    from learn.data.pairs import picture
+    from learn.data.pairs import make_batch
 
-    batch = picture(records, record)
+    batch = make_batch(records, record)
     inside = batch.segments > 0
     with torch.no_grad():
         n = network(batch.image, batch.mask, None, ("normals",)).n

@@ -81,7 +81,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), "L2")
     torch.set_num_threads(1)
     data = Data(sharing=8, test_lights=tuple(arguments.held_out))
-    data_splits = sources.data_splits(data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(data, arguments.data, arguments.lights)
     tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
     results: dict[str, list] = {name: [] for name in names}
     todo = [(seed, name) for seed in range(arguments.seeds) for name in names]
@@ -182,7 +182,7 @@ def _limited(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, 
     """
     import numpy as np
 
-    from learn.data.sources import by_hash
+    from learn.data.sources import number_from_hash
     from manifests.errors import InputError
 
     if count is None:
@@ -190,7 +190,7 @@ def _limited(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, 
     data_split = data_splits["train"]
     shapes = sorted(
         {data_split.geometry.views[v].shape for v in data_split.views},
-        key=lambda name: by_hash(name, 1 << 30),
+        key=lambda name: number_from_hash(name, 1 << 30),
     )
     if len(shapes) < count:
         raise InputError(

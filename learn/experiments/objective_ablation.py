@@ -136,7 +136,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data import sources
     from learn.data.settings import read_run
-    from learn.data.sources import source_of
+    from learn.data.sources import make_batch_source
     from learn.evaluation import overlap
     from learn.experiments import objective_training, variants
     from learn.experiments.kept_batches import KeptBatches
@@ -166,7 +166,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
     kept = {
         method: KeptBatches(
-            source_of(
+            make_batch_source(
                 data_splits["train"],
                 _with_pictures(sized, method),
                 sized.schedule.batch,

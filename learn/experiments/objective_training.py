@@ -21,7 +21,7 @@ from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
-from learn.networks.prediction import Coded, required
+from learn.networks.prediction import Coded, require_part
 from learn.training import loop, losses, processes, validation
 from manifests.errors import InputError
 
@@ -149,7 +149,7 @@ def tests(
 
 def _rendered(batch: ExampleBatch, policy: predictions.Policy) -> torch.Tensor:
     """Return the true O (B, 3, H, W)."""
-    truth = validation.picture(batch.n, batch.target_label, batch.light, batch, policy)
+    truth = validation.render_batch(batch.n, batch.target_label, batch.light, batch, policy)
     return torch.from_numpy(truth).movedim(-1, 1)
 
 
@@ -166,7 +166,7 @@ def rows(
     with torch.no_grad():
         prediction = network(batch.image, batch.mask, None, weights.PARTS)
     n, label, light = (
-        required(part) for part in (prediction.n, prediction.label, prediction.light)
+        require_part(part) for part in (prediction.n, prediction.label, prediction.light)
     )
     angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
     true_label, target = batch.label, batch.target_label
@@ -174,8 +174,12 @@ def rows(
         "angle_deg": validation.means(angle, batch.segments > 0),
         "albedo": validation.albedos(label, batch)["albedo"],
         "irradiance": irradiance_error(light, batch.light).double().numpy(),
-        "image_l2": validation.compared(n, label, light, true_label, batch, batch.picture, policy),
-        "target_l2": validation.compared(n, target, light, target, batch, batch.target, policy),
+        "image_l2": validation.compare_renderings(
+            n, label, light, true_label, batch, batch.picture, policy
+        ),
+        "target_l2": validation.compare_renderings(
+            n, target, light, target, batch, batch.target, policy
+        ),
     }
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")

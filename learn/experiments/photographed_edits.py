@@ -252,7 +252,7 @@ def figures_of(
 
     import numpy as np
 
-    from learn.data.devices import array
+    from learn.data.devices import to_numpy
     from learn.editing import decomposition, light_colour, photograph
     from learn.editing.compositor import Compositor
     from manifests.errors import InputError
@@ -265,14 +265,16 @@ def figures_of(
         return {"refused": str(error), "edits": []}
     if parts.cues is None:
         raise ValueError("decomposition: expected an exposure that was estimated")
-    light = decomposition.parts_of(parts.refined.prediction if parts.refined else parts.start).light
+    light = decomposition.require_parts(
+        parts.refined.prediction if parts.refined else parts.start
+    ).light
     compositor = Compositor(parts)
     return {
         "exposure": {
             "true": -float(np.log2(photo.exposure)),
             "used": float(np.log2(parts.framed.exposure)),
         },
-        "light_green": light_colour.green_of(mean_radiance(array(light[0].movedim(0, -1)))),
+        "light_green": light_colour.green_of(mean_radiance(to_numpy(light[0].movedim(0, -1)))),
         "cues": asdict(parts.cues),
         "edits": [edit_of(compositor, photo, target) for target in targets],
     }

@@ -143,7 +143,7 @@ def in_use(edits: Edits, cut_out: bool = False) -> np.ndarray:
     cues = [exposure.Cues(*map(float, row[1:4])) for row in edits.cues]
     if cut_out:
         cues = [replace(each, background=None) for each in cues]
-    photograph = np.array([np.log2(exposure.exposure_of(each)) for each in cues])
+    photograph = np.array([np.log2(exposure.exposure_from_cues(each)) for each in cues])
     return photograph + brightness.STOPS * edits.cues[:, 4]
 
 

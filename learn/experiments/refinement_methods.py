@@ -179,8 +179,8 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
 
     bench   of learn.evaluation.ladder
     """
-    from learn.data.devices import array
-    from learn.editing.decomposition import Parts, parts_of
+    from learn.data.devices import to_numpy
+    from learn.editing.decomposition import Parts, require_parts
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
     from learn.layer import predictions
@@ -188,12 +188,12 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
 
     (known,) = (each for each in RUNGS if each.name == rung)
     batch = shown(bench.records, scene, known, bench.size).batch
-    inside = array(batch.segments[0] > 0)
+    inside = to_numpy(batch.segments[0] > 0)
 
     def between_sum_and_integral(parts: Parts) -> float:
         of_parts = (parts.n, parts.label, parts.light, batch.segments, batch.elevation)
         by_sum, by_integral = (
-            array(predictions.picture(*of_parts, policy)[0])
+            to_numpy(predictions.picture(*of_parts, policy)[0])
             for policy in (predictions.TEXEL_SUM, predictions.MEASURED)
         )
         return display_l2(by_sum, by_integral, inside)
@@ -203,7 +203,7 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
         "light": scene.light,
         "source": scene.source[rung].materials[0],
         "true": between_sum_and_integral(Parts(batch.n, batch.label, batch.light)),
-        "predicted": between_sum_and_integral(parts_of(bench.predict(batch))),
+        "predicted": between_sum_and_integral(require_parts(bench.predict(batch))),
     }
 
 

@@ -106,9 +106,9 @@ def cases(records: Records, count: int, seed: int) -> list[Case]:
     Raises InputError where the data set has no edits.
     """
     results = []
-    for edits in pairs.by_picture(records.records, seed)[:count]:
+    for edits in pairs.edits_by_picture(records.records, seed)[:count]:
         truths = [(pairs.target_label(records, edit), records.image(edit.truth)) for edit in edits]
-        results.append(Case(edits[0].source.id, pairs.shown(records, edits[0]), truths))
+        results.append(Case(edits[0].source.id, pairs.make_source_batch(records, edits[0]), truths))
     return results
 
 

@@ -217,22 +217,22 @@ class Bench:
         import numpy as np
         import torch
 
-        from learn.data.devices import array
+        from learn.data.devices import to_numpy
         from learn.evaluation.methods import rendered
-        from learn.networks.prediction import required
+        from learn.networks.prediction import require_part
         from shaders.envmap import roll
 
         shown, prediction = self.decomposed(case.object, case.truth, name)
-        label = required(prediction.label)
+        label = require_part(prediction.label)
         if case.material != case.object:
             _, other = self.decomposed(case.material, case.material, name)
-            label = required(other.label)
+            label = require_part(other.label)
         L = roll(self.records.light(case.truth.light[0]), case.truth.light[1])
         light = torch.from_numpy(np.ascontiguousarray(L)).movedim(-1, 0)[None]
         batch, true_label = shown.batch, torch.from_numpy(shown.label)
         facing = torch.zeros_like(batch.n)
         facing[:, 2] = 1.0
-        n = required(prediction.n)
+        n = require_part(prediction.n)
         parts = {
             "facing": (facing, self.mean),
             "predicted": (n, label),
@@ -240,7 +240,7 @@ class Bench:
             "material": (batch.n, label),
             "true": (batch.n, true_label),
         }
-        made = {"unchanged": array((batch.image * batch.mask)[0].movedim(0, -1))}
+        made = {"unchanged": to_numpy((batch.image * batch.mask)[0].movedim(0, -1))}
         made |= {key: rendered(*each, light, batch) for key, each in parts.items()}
         return shown, made
 

@@ -103,13 +103,13 @@ def layer_pictures(records: Records, record: Record) -> dict[str, np.ndarray]:
     import torch
 
     from learn.data import shadows
-    from learn.data.devices import array
+    from learn.data.devices import to_numpy
     from learn.layer import render
     from shaders.frames import turned_to_viewer
 
     sample = records.load(record)
     with torch.no_grad():
-        plain = array(render(**sample.for_layer(), tolerance=5e-3)[0])
+        plain = to_numpy(render(**sample.for_layer(), tolerance=5e-3)[0])
     position, view = shadows.positions(sample.depth.numpy(), record.camera)
     n = sample.n.numpy()
     factor = shadows.factor(

@@ -42,7 +42,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     chosen = settings.read_run(arguments.settings)
-    data_splits = sources.data_splits(chosen.data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(chosen.data, arguments.data, arguments.lights)
     with tempfile.TemporaryDirectory() as scratch:
         return step_timing.profile(
             msgspec.structs.replace(chosen, start=None),

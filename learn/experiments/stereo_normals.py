@@ -98,15 +98,17 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
     result = decomposition.decompose(photographed, network, size, PHOTOGRAPHS)
     assert result.refined is not None
     box = result.framed.box
-    weight = framing.resized(framing.placed(each.valid.astype(np.float32), box), size)
+    weight = framing.resize_square(framing.cut_square(each.valid.astype(np.float32), box), size)
     vectors = (each.normals * each.valid[..., None]).astype(np.float32)
-    n = framing.resized(framing.placed(vectors, box), size)
+    n = framing.resize_square(framing.cut_square(vectors, box), size)
     length = np.linalg.norm(n, axis=-1)
     valid = result.framed.mask & (weight >= 0.5) & (length > 0)
     n = n / np.maximum(length, 1e-6)[..., None]
     predictions = {
-        "predicted": devices.array(decomposition.parts_of(result.start).n[0].movedim(0, -1)),
-        "refined": devices.array(result.parts.n[0].movedim(0, -1)),
+        "predicted": devices.to_numpy(
+            decomposition.require_parts(result.start).n[0].movedim(0, -1)
+        ),
+        "refined": devices.to_numpy(result.parts.n[0].movedim(0, -1)),
         FACING: np.broadcast_to(np.array([0.0, 0.0, 1.0]), n.shape),
     }
     row: dict[str, Any] = {

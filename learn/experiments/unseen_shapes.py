@@ -114,7 +114,7 @@ def photographs_of(folder: Path, weights: Path, sizes: Sequence[int]) -> dict[in
     from learn.data.geometry import Geometry
     from learn.data.relit import DataSplit, RelitDataset
     from learn.data.settings import Data, decode_run
-    from learn.data.sources import materials_of
+    from learn.data.sources import split_materials
     from learn.networks import weights as checkpoint
     from manifests import measured_lights
 
@@ -137,7 +137,7 @@ def photographs_of(folder: Path, weights: Path, sizes: Sequence[int]) -> dict[in
         np.arange(len(geometry)),
         {
             m.name: m.label.reshape(-1).astype(np.float32)
-            for m in materials_of(data, None)[0]["test"]
+            for m in split_materials(data, None)[0]["test"]
         },
         [maps[name] for name in lights],
         "train",

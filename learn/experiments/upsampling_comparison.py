@@ -60,7 +60,7 @@ def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str,
     def measure(edit: pairs.EditPair) -> dict[str, Any]:
         if edit.source.id not in painters:
             painters.clear()
-            opened = photograph.opened(records.folder, record=edit.source.id)
+            opened = photograph.open_photograph(records.folder, record=edit.source.id)
             ours = decomposition.decompose(opened, network, size, settings)
             painters[edit.source.id] = {
                 "ours": upsampling_strategies.painters(ours),
@@ -99,10 +99,10 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
     """
     assert ours.photograph.record is not None  # it is one of the data set's
     sample, mask = records.load(ours.photograph.record), ours.framed.mask
-    square = framing.placed(sample.n.numpy(), ours.framed.box)
-    n = F.normalize(torch.from_numpy(framing.resized(square, len(mask))), dim=-1).movedim(-1, 0)[
-        None
-    ]
+    square = framing.cut_square(sample.n.numpy(), ours.framed.box)
+    n = F.normalize(torch.from_numpy(framing.resize_square(square, len(mask))), dim=-1).movedim(
+        -1, 0
+    )[None]
     toward = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     n = torch.where(torch.from_numpy(mask) & (n.norm(dim=1, keepdim=True) > 0.5), n, toward)
     label, light = (

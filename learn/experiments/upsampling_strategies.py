@@ -28,7 +28,7 @@ import torch.nn.functional as F
 from scipy.ndimage import uniform_filter
 
 from learn.data import framing
-from learn.editing.compositor import Compositor, dilated, nearest, upsampled_normals
+from learn.editing.compositor import Compositor, dilate, fill_from_nearest, upsample_normals
 from learn.editing.decomposition import Decomposition
 from shaders.tone import LUMINANCE
 
@@ -77,7 +77,7 @@ def guided(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -> np.ndar
     for p in np.moveaxis(low, -1, 0):
         a = (mean(p * guide_low) - mean(p) * of_guide) / (variance + FLAT)
         b = mean(p) - a * of_guide
-        a, b = (framing.resized(mean(each).astype(np.float32), len(guide)) for each in (a, b))
+        a, b = (framing.resize_square(mean(each).astype(np.float32), len(guide)) for each in (a, b))
         planes.append(a * guide + b)
     return np.maximum(np.stack(planes, -1), 0).astype(np.float32)
 
@@ -87,10 +87,12 @@ def guides(parts: Decomposition, size: int) -> tuple[np.ndarray, np.ndarray]:
 
     The object is continued beyond the mask.
     """
-    square = framing.placed(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
-    mask = framing.placed(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
-    seen = nearest(np.log1p(8 * (square @ LUMINANCE.astype(np.float32))) / np.log(9), mask)
-    return framing.resized(seen, len(parts.framed.mask)), framing.resized(seen, size)
+    square = framing.cut_square(parts.photograph.balanced, parts.framed.box) * parts.framed.exposure
+    mask = framing.cut_square(parts.photograph.mask.astype(np.float32), parts.framed.box) > 0
+    seen = fill_from_nearest(
+        np.log1p(8 * (square @ LUMINANCE.astype(np.float32))) / np.log(9), mask
+    )
+    return framing.resize_square(seen, len(parts.framed.mask)), framing.resize_square(seen, size)
 
 
 class CachedCompositor(Compositor):
@@ -114,9 +116,9 @@ class NetworkSizeCompositor(Compositor):
     def __init__(self, parts: Decomposition, upsample: Upsample | None = None) -> None:
         super().__init__(parts)
         self.grid, self.upsample = len(parts.framed.mask), upsample
-        self.n = upsampled_normals(parts.parts.n[0], parts.framed.mask, self.grid)
+        self.n = upsample_normals(parts.parts.n[0], parts.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
-        wide = dilated(dilated(self.coverage[rows][:, rows] > 0))
+        wide = dilate(dilate(self.coverage[rows][:, rows] > 0))
         self.segments = torch.from_numpy(
             np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         )
@@ -135,7 +137,7 @@ class GuidedNormals(Compositor):
 
     def __init__(self, parts: Decomposition) -> None:
         super().__init__(parts)
-        low = upsampled_normals(parts.parts.n[0], parts.framed.mask, len(parts.framed.mask))
+        low = upsample_normals(parts.parts.n[0], parts.framed.mask, len(parts.framed.mask))
         self.n = F.normalize(
             torch.from_numpy(joint_bilateral(low.numpy(), *guides(parts, self.grid))), dim=-1
         )

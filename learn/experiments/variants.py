@@ -126,7 +126,7 @@ def rows(training: loop.Training, network: Coded, batch: ExampleBatch) -> Iterat
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
     assert batch.picture is not None  # held_out gives one to every batch
-    mine = validation.picture(n, label, batch.light, batch)
+    mine = validation.render_batch(n, label, batch.light, batch)
     truth = batch.picture.movedim(1, -1).numpy()
     for i, name in enumerate(batch.names):
         shape, *_, material = name.split(" ")

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.figures.montage import GROUND
 from learn.layer import predictions
 from shaders import tone
@@ -47,7 +47,7 @@ def material_sphere(
         elevation,
         predictions.SHOWN,
     )
-    return tone.display(array(radiance[0]), exposure)
+    return tone.display(to_numpy(radiance[0]), exposure)
 
 
 def preview_lighting() -> np.ndarray:

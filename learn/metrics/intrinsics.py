@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.figures.spheres import sphere_normals
 from learn.layer import predictions
 from learn.metrics import light_probes
@@ -38,7 +38,7 @@ SPHERES = {"matte": (1e-6, 0.8), "glossy": (30.0, 0.8), "sharp": (300.0, 0.8)}
 def normals(n: torch.Tensor, true: torch.Tensor, inside: torch.Tensor) -> dict[str, float]:
     """Return {figure: value} of unit normals (3, H, W) over inside (H, W) bool."""
     cosine = (n * true).sum(0)[inside].double().clamp(-1, 1)
-    degrees = array(cosine.arccos().rad2deg())
+    degrees = to_numpy(cosine.arccos().rad2deg())
     result = {
         "mean_deg": float(degrees.mean()),
         "median_deg": float(np.median(degrees)),
@@ -49,7 +49,7 @@ def normals(n: torch.Tensor, true: torch.Tensor, inside: torch.Tensor) -> dict[s
 
 def material(label: torch.Tensor, true: torch.Tensor, ranges: Ranges) -> dict[str, float]:
     """Return {figure: value} of the labels (S, 108) of S regions."""
-    pairs = zip(array(label.double()), array(true.double()), strict=True)
+    pairs = zip(to_numpy(label.double()), to_numpy(true.double()), strict=True)
     return {
         "brdf_log": float(np.mean([brdf_log_error(a, b) for a, b in pairs])),
         "log_l2": float(((label - true) ** 2).mean()),
@@ -105,7 +105,7 @@ def brightest(L: torch.Tensor) -> np.ndarray:
     """
     w, lobes = _lobes()
     luminance = (
-        envmap.resize(array(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ tone.LUMINANCE
+        envmap.resize(to_numpy(L.movedim(0, -1).double()), *COARSE).reshape(-1, 3) @ tone.LUMINANCE
     )
     top = int((lobes @ luminance).argmax())
     centre = (lobes[top] * luminance) @ w  # between texels: where the light within the lobe lies
@@ -150,11 +150,11 @@ def _sphere(name: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 def _sphere_l2(L: torch.Tensor, true: torch.Tensor, name: str, elevation: float) -> float:
     n, inside, label = (tensor.to(L.device) for tensor in _sphere(name))
     mine, right = (
-        array(
+        to_numpy(
             predictions.picture(
                 n, label, light[None], inside.long(), elevation, predictions.TEXEL_SUM
             )[0]
         )
         for light in (L, true)
     )
-    return display_l2(mine, right, array(inside[0]))
+    return display_l2(mine, right, to_numpy(inside[0]))

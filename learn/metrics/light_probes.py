@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from shaders import closures, envmap, frames
 
 SIZE = 32
@@ -64,7 +64,7 @@ def errors(picture: np.ndarray, truth: np.ndarray) -> dict[str, float]:
 def pictures(L: torch.Tensor, elevation: float) -> dict[str, np.ndarray]:
     """Return {sphere: radiance (P, 3) float64} of a light map (3, H, W) at P pixels of a sphere."""
     height, width = L.shape[-2:]
-    radiance = array(L.double()).reshape(3, -1).T
+    radiance = to_numpy(L.double()).reshape(3, -1).T
     # whole degrees, so that views of nearly one elevation share the matrices of 80 MB
     tables = _tables(height, width, round(float(np.degrees(elevation))))
     return {name: tables[name] @ radiance for name in SPHERES}

@@ -37,7 +37,9 @@ def of_file(path: str | Path | None) -> Perceptual | None:
         requested |= {f"features.{k}.weight": shape, f"features.{k}.bias": shape[:1]}
     requested |= {f"lin{i}.weight": (1, shape[0], 1, 1) for i, shape in enumerate(SHAPES)}
     remedy = "convert LPIPS' AlexNet weights under these names"
-    with tensor_file.opened(path, "LPIPS' weights in a .safetensors file", remedy) as stored:
+    with tensor_file.open_tensor_file(
+        path, "LPIPS' weights in a .safetensors file", remedy
+    ) as stored:
         missing = [name for name in requested if name not in stored.shapes]
         if missing:
             names = list(requested)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from learn.networks.coding import Ranges, compressed, light_of, picture_code, unit_mean
 from learn.networks.light_maps import MapConvolution, enlarged, map_convolution
-from learn.networks.prediction import Coded, Prediction, region_masks, required
+from learn.networks.prediction import Coded, Prediction, region_masks, require_part
 
 WIDTHS = (32, 64, 128, 256)
 CELLS = 32  # of the reflectance map, along a side
@@ -155,7 +155,7 @@ class Compact(Coded):
         predicted = code = light_code = None
         if n is None or "normals" in parts:
             predicted = self._normals(features)
-        binned_by = required(predicted).detach() if n is None else n
+        binned_by = require_part(predicted).detach() if n is None else n
         if "material" in parts:
             each = region_masks(mask, segments, regions).split(1, 1)
             code = torch.stack(

@@ -200,7 +200,7 @@ def _vgg(path: Path, sha256: str) -> Features:
             f"features.{number}.bias": (width,),
         }
         before = width
-    with tensor_file.opened(
+    with tensor_file.open_tensor_file(
         path, "VGG16 in a .safetensors file", "give torchvision's VGG16", LARGEST_FILE
     ) as stored:
         digest = file_hash(path)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from learn.data.seen import KEY, Seen, encoded, of_metadata
+from learn.data.seen import KEY, Seen, encode_seen, read_seen
 from learn.networks import tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import CompactWrapped
@@ -25,7 +25,10 @@ def join(normals: Path, others: Path, out: Path) -> None:
     Raises   InputError: other networks, other tensors, numbers that are not finite
     """
     network = TwoEncoders(Ranges(torch.zeros(108), torch.ones(108)))
-    with tensor_file.opened(normals) as first, tensor_file.opened(others) as second:
+    with (
+        tensor_file.open_tensor_file(normals) as first,
+        tensor_file.open_tensor_file(others) as second,
+    ):
         _require(first, CompactPretrained.name)
         _require(second, CompactWrapped.name)
         size = first.metadata.get("size")
@@ -40,13 +43,13 @@ def join(normals: Path, others: Path, out: Path) -> None:
             state[name] = stored.tensor(own)
         if weights.TRAINING_LABELS in second.shapes:
             state[weights.TRAINING_LABELS] = second.tensor(weights.TRAINING_LABELS)
-        run = weights.run_of(second.metadata, others) | {"network": network.name}
-        seen = of_metadata(first.metadata, normals), of_metadata(second.metadata, others)
+        run = weights.read_run_settings(second.metadata, others) | {"network": network.name}
+        seen = read_seen(first.metadata, normals), read_seen(second.metadata, others)
         metadata = second.metadata | {
             "network": network.name,
             "run": json.dumps(run),
             RUN_OF_NORMALS: first.metadata.get("run", "{}"),
-            KEY: encoded((seen[1] or Seen(complete=False)).joined(seen[0])),
+            KEY: encode_seen((seen[1] or Seen(complete=False)).joined(seen[0])),
         }
     weights.save(out, state, metadata)
 

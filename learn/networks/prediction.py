@@ -28,7 +28,7 @@ class Prediction(NamedTuple):
     light: torch.Tensor | None
 
 
-def required(part: torch.Tensor | None) -> torch.Tensor:
+def require_part(part: torch.Tensor | None) -> torch.Tensor:
     """Return a part of a prediction, or of a batch, that must be there. Raises ValueError."""
     if part is None:
         raise ValueError("prediction: expected normals, material and light, found a part missing")

@@ -6,7 +6,7 @@ file takes the place of the old one.
 
 from pathlib import Path
 
-from learn.data.seen import KEY, Seen, encoded
+from learn.data.seen import KEY, Seen, encode_seen
 from learn.networks import tensor_file
 from learn.networks.weights import digest_of
 from manifests.errors import InputError
@@ -20,9 +20,9 @@ def write_lists(path: Path, lists: Seen, out: Path) -> None:
             other tensors
     """
     path, out = Path(path), Path(out)
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         tensors = {name: stored.tensor(name) for name in stored.shapes}
-        metadata = stored.metadata | {KEY: encoded(lists)}
+        metadata = stored.metadata | {KEY: encode_seen(lists)}
         if "network" not in metadata:
             rule, remedy = "weights that name their network", "use weights that `learn train` wrote"
             raise InputError(path, rule, "none", remedy)
@@ -30,7 +30,7 @@ def write_lists(path: Path, lists: Seen, out: Path) -> None:
     trial = out.with_name(f"{out.name}.trial")
     try:
         tensor_file.write(trial, tensors, metadata)
-        with tensor_file.opened(trial) as stored:
+        with tensor_file.open_tensor_file(trial) as stored:
             after = digest_of({name: stored.tensor(name) for name in stored.shapes})
     finally:
         trial.unlink(missing_ok=True)

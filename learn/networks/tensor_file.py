@@ -91,7 +91,7 @@ class Stored:
 
 
 @contextmanager
-def opened(
+def open_tensor_file(
     path: str | Path,
     expected: str = EXPECTED,
     remedy: str = REMEDY,

@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.seen import KEY, Seen, encoded, of_metadata
-from learn.data.settings import converted
+from learn.data.seen import KEY, Seen, encode_seen, read_seen
+from learn.data.settings import convert
 from learn.networks import tensor_file
 from learn.networks.coding import LARGEST_KAPPA, SMALLEST_LABEL, Ranges
 from learn.networks.compact import Compact, CompactWrapped
@@ -122,7 +122,7 @@ def save_weights(
         half[TRAINING_LABELS] = torch.from_numpy(np.asarray(labels, np.float32))
     metadata = {"format": FORMAT, "network": network.name, "size": str(size), "run": run_json}
     if seen is not None:
-        metadata[KEY] = encoded(seen)
+        metadata[KEY] = encode_seen(seen)
     save(path, half, metadata if step is None else metadata | {"step": str(step)})
 
 
@@ -137,7 +137,7 @@ def load_network(
     Raises    InputError: no weights, other metadata or tensors than `learn train` writes, numbers
               that are not finite
     """
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         metadata = stored.metadata
         for key, known in (("format", (FORMAT,)), ("network", tuple(NETWORKS))):
             if metadata.get(key) not in known:
@@ -148,8 +148,8 @@ def load_network(
                     str(metadata.get(key, "none"))[:60],
                     "use weights that `learn train` wrote",
                 )
-        about = converted(metadata, About, f"{path}: metadata", strict=False)
-        run = run_of(metadata, path)
+        about = convert(metadata, About, f"{path}: metadata", strict=False)
+        run = read_run_settings(metadata, path)
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
         require_network(stored, network)
         fill(network, stored)
@@ -183,7 +183,7 @@ def load_parts(
     return network, metadata
 
 
-def run_of(metadata: Mapping[str, str], path: str | Path) -> dict[str, Any]:
+def read_run_settings(metadata: Mapping[str, str], path: str | Path) -> dict[str, Any]:
     """Return the run's settings as a dict; {} where the metadata have none.
 
     Only its name and parts are checked. Raises InputError.
@@ -199,8 +199,8 @@ def seen_by(path: str | Path) -> Seen | None:
 
     Raises InputError for lists other than those that were written.
     """
-    with tensor_file.opened(path) as stored:
-        return of_metadata(stored.metadata, path)
+    with tensor_file.open_tensor_file(path) as stored:
+        return read_seen(stored.metadata, path)
 
 
 def shapes(network: torch.nn.Module, prefix: str = "") -> dict[str, tuple[int, ...]]:
@@ -307,7 +307,7 @@ def remedy(text: str) -> Iterator[None]:
 
 def progress_of(stored: tensor_file.Stored) -> Progress:
     """Return the Progress in the metadata of a checkpoint. Raises InputError."""
-    return converted(stored.metadata, Progress, f"{stored.path}: metadata", strict=False)
+    return convert(stored.metadata, Progress, f"{stored.path}: metadata", strict=False)
 
 
 def digest_of(named: Mapping[str, torch.Tensor]) -> str:

@@ -22,7 +22,7 @@ import torch
 from scipy.optimize import minimize
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.networks.prediction import Prediction
 from learn.refinement.coordinates import (
     LightCoordinates,
@@ -136,7 +136,7 @@ def outer_iteration(
     directions  of materials, as of learn.refinement.coordinates.principal_directions
     """
     maps = coordinates(start, inside, settings, directions)
-    z = {name: array(m.predicted).flatten() for name, m in maps.items()}
+    z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
     energy = Energy(batch, starting_state(maps), settings)
     best, history = energy.finest(starting_state(maps)), []
     for number, level in enumerate(settings.levels):
@@ -240,7 +240,7 @@ def minimised(
             return NOWHERE, np.zeros_like(x)
         value = energy.total(energy.terms(state, where, level.light, level.method, level.tolerance))
         gradients = torch.autograd.grad(value, list(moved.values()))
-        gradient = np.concatenate([array(part) for part in gradients])
+        gradient = np.concatenate([to_numpy(part) for part in gradients])
         if not (math.isfinite(value.item()) and np.isfinite(gradient).all()):
             return NOWHERE, np.zeros_like(x)
         return value.item(), gradient.astype(np.float64)

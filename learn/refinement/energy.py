@@ -31,7 +31,7 @@ import torch
 import torch.nn.functional as F
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.layer.albedo import narrow_share
 from learn.layer.light_maps import reduced, solid_angles
 from learn.layer.predictions import Policy, radiance
@@ -143,7 +143,7 @@ class Energy:
         self.frame, self.segments = inside[None], batch.segments.clamp(min=1)
         self.regions = start.label.shape[1]
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
-        exposure = tone.auto_exposure(array(image[self.inside]), np.ones(len(self.inside), bool))
+        exposure = tone.auto_exposure(to_numpy(image[self.inside]), np.ones(len(self.inside), bool))
         self.exposure, self.seen = exposure, compressed(image * exposure)
         self.clipped = (
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
@@ -159,7 +159,7 @@ class Energy:
                 clipped,
             )
             # what is mirrored has the colours of what is around
-            narrow = [narrow_share(array(label)) for label in start.label[0].detach()]
+            narrow = [narrow_share(to_numpy(label)) for label in start.label[0].detach()]
             mirrored = torch.tensor([0.0, *narrow]).to(weights)[regions]
             self.weights = mirrored + (1 - mirrored) * weights
         self.log_light = torch.log1p(start.light)

@@ -1,6 +1,6 @@
 """What a new run begins with: weights of an earlier run, an encoder from a package, other heads."""
 
-from learn.data.seen import Seen, of_metadata
+from learn.data.seen import Seen, read_seen
 from learn.data.settings import Run
 from learn.networks import tensor_file, weights
 from learn.networks.joint_encoders import JointEncoders
@@ -18,20 +18,20 @@ def begin(network: Coded, run: Run, seen: Seen) -> Seen:
              not finite; a package that is not installed
     """
     if run.start is not None:
-        with tensor_file.opened(run.start) as stored:
+        with tensor_file.open_tensor_file(run.start) as stored:
             own = stored.metadata.get("network") == network.name
             if isinstance(network, JointEncoders) and not own:
                 weights.fill_joint(network, stored)
             else:
                 weights.require_network(stored, network)
                 weights.fill(network, stored)
-            seen = seen.joined(of_metadata(stored.metadata, run.start))
+            seen = seen.joined(read_seen(stored.metadata, run.start))
     elif isinstance(network, CompactPretrained):
         network.take_encoder(encoder_weights())
     elif isinstance(network, (TwoEncoders, JointEncoders)):
         network.of_normals.take_encoder(encoder_weights())
     if run.heads is not None:
-        with tensor_file.opened(run.heads) as stored:
+        with tensor_file.open_tensor_file(run.heads) as stored:
             weights.fill_heads(network, stored)
-            seen = seen.joined(of_metadata(stored.metadata, run.heads))
+            seen = seen.joined(read_seen(stored.metadata, run.heads))
     return seen

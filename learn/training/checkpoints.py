@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import torch
 
-from learn.data.seen import KEY, Seen, encoded, of_metadata
+from learn.data.seen import KEY, Seen, encode_seen, read_seen
 from learn.data.settings import Run, decode_run
 from learn.networks import tensor_file, weights
 from learn.networks.prediction import Coded
@@ -42,7 +42,7 @@ def write(
     metadata = {name: str(value) for name, value in progress.items()} | {
         "run": msgspec.json.encode(run).decode(),
         "digest": weights.digest_of(tensors),
-        KEY: encoded(seen),
+        KEY: encode_seen(seen),
     }
     weights.save(path, tensors, metadata)
 
@@ -63,10 +63,10 @@ def restore(
     """
     with (
         weights.remedy(weights.DAMAGED),
-        tensor_file.opened(path, "a checkpoint") as stored,
+        tensor_file.open_tensor_file(path, "a checkpoint") as stored,
     ):
         progress = weights.progress_of(stored)
-        seen = of_metadata(stored.metadata, path)
+        seen = read_seen(stored.metadata, path)
         is_ours = decode_run(progress.run.encode(), path) == run
         if is_ours:
             of_optimiser = _optimiser_shapes(network, stored)

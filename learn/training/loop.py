@@ -1,7 +1,7 @@
-"""The training of one network: steps, validations, weights and checkpoints.
+"""Trains one network: steps, validations, weights and checkpoints.
 
-Everything random in step k depends on (seed, k) alone. A run that was killed continues from its
-last checkpoint to bitwise the same weights, unless its schedule ends by the clock
+Everything random in step k depends only on (seed, k). A run that was killed therefore continues
+from its last checkpoint to bitwise the same weights, unless its schedule ends by the clock
 (`schedule.seconds`, `schedule.clock_seconds`).
 """
 
@@ -20,9 +20,9 @@ import torch
 from learn.data import devices
 from learn.data.batch import ExampleBatch
 from learn.data.relit import DataSplit
-from learn.data.seen import drawn_from
+from learn.data.seen import seen_in_splits
 from learn.data.settings import Losses, Run, require_trainable
-from learn.data.sources import source_of
+from learn.data.sources import make_batch_source
 from learn.networks import features, weights
 from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded
@@ -50,15 +50,15 @@ VALIDATION_BATCHES = 2
 
 
 class Training:
-    """One run in one process.
+    """The training of one run; under torchrun, one process's part of it.
 
-    run           its settings
-    data_splits   learn.data.sources.data_splits
+    run           the run's settings
+    data_splits   {side: DataSplit} as learn.data.sources.load_data_splits returns them
     out           folder for weights, log and contact sheets
     sheet_every   steps between validations, each with a contact sheet; 0: none
     checkpoint_every  steps between checkpoints; None: one every EVERY_SECONDS
-    workers       processes that make batches; 0: this one makes them
-    tensorboard   whether TensorBoard's events are written too
+    workers       number of processes that make batches; 0: this process makes them
+    tensorboard   whether to write TensorBoard's events too
     device        of network, optimiser, batches and losses; random numbers come from the CPU,
                   except those of dropout
     """
@@ -92,7 +92,7 @@ class Training:
         self.step, self.skipped = 0, 0
         self.clock = Clock(run.schedule, self.world > 1, self.device)
         self.features = self._features()
-        self.seen = drawn_from(
+        self.seen = seen_in_splits(
             [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
         )
         if (self.out / "checkpoint.safetensors").exists():
@@ -159,7 +159,7 @@ class Training:
             if done:
                 break
         bar.close()
-        # of a run that ended before its weights were written
+        # a run may have been stopped after its last step and before its weights were written
         if self.rank == 0 and not (self.out / "weights.safetensors").exists():
             self._save_weights()
         if self.journal:
@@ -208,7 +208,7 @@ class Training:
         return network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def _features(self) -> features.Features | None:
-        """Return the features that the first phase that compares by features names."""
+        """Load the features of the first phase whose losses use features, if there is one."""
         for phase in schedule.phases(self.run):
             if losses.by_features(phase.losses):
                 loaded = features.load(phase.losses.features, phase.losses.features_sha256)
@@ -223,8 +223,8 @@ class Training:
         return self.run.data.source
 
     def _source(self) -> processes.BatchSource:
-        """Return what the run learns from: batches by their number."""
-        return source_of(
+        """Return the source of the run's training batches, which are called by number."""
+        return make_batch_source(
             self.data_splits["train"],
             self.run,
             self.run.schedule.batch,
@@ -261,8 +261,8 @@ class Training:
         if validation.is_finite(prediction):
             terms = self._terms(prediction, batch, phase.losses, rng)
             loss = losses.total(terms, phase.losses)
-        # the layer would refuse it; gradients that are not finite let all processes of a run skip
-        # this step
+        # The layer would refuse such a prediction. A loss that is not finite instead makes all
+        # processes of the run skip this step.
         else:
             terms = {}
             loss = math.nan * sum(part.float().sum() for part in prediction if part is not None)
@@ -302,9 +302,9 @@ class Training:
         schedule.set_learning_rate(self.optimiser, learning_rate, beta)
 
     def _skip(self, batch: ExampleBatch, record: Mapping[str, float]) -> None:
-        """Count a step that is not finite, and store its batch for study.
+        """Count a step whose loss or gradients are not finite, and save its batch for inspection.
 
-        Such a step changes nothing. Raises InputError once there are too many of them.
+        Such a step changes nothing. Raises InputError if there are too many of them.
         """
         self.skipped += 1
         wrong = next(
@@ -331,7 +331,7 @@ class Training:
             )
 
     def _predicted(self, network: torch.nn.Module, batch: ExampleBatch) -> Any:
-        """Return a Prediction for people and figures. Raises InputError if it is not finite."""
+        """Return a Prediction for validation. Raises InputError if it is not finite."""
         prediction = self.predict(network, batch)
         if not validation.is_finite(prediction):
             where = f"{self.out}: validation after step {self.step}"
@@ -340,13 +340,13 @@ class Training:
         return prediction
 
     def _validate(self) -> dict[str, float]:
-        """Return figures of the moving average on the validation split.
+        """Measure the moving average of the weights on the validation split; return the figures.
 
-        Writes a contact sheet of it, and the weights for users.
+        Also writes a contact sheet and weights.safetensors.
         """
         network, data_split = self.averaged(), self.data_splits["validation"]
         with torch.no_grad(), validation.DeadUnits(network) as dead:
-            figures = validation.over(
+            figures = validation.validate(
                 lambda b: self._predicted(network, b),
                 data_split,
                 self.run,
@@ -354,7 +354,7 @@ class Training:
                 device=self.device,
             )
             figures |= dead.figures()
-            source = source_of(data_split, self.run, self.run.schedule.batch, 1)
+            source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
             contact_sheet = montage.write(
                 self._sheet_path(), batch, self._predicted(network, batch)
@@ -368,10 +368,10 @@ class Training:
         return self.out / f"sheet-{self.step:07d}.jpg"
 
     def _save_weights(self) -> None:
-        """Write the weights for users.
+        """Write weights.safetensors.
 
-        With a data set's own materials they hold these materials' labels, of which refinement
-        takes its directions.
+        If the run uses the data set's own materials, the file also holds their labels, from which
+        refinement derives the directions in which it changes a material.
         """
         of_dataset = self.run.data.materials == "dataset"
         labels = list(self.data_splits["train"].labels.values()) if of_dataset else None

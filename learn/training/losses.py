@@ -35,7 +35,7 @@ from learn.layer.light_maps import reduced, solid_angles
 from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compressed
 from learn.networks.features import Features, difference
-from learn.networks.prediction import Prediction, required
+from learn.networks.prediction import Prediction, require_part
 from learn.training.rerendering import at_pixels, object_mask, picked, sampled, whole
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
@@ -93,7 +93,7 @@ def material_terms(
 ) -> Terms:
     """Return the terms of a predicted material."""
     result = {}
-    code, label = required(prediction.code), required(prediction.label)
+    code, label = require_part(prediction.code), require_part(prediction.label)
     truth = batch.label[:, : label.shape[1]]
     if losses.material:
         result["material"] = ((code - ranges.code(truth)) ** 2).mean()
@@ -125,7 +125,7 @@ def light_terms(
     scaled  by which maps (B, 3, Hl, Wl) are scaled before they are compared
     """
     result = {}
-    lights = required(prediction.light), batch.light
+    lights = require_part(prediction.light), batch.light
     if losses.light_log:
         mine, its = (torch.log1p(scaled(light)) for light in lights)
         result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.figures import montage
 from learn.figures.spheres import preview_sphere
-from learn.networks.prediction import Prediction, required
-from learn.training.validation import picture
+from learn.networks.prediction import Prediction, require_part
+from learn.training.validation import render_batch
 from manifests.files import write_image
 from shaders import tone
 
@@ -36,20 +36,20 @@ def contact_sheet(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     n = batch.n if prediction.n is None else prediction.n
     label = batch.label if prediction.label is None else prediction.label
     light = batch.light if prediction.light is None else prediction.light
-    rendered = picture(n, label, light, batch)
-    target = picture(n, batch.target_label, light, batch)
+    rendered = render_batch(n, label, light, batch)
+    target = render_batch(n, batch.target_label, light, batch)
     true_target, true_image = (
-        picture(batch.n, truth, batch.light, batch) if of_cycles is None else _last(of_cycles)
+        render_batch(batch.n, truth, batch.light, batch) if of_cycles is None else _last(of_cycles)
         for truth, of_cycles in ((batch.target_label, batch.target), (batch.label, batch.picture))
     )
     rows = []
     for i in range(min(ROWS, len(n))):
-        mask = array(batch.segments[i] > 0)
+        mask = to_numpy(batch.segments[i] > 0)
         exposure = tone.auto_exposure(true_image[i], mask)
         target_exposure = tone.auto_exposure(true_target[i], mask)
         size = len(mask)
         row = [
-            tone.display(array(batch.image[i].movedim(0, -1)), exposure),
+            tone.display(to_numpy(batch.image[i].movedim(0, -1)), exposure),
             _normals(n[i], mask),
             _normals(batch.n[i], mask),
             _light(light[i], size),
@@ -71,24 +71,26 @@ def parts(
 
     rendering  (H, W, 3) radiance, the picture rendered from its prediction
     """
-    mask = array(batch.mask[0, 0]) > 0
+    mask = to_numpy(batch.mask[0, 0]) > 0
     return {
-        "picture": tone.display(array(batch.image[0].movedim(0, -1)), exposure),
-        "normals": _normals(required(prediction.n)[0], mask),
-        "light": _light(required(prediction.light)[0], len(mask)),
-        "material": preview_sphere(required(prediction.label)[0, 0], len(mask), batch.elevation),
+        "picture": tone.display(to_numpy(batch.image[0].movedim(0, -1)), exposure),
+        "normals": _normals(require_part(prediction.n)[0], mask),
+        "light": _light(require_part(prediction.light)[0], len(mask)),
+        "material": preview_sphere(
+            require_part(prediction.label)[0, 0], len(mask), batch.elevation
+        ),
         "rendering": tone.display(rendering, exposure),
     }
 
 
 def _last(values: torch.Tensor) -> np.ndarray:
     """Return pictures (B, 3, H, W) as (B, H, W, 3) numpy."""
-    return array(values.movedim(1, -1))
+    return to_numpy(values.movedim(1, -1))
 
 
 def _normals(n: torch.Tensor, mask: np.ndarray) -> np.ndarray:
-    return montage.normals_picture(array(n.movedim(0, -1)), mask)
+    return montage.normals_picture(to_numpy(n.movedim(0, -1)), mask)
 
 
 def _light(light: torch.Tensor, size: int) -> np.ndarray:
-    return montage.fitted(montage.light_picture(array(light.movedim(0, -1).float())), size)
+    return montage.fitted(montage.light_picture(to_numpy(light.movedim(0, -1).float())), size)

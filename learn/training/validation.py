@@ -21,10 +21,10 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.relit import DataSplit
 from learn.data.settings import Run
-from learn.data.sources import source_of
+from learn.data.sources import make_batch_source
 from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.metrics.radiometry import irradiance_error, log_albedo
@@ -33,7 +33,7 @@ from learn.networks.prediction import Prediction
 LEAST_PIXELS = 16  # of a region, to count as shown
 
 
-def over(
+def validate(
     predict: Callable[[ExampleBatch], Prediction],
     data_split: DataSplit,
     run: Run,
@@ -42,9 +42,12 @@ def over(
     device: torch.device | str = "cpu",
 ) -> dict[str, float]:
     """Return means over the first batches of a split. predict works on the device."""
-    source, constant = source_of(data_split, run, run.schedule.batch, seed), mean_albedo(data_split)
+    source, constant = (
+        make_batch_source(data_split, run, run.schedule.batch, seed),
+        mean_albedo(data_split),
+    )
     results = [
-        of(predict(batch), batch, constant)
+        measure_batch(predict(batch), batch, constant)
         for batch in (source[k].to(device) for k in range(batches))
     ]
     return {name: _mean(np.concatenate([f[name] for f in results])) for name in results[0]}
@@ -76,7 +79,7 @@ def mean_albedo(data_split: DataSplit) -> torch.Tensor:
     return log_albedo(torch.from_numpy(np.stack(list(data_split.labels.values())))).mean(0)
 
 
-def of(
+def measure_batch(
     prediction: Prediction, batch: ExampleBatch, constant_albedo: torch.Tensor | None = None
 ) -> dict[str, np.ndarray]:
     """Return {name: (B,) float64} of one batch.
@@ -96,15 +99,17 @@ def of(
     constant = torch.ones_like(batch.light)
     if prediction.light is not None:
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
-            result[name] = array(irradiance_error(value, batch.light).double())
+            result[name] = to_numpy(irradiance_error(value, batch.light).double())
     if prediction.label is not None:
         result |= albedos(prediction.label, batch, constant_albedo)
-        result["image_l2"] = compared(n, prediction.label, light, batch.label, batch, batch.picture)
-    result["target_l2"] = compared(
+        result["image_l2"] = compare_renderings(
+            n, prediction.label, light, batch.label, batch, batch.picture
+        )
+    result["target_l2"] = compare_renderings(
         n, batch.target_label, light, batch.target_label, batch, batch.target
     )
     if prediction.light is not None:
-        result["control_l2"] = compared(
+        result["control_l2"] = compare_renderings(
             n, batch.target_label, constant, batch.target_label, batch, batch.target
         )
     return result
@@ -128,7 +133,7 @@ def albedos(
         shown = (batch.segments == s + 1).sum((1, 2)) >= LEAST_PIXELS
         for name, guess in guesses.items():
             error = ((guess - true)[:, s] ** 2).mean(-1).sqrt()
-            result[f"{name}_{s + 1}" if regions > 1 else name] = array(
+            result[f"{name}_{s + 1}" if regions > 1 else name] = to_numpy(
                 error.where(shown, math.nan).double()
             )
     return result
@@ -170,7 +175,7 @@ class DeadUnits:
         return {"dead_units": 1 - channels.float().mean().item()} if len(channels) else {}
 
 
-def compared(
+def compare_renderings(
     n: torch.Tensor,
     label: torch.Tensor,
     light: torch.Tensor,
@@ -185,19 +190,19 @@ def compared(
     rendered         (B, 3, H, W) the true pictures; None: what the layer makes of the true parts
     """
     inside = batch.segments > 0
-    predicted = picture(n, label, light, batch, policy)
+    predicted = render_batch(n, label, light, batch, policy)
     truth = (
-        picture(batch.n, true_label, batch.light, batch, policy)
+        render_batch(batch.n, true_label, batch.light, batch, policy)
         if rendered is None
-        else array(rendered.movedim(1, -1))
+        else to_numpy(rendered.movedim(1, -1))
     )
     out = []
-    for a, b, mask in zip(predicted, truth, array(inside), strict=True):
+    for a, b, mask in zip(predicted, truth, to_numpy(inside), strict=True):
         out.append(display_l2(a, b, mask))
     return np.array(out)
 
 
-def picture(
+def render_batch(
     n: torch.Tensor,
     label: torch.Tensor,
     light: torch.Tensor,
@@ -205,9 +210,9 @@ def picture(
     policy: predictions.Policy = predictions.VALIDATION,
 ) -> np.ndarray:
     """Return radiance (B, H, W, 3) of a batch, channels last, on the CPU."""
-    return array(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
+    return to_numpy(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
 
 
 def means(values: torch.Tensor, inside: torch.Tensor) -> np.ndarray:
     """Return means (B,) of values (B, H, W) over the pixels inside (B, H, W)."""
-    return array(((values * inside).sum((1, 2)) / inside.sum((1, 2))).double())
+    return to_numpy(((values * inside).sum((1, 2)) / inside.sum((1, 2))).double())

@@ -29,7 +29,7 @@ from pathlib import Path
 
 import psutil
 
-from factory.execution.run import RunOptions, planned
+from factory.execution.run import RunOptions, make_plan
 from factory.execution.worker import STUDIO
 from factory.planning import jobs
 from factory.planning.assets import resolve
@@ -119,7 +119,7 @@ def main():
     if options.fake:
         os.environ["FAKE_STUDIO"] = "slow"
     job, folder = jobs.load(options.job)
-    plan = planned(job, resolve(job, folder))
+    plan = make_plan(job, resolve(job, folder))
     studio = FAKE if options.fake else STUDIO
     words = " ".join(map(shortened, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/cluster_rate.py {words}")

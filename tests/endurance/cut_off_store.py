@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 
 from factory.execution import uploads
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests import object_store
@@ -105,7 +105,7 @@ def main():
     # many small parts, and requests that are given up soon: more for a fault to meet
     uploads.SECONDS, object_store.TIMEOUT = 0.2, 5
     job, folder = jobs.load(options.job)
-    plan = planned(job, resolve(job, folder))
+    plan = make_plan(job, resolve(job, folder))
     run_options = RunOptions(workers=2, threads=1, studio=FAKE)
     words = " ".join(map(shortened, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/cut_off_store.py {words}")

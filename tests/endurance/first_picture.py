@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.planning import jobs
-from factory.planning.assets import opened
+from factory.planning.assets import resolve_unread
 from factory.planning.facts import Memory
 from factory.planning.reading import Reading
 from manifests.files import write_json
@@ -34,12 +34,12 @@ ROUND, ALONG = 100, 150  # vertices; there are two triangles for each
 TIMED = """
 import sys, time
 import psutil
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
-from factory.planning.assets import opened
+from factory.planning.assets import resolve_unread
 begun = psutil.Process().create_time()
 job, folder = jobs.load(sys.argv[1])
-plan = planned(job, opened(job, folder))
+plan = make_plan(job, resolve_unread(job, folder))
 def watch(event, value):
     if event == "made":
         print(time.time() - begun, flush=True)
@@ -102,7 +102,7 @@ def main():
     if options.resumed and not options.kept:
         begun = time.monotonic()
         job, assets = jobs.load(path)
-        unread = opened(job, assets).unread
+        unread = resolve_unread(job, assets).unread
         with closing(Reading(unread, processors(), Memory(folder, "earlier"))) as reading:
             for _ in reading.each():
                 pass

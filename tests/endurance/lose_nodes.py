@@ -22,7 +22,7 @@ from pathlib import Path
 
 import msgspec
 
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.execution.worker import STUDIO
 from factory.planning import jobs
 from factory.planning.assets import resolve
@@ -51,7 +51,7 @@ def main():
         os.environ["FAKE_STUDIO"] = "slow"
     studio = FAKE if options.fake else STUDIO
     job, folder = jobs.load(options.job)
-    plan = planned(job, resolve(job, folder))
+    plan = make_plan(job, resolve(job, folder))
     alone = RunOptions(workers=options.nodes, threads=1, studio=studio)
     words = " ".join(map(shortened, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/lose_nodes.py {words}")

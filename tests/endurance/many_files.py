@@ -35,7 +35,7 @@ from pathlib import Path
 
 import msgspec
 
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests.files import write_json
@@ -168,7 +168,7 @@ def main():
     render += ["--out", str(data)]
     job, folder = jobs.load(options.job)
     # all shapes are read first, so that dataset.json has them all
-    plan = planned(job, resolve(job, folder))
+    plan = make_plan(job, resolve(job, folder))
     os.environ |= environment  # of workers
     carry_out(plan, data, RunOptions(studio=FAKE, limit=2))
     count = (options.pictures or len(plan)) - MISSING

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from factory.planning.jobs import load
-from factory.planning.shape_names import sources
+from factory.planning.shape_names import list_sources
 from factory.shapes.catalogue import load as load_mesh
 from manifests.files import write_figure, write_json, write_text
 from manifests.provenance import provenance, shortened
@@ -55,7 +55,7 @@ def doubled(job, folder):
     meshes = folder / "meshes"
     meshes.mkdir()
     first, second, triangles = [], [], {}
-    for number, source in enumerate(sources(job, folder)):
+    for number, source in enumerate(list_sources(job, folder)):
         mesh = load_mesh(source.place)
         name = f"{number:02d}-{source.place.replace(':', '-')}"
         written(mesh, meshes / f"{name}.ply")

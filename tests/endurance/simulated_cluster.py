@@ -25,7 +25,13 @@ import msgspec
 
 from factory.execution import ray_pool
 from factory.execution.ray_worker import RayWorker
-from factory.execution.run import RunOptions, assign, planned, shape_sources, worker_config
+from factory.execution.run import (
+    RunOptions,
+    make_assignment,
+    make_plan,
+    shape_sources,
+    worker_config,
+)
 from factory.execution.worker import Chunk, Reply
 from factory.planning import jobs
 from factory.planning.assets import resolve
@@ -131,11 +137,11 @@ def main():
     with open(options.report) as file:
         cost = json.load(file)["presets"][options.preset]["processor"]["kinds"]
     job, folder = jobs.load(jobs.presets()[options.preset])
-    plan = planned(job, resolve(job, folder, processes=processors()))
+    plan = make_plan(job, resolve(job, folder, processes=processors()))
     cluster = Cluster(options.workers, cost)
     sys.modules["ray"], sys.modules["ray.exceptions"] = cluster, cluster.exceptions
     ray_pool._is_free = lambda config: True
-    store, assignment = Store("nowhere"), assign(plan)
+    store, assignment = Store("nowhere"), make_assignment(plan)
     pool = ray_pool.RayPool(
         lambda k: worker_config(store, f"w{k}", assignment, RunOptions(ray="auto")),
         shape_sources(plan.assets.shapes),

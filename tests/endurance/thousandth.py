@@ -29,8 +29,8 @@ from pathlib import Path
 
 import msgspec
 
-from factory.execution.forecast import expected_events, probed
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.forecast import count_events, probe
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from factory.planning.plan import Plan
@@ -74,7 +74,7 @@ class Late(Exception):
 
 def costs(plan):
     """{kind of work: seconds, once} as `plan` measures it, and the job's seconds of a processor."""
-    forecast, events = probed(plan, ONE_WORKER), expected_events(plan)
+    forecast, events = probe(plan, ONE_WORKER), count_events(plan)
     return {kind: s / events[kind] for kind, s in forecast.seconds.items()}, forecast.computed
 
 
@@ -106,7 +106,7 @@ def summary(plan, rows, before, after):
             spent[kind] += seconds
             computed[kind] += row["computed"][kind]
             times[kind] += 1
-    events = expected_events(plan)
+    events = count_events(plan)
     measured = {kind: spent[kind] / times[kind] for kind in spent}
     middle = {kind: (before[kind] + after.get(kind, before[kind])) / 2 for kind in before}
     of_sample = sum(middle.get(kind, 0.0) * times[kind] for kind in times)
@@ -158,7 +158,7 @@ def main():
         job, folder = jobs.load(jobs.presets()[name])
         camera = msgspec.structs.replace(job.camera, size=(options.size, options.size))
         job = msgspec.structs.replace(job, camera=camera)
-        plan = planned(job, resolve(job, folder, processes=processors()))
+        plan = make_plan(job, resolve(job, folder, processes=processors()))
         sample = Sample(plan.job, plan.assets, plan.render, options.share)
         before, rows = costs(plan), options.out / f"{name}.jsonl"
         rendered(sample, options.out / name, rows, end)

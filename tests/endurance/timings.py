@@ -74,12 +74,12 @@ def shapes(folder):
 
 def shots(folder):
     """Make the ids of 12,000 shots, those of the smallest job again and again."""
-    from factory.execution.run import planned
+    from factory.execution.run import make_plan
     from factory.planning import jobs
     from factory.planning.assets import resolve
 
     job = jobs.load("smallest")[0]
-    plan = planned(job, resolve(job))
+    plan = make_plan(job, resolve(job))
     return lambda: [sum(1 for _ in plan) for _ in range(12_000 // len(plan))]
 
 

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from factory.execution.run import RunOptions, carry_out, planned
-from factory.planning.assets import opened, resolve
+from factory.execution.run import RunOptions, carry_out, make_plan
+from factory.planning.assets import resolve, resolve_unread
 from manifests.schema import Camera, Job
 from tests.support.small_catalogue import write_catalogue
 from tests.support.tetrahedron import FAKE, ROOT
@@ -57,7 +57,7 @@ def job(small_job, tmp_path):
 @pytest.fixture
 def plan_of(catalogue):
     """A function of a Job: its Plan."""
-    return lambda job: planned(job, resolve(job, catalogues=[catalogue]))
+    return lambda job: make_plan(job, resolve(job, catalogues=[catalogue]))
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def stream(catalogue, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
 
     def run(job, folder, watch=None, **run_options):
-        plan = planned(job, opened(job, catalogues=[catalogue]))
+        plan = make_plan(job, resolve_unread(job, catalogues=[catalogue]))
         return carry_out(plan, folder, RunOptions(studio=FAKE, **run_options), watch)
 
     return run

@@ -11,11 +11,11 @@ from contextlib import ExitStack
 import msgspec
 import pytest
 
-from factory.commands.status import counted
+from factory.commands.status import count_data_set
 from factory.execution import parts
 from factory.execution.reservations import FILE, Reservations
 from factory.planning import facts, reading
-from factory.planning.assets import opened
+from factory.planning.assets import resolve_unread
 from factory.planning.facts import facts_of
 from factory.planning.shape_names import Source
 from manifests import lock
@@ -63,7 +63,7 @@ def test_shares_of_all_parts_cover_each_shot_once_and_read_few_sources(count, n)
     for shots in (1, 2, 8):
         made = Counter()
         for i in range(1, n + 1):
-            own = parts.shares(sources, (i, n))
+            own = parts.split_sources(sources, (i, n))
             assert len({share.source for share in own}) == len(own) <= -(-count // n) + 1
             part = [(s.source, shot) for s in own for shot in range(*s.bounds(shots))]
             assert abs(len(part) - count * shots / n) < 1
@@ -75,7 +75,7 @@ def test_a_part_holds_a_bit_of_every_family():
     """The sources of a part come from all places of the job's list."""
     families = [f"{family}:{k}" for family in ("chair", "car", "stone") for k in range(40)]
     for i in range(1, 21):
-        own = parts.shares([Source(name) for name in families], (i, 20))
+        own = parts.split_sources([Source(name) for name in families], (i, 20))
         counts = Counter(share.source.place.partition(":")[0] for share in own)
         assert set(counts.values()) <= {1, 2, 3} and len(counts) == 3
 
@@ -205,7 +205,7 @@ def test_a_part_waits_for_its_turn_and_sees_what_another_has_reserved_meanwhile(
     written(tmp_path / "meshes", 3)
     same = tmp_path / "meshes" / "copy0.ply"  # first in the list, and of the first part
     same.write_bytes((tmp_path / "meshes" / "mesh0.ply").read_bytes())
-    sources = opened(job, catalogues=[catalogue]).unread
+    sources = resolve_unread(job, catalogues=[catalogue]).unread
     other = next(source for source in sources if source.place.endswith("mesh0.ply"))
     threads = []
 
@@ -379,16 +379,16 @@ def test_status_counts_what_all_parts_have_read_so_far(stream, job, tmp_path):
 
     def watch(event, value):
         if event == "unread" and not seen:
-            seen.append(counted(f"{tmp_path}/data")["planned"])
+            seen.append(count_data_set(f"{tmp_path}/data")["planned"])
 
     for i, planned, read_before in ((2, 4, 0), (1, 8, 4), (3, 12, 8)):
         seen.clear()
         stream(job, tmp_path / "data", watch, shard=(i, 3))
-        report = counted(f"{tmp_path}/data")
+        report = count_data_set(f"{tmp_path}/data")
         assert (seen, report["planned"], report["views"]) == ([read_before], planned, planned)
         # again: what was read before is not counted twice
         assert stream(job, tmp_path / "data", shard=(i, 3)).already_there == 4
-        assert counted(f"{tmp_path}/data")["planned"] == planned
+        assert count_data_set(f"{tmp_path}/data")["planned"] == planned
 
 
 def test_a_part_without_a_shape_of_the_jobs_roles_says_so_and_ends_well(stream, job, tmp_path):

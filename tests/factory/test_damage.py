@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning.assets import resolve
 from manifests import exr
 from manifests.errors import InputError
@@ -54,7 +54,9 @@ def template(catalogue, light_file, tmp_path_factory):
         patch.setenv("PYTHONPATH", str(ROOT))
         first = msgspec.structs.replace(job, materials=("small/matte", "small/metal"))
         carry_out(
-            planned(first, resolve(first, catalogues=[catalogue])), folder, RunOptions(studio=FAKE)
+            make_plan(first, resolve(first, catalogues=[catalogue])),
+            folder,
+            RunOptions(studio=FAKE),
         )
     return folder, job
 

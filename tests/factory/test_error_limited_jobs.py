@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from factory.commands import render as command
-from factory.commands.plan import described
+from factory.commands.plan import describe
 from factory.planning.fingerprint import render_fingerprint
 from factory.render.estimators import attempt
 from factory.render.estimators import rules as estimator_rules
@@ -91,7 +91,7 @@ def test_a_picture_that_does_not_keep_its_limit_is_kept_and_noted(render, limite
 
 
 def test_a_plan_says_the_limit_in_place_of_samples(plan_of, limited):
-    lines = {error: "\n".join(described(plan_of(limited(error)))) for error in (60.0, None)}
+    lines = {error: "\n".join(describe(plan_of(limited(error)))) for error in (60.0, None)}
     assert "display error ≤ 60" in lines[60.0] and "samples" not in lines[60.0]
     assert "1 sample" in lines[None] and "display error" not in lines[None]
 

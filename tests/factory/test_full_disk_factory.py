@@ -14,7 +14,7 @@ import msgspec
 import pytest
 from PIL import Image
 
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning.assets import resolve
 from manifests.errors import InputError
 from manifests.schema import Camera, Job
@@ -62,7 +62,7 @@ def room(tmp_path_factory, catalogue, light_file):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
         carry_out(
-            planned(job, resolve(job, catalogues=[catalogue])),
+            make_plan(job, resolve(job, catalogues=[catalogue])),
             room / "data",
             RunOptions(studio=FAKE),
         )

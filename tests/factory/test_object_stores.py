@@ -14,11 +14,11 @@ import msgspec
 import pytest
 
 from factory.__main__ import COMMANDS
-from factory.commands.status import counted
+from factory.commands.status import count_data_set
 from factory.execution import leases, uploads
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import facts
-from factory.planning.assets import opened
+from factory.planning.assets import resolve_unread
 from manifests import cli, object_store
 from manifests.cached_store import open_store
 from manifests.errors import InputError
@@ -59,7 +59,7 @@ def test_a_store_holds_what_a_folder_would(url, render, small_job, tmp_path, wor
     assert render(small_job, url, workers=workers) == expected
     theirs = open_store(url, fresh=True)
     assert content(theirs) == content(Store(folder)) and faults_of(theirs) == []
-    report = counted(url)
+    report = count_data_set(url)
     assert report["records"] == report["planned"] == expected.made and not report["failed"]
     assert os.listdir(tmp_path / "scratch") == [Path(theirs.folder).name]  # the copy just read
 
@@ -118,17 +118,17 @@ def test_parts_that_overlap_in_a_store_know_all_shapes_of_the_job(url, stream, s
     assert stream(small_job, url, watch, shard=(1, 2)).made == 6
     theirs = open_store(url, fresh=True)
     assert set(theirs.dataset().shapes) == {"cube", "disc"} and faults_of(theirs) == []
-    assert len(content(theirs)) == counted(url)["planned"] == 12
+    assert len(content(theirs)) == count_data_set(url)["planned"] == 12
 
 
 def test_what_fails_is_listed_there(url, render, small_job, monkeypatch):
     monkeypatch.setenv("FAKE_STUDIO", "nan:cube")
     outcome = render(small_job, url)
     assert (outcome.made, outcome.failed) == (6, 6)
-    assert counted(url)["failed"] == 6
+    assert count_data_set(url)["failed"] == 6
     monkeypatch.delenv("FAKE_STUDIO")
     assert render(small_job, url).made == 6
-    assert counted(url)["failed"] == 0 and faults_of(open_store(url, fresh=True)) == []
+    assert count_data_set(url)["failed"] == 0 and faults_of(open_store(url, fresh=True)) == []
 
 
 def test_views_without_pictures_are_written_too(url, render, small_job, tmp_path):
@@ -142,7 +142,7 @@ def test_views_without_pictures_are_written_too(url, render, small_job, tmp_path
 def test_what_was_read_of_shapes_is_known_to_the_next_run(
     url, render, small_job, catalogue, monkeypatch
 ):
-    plan = planned(small_job, opened(small_job, catalogues=[catalogue]))
+    plan = make_plan(small_job, resolve_unread(small_job, catalogues=[catalogue]))
     run_options = RunOptions(studio=FAKE)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     assert carry_out(plan, url, run_options).made == 12

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from factory.execution.forecast import expected_events, probe_shots, probed
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.forecast import count_events, probe, probe_shots
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.preview.contact_sheet import labelled, stored_light
 from factory.preview.shading import lights, mirror_sphere, shade
 from manifests.materials import load_catalogue
@@ -50,7 +50,7 @@ def made(catalogue, light_file, tmp_path_factory):
         seed=11,
     )
     outcome = carry_out(
-        planned(job, resolve(job, catalogues=[catalogue])),
+        make_plan(job, resolve(job, catalogues=[catalogue])),
         folder / "data",
         RunOptions(device="cpu", threads=1),
     )
@@ -212,13 +212,13 @@ def test_the_forecast_is_made_of_real_shots_and_leaves_nothing_behind(plan_of, s
     assert len({shot.id for shot in shots}) == len(shots) > 10
     # no shape has most of them
     assert max(Counter(shot.shape for shot in shots).values()) < 0.6 * len(shots)
-    forecast = probed(plan, RunOptions(device="cpu"))
+    forecast = probe(plan, RunOptions(device="cpu"))
     assert 0 < forecast.hours < 1 and 0 < sum(forecast.bytes.values()) < 1e7
     assert {"shape", "light", "geometry", "picture", "writing"} <= set(forecast.seconds)
 
 
 def test_events_are_counted_as_they_will_happen(plan_of, small_job):
-    events = expected_events(plan_of(small_job))
+    events = count_events(plan_of(small_job))
     assert events == {
         "shape": 2,
         "geometry": 4,

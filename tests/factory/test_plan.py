@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from factory.commands import render
-from factory.commands.plan import described, split_counts
+from factory.commands.plan import describe, split_counts
 from factory.planning import jobs
 from factory.planning.assets import Assets, Light, Material, resolve
 from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan, Shot, camera_words, shot_seed
-from factory.planning.shape_names import Source, local, sources
+from factory.planning.shape_names import Source, list_sources, resolve_path
 from manifests import splits
 from manifests.errors import InputError
 from manifests.schema import Camera, Draw, Failure, Job, Record, View
@@ -32,7 +32,7 @@ def stub(hash_of):
     """A function of a Job: its Plan over shapes and materials that are only names and hashes."""
 
     def make(job, training=60, testing=20):
-        names = list(dict.fromkeys(source.place for source in sources(job, None)))
+        names = list(dict.fromkeys(source.place for source in list_sources(job, None)))
         roles = splits.shape_roles([(n, n.split(":")[0], hash_of(n)) for n in names], job.split)
         expected = set(job.roles) or set(splits.SIDES)
         shapes = [
@@ -279,10 +279,12 @@ def test_a_job_that_names_what_is_not_there_is_refused_in_one_line(
 def test_a_path_may_lie_below_the_jobs_folder_but_a_link_may_not_lead_out(tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "out").symlink_to(tmp_path)
-    assert local("meshes/x.obj", tmp_path / "in", "job") == tmp_path / "in" / "meshes" / "x.obj"
+    assert (
+        resolve_path("meshes/x.obj", tmp_path / "in", "job") == tmp_path / "in" / "meshes" / "x.obj"
+    )
     for path in ("out/x.obj", "meshes/../x.obj"):
         with pytest.raises(InputError, match="--assets"):
-            local(path, tmp_path / "in", "job")
+            resolve_path(path, tmp_path / "in", "job")
 
 
 def test_meshes_and_lights_of_options_are_also_looked_for_in_assets(
@@ -426,7 +428,7 @@ def test_sets_and_names_of_materials_can_be_mixed(small_job, catalogue):
 
 
 def test_a_plan_says_what_it_means(plan_of, small_job):
-    text = "\n".join(described(plan_of(small_job)))
+    text = "\n".join(describe(plan_of(small_job)))
     assert "12 pictures of 16×16, 1 sample, orthographic" in text
     assert "materials  3: 1 test, 2 train" in text
     assert re.search(r"split +.*(train|mixed)", text)

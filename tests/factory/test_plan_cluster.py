@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from brdfactory.command_line import run
-from factory.execution.forecast import Forecast, on_cluster
+from factory.execution.forecast import Forecast, forecast_cluster
 
 MEASURED = Forecast(
     seconds={"picture": 1500.0, "shape": 100.0},
@@ -16,15 +16,18 @@ MEASURED = Forecast(
 
 
 def test_work_is_divided_among_all_cores_and_the_start_is_paid_for():
-    cluster = on_cluster(MEASURED, 4, 10, 1600)
+    cluster = forecast_cluster(MEASURED, 4, 10, 1600)
     assert cluster.hours == pytest.approx((40 * 1.0 + 36) / 3600)
     assert cluster.core_hours == pytest.approx(40 * cluster.hours)
 
 
 def test_a_worker_makes_whole_pictures_so_that_too_many_workers_do_not_help():
-    assert on_cluster(MEASURED, 1, 1599, 1600).hours > on_cluster(MEASURED, 1, 1600, 1600).hours
-    at_most = on_cluster(MEASURED, 1, 1600, 1600)
-    assert on_cluster(MEASURED, 100, 1600, 1600).hours == at_most.hours
+    assert (
+        forecast_cluster(MEASURED, 1, 1599, 1600).hours
+        > forecast_cluster(MEASURED, 1, 1600, 1600).hours
+    )
+    at_most = forecast_cluster(MEASURED, 1, 1600, 1600)
+    assert forecast_cluster(MEASURED, 100, 1600, 1600).hours == at_most.hours
 
 
 @pytest.fixture
@@ -32,7 +35,7 @@ def forecast(monkeypatch):
     """`plan` without Blender; the RunOptions that it probed with."""
     given = []
     monkeypatch.setattr(
-        "factory.execution.forecast.probed",
+        "factory.execution.forecast.probe",
         lambda plan, options: given.append(options) or MEASURED,
     )
     return given
@@ -61,7 +64,7 @@ def test_the_command_says_hours_disk_and_money(forecast, capsys):
 def test_a_busy_machine_is_said(monkeypatch, capsys, computed, load, is_said):
     """Of little computation on an idle machine, a GPU is the reason."""
     measured = replace(MEASURED, computed=computed)
-    monkeypatch.setattr("factory.execution.forecast.probed", lambda plan, options: measured)
+    monkeypatch.setattr("factory.execution.forecast.probe", lambda plan, options: measured)
     monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
     monkeypatch.setattr("manifests.subprocesses.processors", lambda: 2)
     assert run(["plan", "smallest", "--machines", "2", "--cores", "4"]) == 0

@@ -16,8 +16,14 @@ import pytest
 
 from factory.execution.ray_pool import RayPool, _Lost, _Worker
 from factory.execution.ray_worker import RayWorker, lines_path
-from factory.execution.registration import register
-from factory.execution.run import RunOptions, assign, carry_out, shape_sources, worker_config
+from factory.execution.registration import register_job
+from factory.execution.run import (
+    RunOptions,
+    carry_out,
+    make_assignment,
+    shape_sources,
+    worker_config,
+)
 from factory.execution.worker import Chunk, Reply
 from manifests.errors import InputError
 from manifests.line_files import Lines
@@ -126,7 +132,7 @@ def pool(plan_of, small_job, tmp_path):
     notes = []
 
     def config(number):
-        return worker_config(store, f"worker-ray-{number:02d}", assign(plan), RunOptions())
+        return worker_config(store, f"worker-ray-{number:02d}", make_assignment(plan), RunOptions())
 
     made = RayPool(config, shape_sources(plan.assets.shapes), 1, notes.append)
     shots = list(plan)
@@ -222,9 +228,11 @@ def test_an_actor_s_process_that_dies_answers_for_the_shot_in_hand(
     monkeypatch.setenv("FAKE_STUDIO", "crash:disc")
     plan = plan_of(small_job)
     store, shots = Store(tmp_path), list(plan)
-    register(store, plan, len(plan))
+    register_job(store, plan, len(plan))
     options = RunOptions(studio=FAKE, ray="auto")
-    actor = RayWorker(msgspec.json.encode(worker_config(store, "w", assign(plan), options)))
+    actor = RayWorker(
+        msgspec.json.encode(worker_config(store, "w", make_assignment(plan), options))
+    )
     chunk = Chunk(shots[4:8], shape_sources(plan.assets.shapes))
     replies = [
         msgspec.json.decode(line, type=Reply) for line in actor.make(msgspec.json.encode(chunk))
@@ -243,9 +251,11 @@ def test_an_actor_s_chunk_ends_with_a_shot_that_fails(plan_of, small_job, tmp_pa
     monkeypatch.setenv("FAKE_STUDIO", "nan:disc")
     plan = plan_of(small_job)
     store, shots = Store(tmp_path), list(plan)
-    register(store, plan, len(plan))
+    register_job(store, plan, len(plan))
     options = RunOptions(studio=FAKE, ray="auto")
-    actor = RayWorker(msgspec.json.encode(worker_config(store, "w", assign(plan), options)))
+    actor = RayWorker(
+        msgspec.json.encode(worker_config(store, "w", make_assignment(plan), options))
+    )
     chunk = msgspec.json.encode(Chunk(shots[5:9], shape_sources(plan.assets.shapes)))
     first, second = (msgspec.json.decode(line, type=Reply) for line in actor.make(chunk))
     assert first.made == shots[5].id

@@ -281,9 +281,9 @@ def test_similar_names_are_looked_for_only_where_a_file_is_missing(
     monkeypatch.setattr(files, "closest", lambda name, _: listed.append(name) or "none is near")
     for folder_or_files in (job.shapes, tuple(map(str, paths))):
         named = msgspec.structs.replace(job, shapes=folder_or_files)
-        assert len(assets.opened(named, catalogues=[catalogue]).unread) == 6
+        assert len(assets.resolve_unread(named, catalogues=[catalogue]).unread) == 6
     assert not listed
     lost = msgspec.structs.replace(job, shapes=(f"{tmp_path}/meshes/mesh9.ply",))
     with pytest.raises(InputError, match=r"no such file .none is near"):
-        assets.opened(lost, catalogues=[catalogue])
+        assets.resolve_unread(lost, catalogues=[catalogue])
     assert listed == ["mesh9.ply"]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from factory.commands.render import outcome_line
-from factory.execution.forecast import probed
+from factory.execution.forecast import probe
 from factory.execution.run import RunOptions
 from manifests import lock
 from manifests.errors import InputError
@@ -340,4 +340,4 @@ def test_a_forecast_whose_trial_shot_fails_says_so_in_a_line(plan_of, small_job,
         InputError,
         match="cube, view 0: expected a shot that can be made, found expected finite radiance",
     ):
-        probed(plan_of(small_job), RunOptions(studio=FAKE))
+        probe(plan_of(small_job), RunOptions(studio=FAKE))

@@ -5,8 +5,8 @@ pictures have.
 import msgspec
 import pytest
 
-from factory.commands.plan import described
-from factory.commands.status import counted
+from factory.commands.plan import describe
+from factory.commands.status import count_data_set
 from manifests import ids
 from manifests.cli import main
 from manifests.errors import InputError
@@ -102,7 +102,7 @@ def test_pictures_of_the_same_views_share_their_geometry_files(
     assert {r.geometry_hash for r in store.records()} <= {v.geometry_hash for v in store.views()}
     assert len(list((tmp_path / "geometry").rglob("*.exr"))) == 4
     assert faults(tmp_path) == []
-    report = counted(tmp_path)
+    report = count_data_set(tmp_path)
     assert (report["records"], report["views"], report["planned"]) == (12, 4, 16)
 
 
@@ -193,7 +193,7 @@ def test_each_view_of_each_shape_has_the_camera_that_it_draws(render, drawn_job,
     }
     assert lines["a"] == lines["b"] and len({camera for *_, camera in lines["a"]}) == 4
     angles = [camera.elevation_deg for *_, camera in lines["a"]]
-    assert counted(tmp_path / "a")["cameras"]["elevation_deg"] == [min(angles), max(angles)]
+    assert count_data_set(tmp_path / "a")["cameras"]["elevation_deg"] == [min(angles), max(angles)]
     x, y = pixel_grid(*drawn_job.camera.size)
     for view in Store(tmp_path / "a").views():
         assert view.camera == ids.camera_of(drawn_job, view.shape_hash, view.viewpoint)
@@ -226,7 +226,7 @@ def test_a_range_upside_down_is_refused(plan_of, views_job):
 
 
 def test_the_plan_says_how_cameras_are_drawn(plan_of, drawn_job):
-    first = next(described(plan_of(drawn_job)))
+    first = next(describe(plan_of(drawn_job)))
     assert first.endswith(
         "a camera drawn for each view: 50% of views 15° to 60° wide, the others orthographic,"
         " elevation -10° to 60°, roll -15° to 15°"

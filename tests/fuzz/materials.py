@@ -192,7 +192,7 @@ def shown(asked):
     from learn.editing import edit
     from learn.figures import spheres
 
-    labels = edit.labels_of(
+    labels = edit.labels_by_region(
         asked, 2, lambda path: np.zeros((1, 108), np.float32), {"own": np.zeros(108, np.float32)}
     )
     return [

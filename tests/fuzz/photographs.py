@@ -104,8 +104,10 @@ def opened(role, path, room, exposure, balance):
     there = seeds.of(room)
     masks = [there / "mask.png"] if role == "photograph" else [path] if role == "mask" else []
     what = path if role in ("photograph", "material") else there / "photograph.png"
-    result = photograph.opened(what, masks, path if role == "regions" else None, balance, exposure)
-    return framing.framed(result.balanced, result.mask, 32, result.exposure)
+    result = photograph.open_photograph(
+        what, masks, path if role == "regions" else None, balance, exposure
+    )
+    return framing.frame_object(result.balanced, result.mask, 32, result.exposure)
 
 
 def not_finite(result: Result) -> str | None:

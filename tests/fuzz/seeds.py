@@ -109,7 +109,7 @@ def with_tests_on_path() -> None:
 
 def datasets(folder: Path) -> None:
     """data/ and views/ of the fake studio."""
-    from factory.execution.run import RunOptions, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, make_plan
     from factory.planning.assets import resolve
     from manifests.reading import decode
     from manifests.schema import Job
@@ -123,7 +123,9 @@ def datasets(folder: Path) -> None:
     ):
         (folder / f"job-of-{name}.json").write_text(json.dumps(job(folder) | changes))
         chosen = decode((folder / f"job-of-{name}.json").read_bytes(), Job, name)
-        carry_out(planned(chosen, resolve(chosen, folder)), folder / name, RunOptions(studio=FAKE))
+        carry_out(
+            make_plan(chosen, resolve(chosen, folder)), folder / name, RunOptions(studio=FAKE)
+        )
 
 
 # ------------------------------------------------------------------------------------------------

@@ -1454,7 +1454,7 @@ def rendered(folder: Path) -> list[Path]:
     """Data sets by Cycles, of the smallest size: the same three kinds, one of them under a light
     file of the user's own.
     """
-    from factory.execution.run import RunOptions, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, make_plan
     from factory.planning.assets import resolve
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -1493,7 +1493,7 @@ def rendered(folder: Path) -> list[Path]:
     }
     for name, job in jobs.items():
         if not (folder / name / "dataset.json").exists():
-            carry_out(planned(job, resolve(job)), folder / name, RunOptions())
+            carry_out(make_plan(job, resolve(job)), folder / name, RunOptions())
     _packed(folder / "views")
     return [folder / name for name in jobs]
 

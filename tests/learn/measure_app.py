@@ -64,7 +64,7 @@ def changes(count: int) -> list[tuple[str, str]]:
 
 def selection_by_clicks(count: int = 14) -> None:
     """Print how well a simulated user marks the example, who clicks into the largest error."""
-    path, regions = photograph.example("example:espresso-cup", [], None)
+    path, regions = photograph.resolve_example("example:espresso-cup", [], None)
     assert regions is not None
     with Image.open(path) as picture:
         display = np.asarray(picture.convert("RGB"))
@@ -96,7 +96,7 @@ def main() -> None:
     if arguments.clicks:
         selection_by_clicks()
         return
-    path, regions = photograph.example("example:espresso-cup", [], None)
+    path, regions = photograph.resolve_example("example:espresso-cup", [], None)
     assert regions is not None
     address, end = page.serve(EDITING_WEIGHTS, wait=False)
     exact = "document.querySelector('#shown').innerText.includes('Exact view')"

@@ -44,7 +44,7 @@ def main() -> None:
     imports = time.process_time() - start
     program.prepare()
     (parts, _), loading = timed(lambda: weights.load_parts(EDITING_WEIGHTS))
-    opened, reading = timed(lambda: photograph.opened(str(options.photo), [options.mask]))
+    opened, reading = timed(lambda: photograph.open_photograph(str(options.photo), [options.mask]))
     print(
         f"{'imports':24}{imports:7.2f}\n{'weights':24}{loading:7.2f}\n{'reading':24}{reading:7.2f}"
     )
@@ -66,7 +66,7 @@ def main() -> None:
         reflectance_store.LOOKED_UP = always
     painter.own_radiance()
     for name in options.material:
-        label = targets.label_of(name, None)[0]
+        label = targets.resolve_labels(name, None)[0]
         fast, short = timed(lambda label=label: painter.edited([label]))
         reflectance_store.LOOKED_UP = ()
         slow, long = timed(lambda label=label: painter.edited([label]))

@@ -83,21 +83,21 @@ def download(root):
 def row(name, path, mask, network, size, settings):
     """A row of the sheet, and seconds: all steps but reading the weights."""
     start = time.perf_counter()
-    opened = photograph.opened(path, [mask], None)
+    opened = photograph.open_photograph(path, [mask], None)
     result = decomposition.decompose(opened, network, size, settings)
     compositor = Compositor(result, detail=0.25)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
     again = tone.display(compositor.rendered_again(), 1.0)
     tiles = [
-        (name, drawing.cropped(tone.display(opened.radiance, 1.0), result)),
-        ("rendered again", drawing.cropped(again, result)),
+        (name, drawing.crop_to_object(tone.display(opened.radiance, 1.0), result)),
+        ("rendered again", drawing.crop_to_object(again, result)),
         ("normals", montage.normals_picture(n, result.framed.mask)),
         ("light", montage.light_picture(L)),
     ]
     for material in MATERIALS:
-        label = targets.label_of(material, lambda picture: None)
+        label = targets.resolve_labels(material, lambda picture: None)
         edited = tone.display(compositor.edited([label[0]]), 1.0)
-        tiles.append((material, drawing.cropped(edited, result)))
+        tiles.append((material, drawing.crop_to_object(edited, result)))
     return tiles, time.perf_counter() - start
 
 

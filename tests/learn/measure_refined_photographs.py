@@ -35,7 +35,7 @@ TITLES = {"auto": "sum", "quadrature": "integral"}  # of LAYER_METHODS
 
 def by_method(path, mask, network, size):
     """{method: figures}, {method: tiles} and {material: display L2 between both methods' edits}."""
-    opened = photograph.opened(path, [mask], None)
+    opened = photograph.open_photograph(path, [mask], None)
     figures, tiles, edits = {}, {}, {}
     for method in LAYER_METHODS:
         began = time.process_time()
@@ -44,7 +44,7 @@ def by_method(path, mask, network, size):
         compositor = Compositor(result, detail=0.25)
         again = compositor.rendered_again()
         edits[method] = {
-            material: compositor.edited([targets.label_of(material, lambda picture: None)[0]])
+            material: compositor.edited([targets.resolve_labels(material, lambda picture: None)[0]])
             for material in MATERIALS
         }
         n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
@@ -57,7 +57,7 @@ def by_method(path, mask, network, size):
         tiles[method] = [
             (
                 TITLES[method] if title == "photograph" else title,
-                drawing.cropped(tone.display(picture, 1.0), result),
+                drawing.crop_to_object(tone.display(picture, 1.0), result),
             )
             for title, picture in shown.items()
         ]

@@ -497,7 +497,7 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
     assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
-    again = photograph.opened(tmp_path / "sent.png", [tmp_path / "mask.png"])
+    again = photograph.open_photograph(tmp_path / "sent.png", [tmp_path / "mask.png"])
     np.testing.assert_array_equal(again.coverage, opened.coverage)
     np.testing.assert_array_equal(again.regions, opened.regions)
 

@@ -58,7 +58,7 @@ def served():
 
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory):
-    path, _ = photograph.example("example:espresso-cup", [], None)
+    path, _ = photograph.resolve_example("example:espresso-cup", [], None)
     file = tmp_path_factory.mktemp("photo") / "cup.png"
     Image.open(path).convert("RGB").resize(SIZE, Image.Resampling.BOX).save(file)
     return file

@@ -45,7 +45,7 @@ def data_splits(tmp_path_factory):
     )
     geometry, rng = Geometry(folder, progress=False), np.random.default_rng(2)
     labels = {f"m{i}": painted(albedo) for i, albedo in enumerate(np.linspace(0.05, 0.9, 12))}
-    maps = [lights.computed(rng).astype(np.float32) for _ in range(6)]
+    maps = [lights.draw_computed(rng).astype(np.float32) for _ in range(6)]
     return {
         side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
         for side in ("train", "validation", "test")

@@ -141,10 +141,12 @@ def test_training_shapes_are_those_that_the_weights_saw(tmp_path, rng):
     synthetic.add_shape(store, "cube:1", "test")
     dataset = store.dataset()
     assert set(distances.training_shapes(tmp_path, None)) == {"sphere"}
-    lists = seen.of({"shapes": [dataset.shapes["cube:1"].hash], "materials": [], "lights": []})
+    lists = seen.make_seen(
+        {"shapes": [dataset.shapes["cube:1"].hash], "materials": [], "lights": []}
+    )
     known = distances.training_shapes(tmp_path, lists)
     assert set(known) == {"cube:1"} and known["cube:1"].shape[1:] == (16, 16, 3)
-    nothing = seen.of({"shapes": [], "materials": [], "lights": []})
+    nothing = seen.make_seen({"shapes": [], "materials": [], "lights": []})
     with pytest.raises(InputError, match="shapes that the weights were trained on, found none"):
         distances.training_shapes(tmp_path, nothing)
     assert distances.training_shapes(None, lists) == {}
@@ -171,7 +173,7 @@ def test_a_turned_training_map_is_of_training_and_others_are_farther_the_less_al
 def test_measured_maps_that_weights_saw_and_did_not_validate_on_are_training_maps(tmp_path):
     measured = measured_lights.load_all()
     names = ("blender_forest", "pmndrs_sky", "blender_courtyard")
-    lists = seen.of(
+    lists = seen.make_seen(
         {"shapes": [], "materials": [], "lights": [seen.map_hash(measured[n]) for n in names]}
     )
     run = {"run": {"data": {"validation_lights": ["blender_courtyard"]}}}

@@ -104,20 +104,20 @@ def test_files_are_read_and_names_are_not(tmp_path) -> None:
     picture.write_bytes(b"")
     label = [float(x) for x in label_of("chrome")[0]]
     file.write_text(json.dumps({"label": label}))
-    assert targets.is_read(str(picture)) and targets.is_read(str(file))
+    assert targets.is_from_picture(str(picture)) and targets.is_from_picture(str(file))
     file.write_text(json.dumps({"labels": [label, label], "read": [True, False]}))
     both = [np.zeros(108, np.float32), np.ones(108, np.float32)]
-    assert targets.read_labels(str(file), both)[0] is both[0]
-    assert len(targets.read_labels(str(file), both)) == 1
+    assert targets.labels_from_pictures(str(file), both)[0] is both[0]
+    assert len(targets.labels_from_pictures(str(file), both)) == 1
     file.write_text(json.dumps({"label": label, "read": [True, False]}))
     with pytest.raises(InputError, match="one for each label"):
-        targets.is_read(str(file))
+        targets.is_from_picture(str(file))
     for text in ("brass", "keep", "principled(metallic=1)"):
-        assert not targets.is_read(text)
+        assert not targets.is_from_picture(text)
     labels = [np.zeros(108, np.float32), None, np.ones(108, np.float32)]
-    found = targets.read_labels(f"brass+keep+{picture}", labels)
+    found = targets.labels_from_pictures(f"brass+keep+{picture}", labels)
     assert len(found) == 1 and found[0] is labels[2]
-    assert targets.read_labels(str(picture), [labels[0]] * 3) == [labels[0]] * 3
+    assert targets.labels_from_pictures(str(picture), [labels[0]] * 3) == [labels[0]] * 3
 
 
 def test_the_row_as_edited_has_the_corrections_of_edit() -> None:
@@ -130,7 +130,7 @@ def test_the_row_as_edited_has_the_corrections_of_edit() -> None:
     read = result.start._replace(light=result.start.light * tint)
     corrected = AsEdited(Layered("ours", lambda batch: read))
     assert corrected.name == "ours, as edited"
-    right = light_colour.without_green(decomposition.parts_of(read))
+    right = light_colour.remove_green(decomposition.require_parts(read))
     assert torch.equal(corrected.parts(result.batch).light, right.light)
     assert not torch.equal(right.light, read.light)
     target = torch.from_numpy(metal)[None]

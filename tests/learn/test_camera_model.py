@@ -23,7 +23,9 @@ def shaded() -> np.ndarray:
 def taken(seed: int, mask: np.ndarray = DISK) -> tuple:
     rng = np.random.default_rng(seed)
     numbered = torch.from_numpy(1.0 + ROWS * SIDE + COLUMNS)
-    return augmentation.seen_by_camera(rng, shaded(), mask, (numbered, torch.ones(SIDE, SIDE, 3)))
+    return augmentation.prepare_photograph(
+        rng, shaded(), mask, (numbered, torch.ones(SIDE, SIDE, 3))
+    )
 
 
 def test_the_truth_moves_along_and_is_cut_where_the_object_is_hidden() -> None:
@@ -63,7 +65,7 @@ def test_exposures_spread_over_four_stops() -> None:
     stops = []
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        _, clipping = camera_model.photographed(rng, shaded(), DISK)
+        _, clipping = camera_model.take_photograph(rng, shaded(), DISK)
         # blur and white balance move a channel's white, not the mean over channels, by much
         stops.append(np.log2(percentile / (1 / (LUMINANCE @ (1 / clipping.white)))))
     low, high = np.percentile(stops, [2, 98])
@@ -73,7 +75,7 @@ def test_exposures_spread_over_four_stops() -> None:
 def test_the_exposure_is_the_readers() -> None:
     """radiance = file x TYPICAL x Y^-DEPENDENCE, so that the mean is TYPICAL Y^(1 - DEPENDENCE)."""
     for seed in range(20):
-        image, _ = camera_model.photographed(np.random.default_rng(seed), shaded(), DISK)
+        image, _ = camera_model.take_photograph(np.random.default_rng(seed), shaded(), DISK)
         mean = float((image[DISK] @ LUMINANCE).mean())
         Y = (mean / TYPICAL) ** (1 / (1 - DEPENDENCE))
         assert 0.005 < Y < 1.0
@@ -82,7 +84,7 @@ def test_the_exposure_is_the_readers() -> None:
 def test_what_exceeds_white_is_clipped_and_nothing_else_much() -> None:
     clipped = 0
     for seed in range(40):
-        _, clipping = camera_model.photographed(np.random.default_rng(seed), shaded(), DISK)
+        _, clipping = camera_model.take_photograph(np.random.default_rng(seed), shaded(), DISK)
         bright = (shaded() > 1.3 * clipping.white) & DISK[..., None]
         dark = (shaded() < 0.3 * clipping.white) & DISK[..., None]
         assert bright.sum() < 20 or clipping.clipped[bright].mean() > 0.9
@@ -95,14 +97,14 @@ def test_what_exceeds_white_is_clipped_and_nothing_else_much() -> None:
 def test_black_and_very_bright_objects_stay_finite(value: float) -> None:
     image = np.full((SIDE, SIDE, 3), value, np.float32)
     for seed in range(5):
-        result, clipping = camera_model.photographed(np.random.default_rng(seed), image, DISK)
+        result, clipping = camera_model.take_photograph(np.random.default_rng(seed), image, DISK)
         assert np.isfinite(result).all() and np.isfinite(clipping.white).all()
 
 
 def test_drawn_masks_are_near_the_object_and_not_all_alike() -> None:
     sizes = []
     for seed in range(60):
-        drawn = camera_model.drawn_mask(np.random.default_rng(seed), DISK)
+        drawn = camera_model.draw_mask(np.random.default_rng(seed), DISK)
         assert not drawn[:3].any() and not drawn[:, :3].any()
         sizes.append(drawn.sum() / DISK.sum())
     assert 0.7 < min(sizes) < 0.99 and 1.01 < max(sizes) < 1.4
@@ -112,7 +114,7 @@ def test_a_mask_of_a_thin_object_is_never_worn_away() -> None:
     bars = np.zeros((SIDE, SIDE), bool)
     bars[4:-4, SIDE // 2 : SIDE // 2 + 2] = True
     sizes = [
-        camera_model.drawn_mask(np.random.default_rng(seed), bars).sum() / bars.sum()
+        camera_model.draw_mask(np.random.default_rng(seed), bars).sum() / bars.sum()
         for seed in range(400)
     ]
     assert min(sizes) >= camera_model.LEAST_SHARE
@@ -122,14 +124,18 @@ def test_a_share_of_pictures_is_taken_by_the_camera_model() -> None:
     """Others are augmented as before."""
     along, simple = (torch.ones(SIDE, SIDE),), 0
     for seed in range(100):
-        image, _, _ = augmentation.by(
+        image, _, _ = augmentation.augment(
             Data(camera_model=0.7), True, np.random.default_rng(seed), shaded(), DISK, along
         )
         rng = np.random.default_rng(seed)
         rng.random()
-        simple += np.array_equal(image, augmentation.seen(rng, shaded(), DISK, along, True)[0])
+        simple += np.array_equal(
+            image, augmentation.prepare_picture(rng, shaded(), DISK, along, True)[0]
+        )
     assert 15 < simple < 45
     for data, training in ((Data(), True), (Data(camera_model=0.7), False)):
-        one = augmentation.by(data, training, np.random.default_rng(5), shaded(), DISK, along)
-        two = augmentation.seen(np.random.default_rng(5), shaded(), DISK, along, training)
+        one = augmentation.augment(data, training, np.random.default_rng(5), shaded(), DISK, along)
+        two = augmentation.prepare_picture(
+            np.random.default_rng(5), shaded(), DISK, along, training
+        )
         np.testing.assert_array_equal(one[0], two[0])

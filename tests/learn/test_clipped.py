@@ -25,14 +25,14 @@ def test_white_is_marked_by_channel_and_through_resizing() -> None:
     assert clipped[8:16, 8:16, 0].all()
     mask = np.zeros((32, 32), bool)
     mask[4:24, 4:24] = True
-    framed = framing.framed(radiance, mask, 8, clipped=clipped)
+    framed = framing.frame_object(radiance, mask, 8, clipped=clipped)
     assert framed.clipped is not None
     assert framed.clipped.shape == (8, 8, 3)
     share = framed.clipped[..., 0]
     assert 0 < share.max() <= 1
     assert ((share > 0) & (share < 1)).any()
     assert not framed.clipped[..., 1:].any()
-    assert framing.framed(radiance, mask, 8).clipped is None
+    assert framing.frame_object(radiance, mask, 8).clipped is None
 
 
 def test_a_brighter_prediction_has_no_gradient_and_a_darker_one_is_pulled_up() -> None:

@@ -77,7 +77,7 @@ def test_without_a_partner_the_layer_renders_the_target(rendered_split):
         rendered_split.records, rendered_split.geometry, rendered_split.records.records[:1]
     )
     batch = RenderedDataset(data_split(lonely, "test"), Data(), 1, SIZE, 5)[0]
-    mine = validation.picture(batch.n, batch.target_label, batch.light, batch)
+    mine = validation.render_batch(batch.n, batch.target_label, batch.light, batch)
     truth = batch.target.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
@@ -100,7 +100,7 @@ def test_augmentation_moves_picture_truth_and_target_together(rendered_split):
     assert ((batch.n.norm(dim=1, keepdim=True) > 0.5) == inside).all()
     assert (batch.picture * ~inside).abs().max() == 0
     # channels of picture, label and light permuted alike
-    mine = validation.picture(batch.n, batch.label, batch.light, batch)
+    mine = validation.render_batch(batch.n, batch.label, batch.light, batch)
     truth = batch.picture.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03
 
@@ -150,7 +150,7 @@ def test_records_of_more_materials_than_regions_do_not_fit(rendered_split):
 def test_the_source_is_what_the_run_says(rendered_split):
     def of(**data):
         run = Run(name="t", size=SIZE, data=Data(sharing=2, **data))
-        return sources.source_of(data_split(rendered_split), run, 4, 1)
+        return sources.make_batch_source(data_split(rendered_split), run, 4, 1)
 
     assert isinstance(of(), RelitDataset)
     assert isinstance(of(source="pictures"), RenderedDataset)
@@ -185,7 +185,7 @@ def of_training(store, data, maps=None):
     """The materials of the pictures that would train."""
     records = Records(store.folder)
     maps = maps or {"sky": ("train", records.light("sky"))}
-    drawn, _ = sources.materials_of(data, records)
+    drawn, _ = sources.split_materials(data, records)
     rendered_splits = sources._rendered_splits(
         data, store.folder, Geometry(store.folder, progress=False), maps, drawn, False, False
     )
@@ -200,9 +200,9 @@ def test_a_bad_picture_stops_before_training_or_is_left_out_and_counted(store, k
     path = damage(store, kind)
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     with pytest.raises(InputError, match=path.name) as error:
-        preflight.checked(records, records.records, geometry, progress=False)
+        preflight.check_records(records, records.records, geometry, progress=False)
     assert "\n" not in str(error.value)
-    good, skipped = preflight.checked(
+    good, skipped = preflight.check_records(
         records, records.records, geometry, skip_bad=True, progress=False
     )
     assert set(skipped) == {first(store).id}
@@ -234,8 +234,8 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
         )
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
     with pytest.raises(InputError, match=report):
-        preflight.checked(records, records.records, geometry, progress=False)
-    good, skipped = preflight.checked(
+        preflight.check_records(records, records.records, geometry, progress=False)
+    good, skipped = preflight.check_records(
         records, records.records, geometry, skip_bad=True, progress=False
     )
     assert set(skipped) == bad
@@ -244,10 +244,10 @@ def test_a_light_or_a_label_out_of_range_stops_before_training_or_its_pictures_a
 
 def test_a_picture_that_was_good_is_checked_again_once_it_changed(store):
     records, geometry = Records(store.folder), Geometry(store.folder, progress=False)
-    preflight.checked(records, records.records, geometry, progress=False)
+    preflight.check_records(records, records.records, geometry, progress=False)
     damage(store, "truncated")
     with pytest.raises(InputError, match="whole OpenEXR"):
-        preflight.checked(records, records.records, geometry, progress=False)
+        preflight.check_records(records, records.records, geometry, progress=False)
 
 
 @pytest.mark.parametrize("kind", ["empty", "not finite", "truncated"])
@@ -285,7 +285,7 @@ def test_views_that_are_left_out_leave_the_others_as_they_are(store):
     assert again.skipped == result.skipped
     with pytest.raises(InputError, match=gone.name):
         Geometry(store.folder, progress=False)
-    good, skipped = preflight.checked(
+    good, skipped = preflight.check_records(
         Records(store.folder), [other], result, skip_bad=True, progress=False
     )
     assert not good
@@ -296,5 +296,5 @@ def test_a_dataset_of_another_schema_version_is_refused_in_one_line(store):
     path = store.folder / "dataset.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
     with pytest.raises(InputError, match=r"expected schema version 1, found 99") as error:
-        sources.data_splits(Data(), Store(store.folder).folder, progress=False)
+        sources.load_data_splits(Data(), Store(store.folder).folder, progress=False)
     assert "\n" not in str(error.value)

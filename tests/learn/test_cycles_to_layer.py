@@ -37,7 +37,7 @@ def dataset(request, tmp_path_factory):
     function, and a fitted glossy one.
     """
     pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
-    from factory.execution.run import RunOptions, carry_out, planned
+    from factory.execution.run import RunOptions, carry_out, make_plan
     from factory.planning.assets import resolve
     from tests.support import synthetic
 
@@ -57,7 +57,7 @@ def dataset(request, tmp_path_factory):
         repeats=SEEDS,
         camera=request.param,
     )
-    plan = planned(job, resolve(job, catalogues=[*materials.BUILT_IN, own]))
+    plan = make_plan(job, resolve(job, catalogues=[*materials.BUILT_IN, own]))
     outcome = carry_out(plan, folder / "data", RunOptions(device="cpu", threads=2))
     assert (outcome.made, outcome.failed) == (2 * SEEDS, 0)
     return Records(folder / "data")

@@ -117,7 +117,7 @@ def test_a_rolled_record_is_rendered_upright_and_refused_where_elevation_alone_c
     torch.testing.assert_close(sample.upright(right), torch.tensor([0.75**0.5, -0.5, 0.0]))
     seen = render(**sample.for_layer(), method="exact")[0]
     torch.testing.assert_close(sample.image, seen, rtol=6e-4, atol=0)
-    for look in (lambda: sample.elevation, lambda: photograph.opened(tmp_path)):
+    for look in (lambda: sample.elevation, lambda: photograph.open_photograph(tmp_path)):
         with pytest.raises(InputError, match="an upright camera"):
             look()
 

@@ -11,7 +11,7 @@ from learn.__main__ import COMMANDS
 from learn.data import lights, photographs
 from learn.editing import decomposition
 from learn.editing.compositor import Compositor
-from learn.editing.desired_light import light_of
+from learn.editing.desired_light import resolve_light
 from learn.layer import render
 from manifests.cli import main
 from manifests.errors import InputError
@@ -45,16 +45,20 @@ def test_lights_come_from_maps_seeds_and_pictures_at_unit_mean(tmp_path):
     photographs.write_exr(tmp_path / "big.exr", np.repeat(np.repeat(lamp(40), 2, 0), 2, 1))
     np.savez(tmp_path / "maps.npz", left=lamp(90), right=lamp(10))
     expected = envmap.unit_mean(lamp(40))[0]
-    np.testing.assert_allclose(light_of(str(tmp_path / "big.exr"), no_picture), expected, rtol=1e-4)
-    right = light_of(f"{tmp_path / 'maps.npz'}#right", no_picture)
+    np.testing.assert_allclose(
+        resolve_light(str(tmp_path / "big.exr"), no_picture), expected, rtol=1e-4
+    )
+    right = resolve_light(f"{tmp_path / 'maps.npz'}#right", no_picture)
     np.testing.assert_allclose(right, envmap.unit_mean(lamp(10))[0], rtol=1e-5)
-    computed = light_of("computed:7", no_picture)
-    np.testing.assert_array_equal(computed, light_of("computed:7", no_picture))
-    assert np.abs(computed - light_of("computed:8", no_picture)).max() > 0.1
-    np.testing.assert_allclose(light_of("room.jpg", lambda path: lamp(40) * 9), expected, rtol=1e-5)
+    computed = resolve_light("computed:7", no_picture)
+    np.testing.assert_array_equal(computed, resolve_light("computed:7", no_picture))
+    assert np.abs(computed - resolve_light("computed:8", no_picture)).max() > 0.1
+    np.testing.assert_allclose(
+        resolve_light("room.jpg", lambda path: lamp(40) * 9), expected, rtol=1e-5
+    )
     for L in (right, computed):
         assert envmap.mean_radiance(L) @ tone.LUMINANCE == pytest.approx(1, abs=1e-4)
-    quarter = light_of(f"{tmp_path / 'maps.npz'}#right", no_picture, 90)
+    quarter = resolve_light(f"{tmp_path / 'maps.npz'}#right", no_picture, 90)
     np.testing.assert_array_equal(quarter, envmap.roll(right, 32))
 
 
@@ -76,7 +80,7 @@ def test_lights_that_are_none_are_refused(text, said, tmp_path, monkeypatch):
     photographs.write_exr("square.exr", np.ones((64, 64, 3), np.float32))
     photographs.write_exr("black.exr", np.zeros((64, 128, 3), np.float32))
     with pytest.raises(InputError, match=said):
-        light_of(text, no_picture)
+        resolve_light(text, no_picture)
 
 
 def test_a_transfer_under_a_light_shows_every_object_in_every_material(pictures, capsys):
@@ -134,7 +138,9 @@ def test_relighting_by_true_parts_is_the_layers_picture():
 
 
 def test_computed_lights_are_those_of_training():
-    L = lights.computed(np.random.default_rng(7))
+    L = lights.draw_computed(np.random.default_rng(7))
     np.testing.assert_allclose(
-        light_of("computed:7", no_picture), envmap.unit_mean(L.astype(np.float32))[0], rtol=1e-5
+        resolve_light("computed:7", no_picture),
+        envmap.unit_mean(L.astype(np.float32))[0],
+        rtol=1e-5,
     )

@@ -159,7 +159,7 @@ def test_the_simulated_device_refuses_numpy_and_mixed_devices_and_learns(device)
     layer = torch.nn.Linear(3, 2).to(device)
     layer(x).sum().backward()
     assert layer.weight.device == layer.weight.grad.device == device
-    np.testing.assert_array_equal(devices.array(layer.weight.grad), np.ones((2, 3), np.float32))
+    np.testing.assert_array_equal(devices.to_numpy(layer.weight.grad), np.ones((2, 3), np.float32))
 
 
 def label_of(name):
@@ -170,7 +170,7 @@ def ball(size, material="blue-rubber"):
     """A ball's picture (1, size, size, 3) with its normals, label, light and mask."""
     n, inside = synthetic.sphere(synthetic.Camera(size=(size, size)))
     n, inside, label = torch.from_numpy(n)[None], torch.from_numpy(inside)[None], label_of(material)
-    L = torch.from_numpy(lights.computed(np.random.default_rng(3)).astype(np.float32))[None]
+    L = torch.from_numpy(lights.draw_computed(np.random.default_rng(3)).astype(np.float32))[None]
     return render(n, label.exp(), L, mask=inside, method="exact"), n, label, L, inside
 
 
@@ -204,7 +204,7 @@ def data_splits(tmp_path_factory):
     # whose lobes are broad: a sharp one's reference sum is slow
     matte = np.array(synthetic.matte().label, np.float32)
     labels = {f"m{i}": (matte + rng.normal(0, 0.1, 108)).astype(np.float32) for i in range(4)}
-    maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
+    maps = [lights.draw_computed(rng).astype(np.float32) for _ in range(2)]
     return {
         side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
         for side in ("train", "validation", "test")
@@ -301,7 +301,7 @@ def test_weights_give_the_same_network_on_every_device_and_ranges_on_the_cpu(wei
     assert (
         {tensor.device for tensor in network.state_dict().values()}
         == {device}
-        == {devices.of(network)}
+        == {devices.device_of(network)}
     )
     assert metadata["ranges"].centre.device == torch.device("cpu")
 

@@ -347,7 +347,7 @@ def test_an_object_of_a_few_pixels_is_refused(files):
     Image.new("RGB", (4, 4), (90, 80, 70)).save(files / "four.png")
     Image.fromarray(np.pad(np.full((2, 2), 255, np.uint8), 1)).save(files / "four-mask.png")
     with pytest.raises(InputError, match="16 pixels or more in the mask, found 4"):
-        photograph.opened(files / "four.png", [files / "four-mask.png"])
+        photograph.open_photograph(files / "four.png", [files / "four-mask.png"])
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "P", "CMYK", "I;16", "1", "RGBA"])
@@ -361,17 +361,17 @@ def test_any_mode_is_read(files, mode):
     )
     name = files / f"mode.{'tiff' if mode == 'CMYK' else 'png'}"
     picture.save(name)
-    opened = photograph.opened(name, [files / "mask.png"])
+    opened = photograph.open_photograph(name, [files / "mask.png"])
     assert opened.radiance.shape == (*SIZE, 3) and np.isfinite(opened.radiance).all()
     if mode not in ("1", "P"):
-        seen = photograph.opened(files / "photo.png", [files / "mask.png"]).radiance
+        seen = photograph.open_photograph(files / "photo.png", [files / "mask.png"]).radiance
         np.testing.assert_allclose(opened.radiance, seen, atol=0.03)  # CMYK moves a step or two
 
 
 def test_of_an_animation_the_first_frame_is_taken(files):
     frames = [Image.new("RGB", SIZE[::-1], (shade, shade, shade)) for shade in (200, 10)]
     frames[0].save(files / "moving.gif", save_all=True, append_images=frames[1:])
-    opened = photograph.opened(files / "moving.gif", [files / "mask.png"])
+    opened = photograph.open_photograph(files / "moving.gif", [files / "mask.png"])
     assert opened.radiance.min() > 0.5
 
 
@@ -380,7 +380,9 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
     exif = picture.getexif()
     exif[274] = 6  # turn by 90° to see it upright
     picture.save(files / "turned.jpg", exif=exif)
-    assert photograph.opened(files / "turned.jpg", [files / "mask.png"]).radiance.shape == (
+    assert photograph.open_photograph(
+        files / "turned.jpg", [files / "mask.png"]
+    ).radiance.shape == (
         *SIZE,
         3,
     )
@@ -389,19 +391,19 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
     monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 1000)
     with pytest.raises(InputError, match="megapixels"):
-        photograph.opened(files / "photo.png", [files / "mask.png"])
+        photograph.open_photograph(files / "photo.png", [files / "mask.png"])
 
 
 def test_regions_that_are_none_are_refused(files):
     smooth = np.add.outer(np.arange(SIZE[0]), np.arange(SIZE[1])).astype(np.uint8)
     Image.fromarray(smooth).save(files / "smooth.png")
     with pytest.raises(InputError, match="1 to 8 values besides 0"):
-        photograph.opened(files / "photo.png", [files / "mask.png"], files / "smooth.png")
+        photograph.open_photograph(files / "photo.png", [files / "mask.png"], files / "smooth.png")
     corner = np.zeros(SIZE, np.uint8)
     corner[:3, :3] = 5
     Image.fromarray(corner).save(files / "corner.png")
     with pytest.raises(InputError, match="region 1"):
-        photograph.opened(files / "photo.png", [files / "mask.png"], files / "corner.png")
+        photograph.open_photograph(files / "photo.png", [files / "mask.png"], files / "corner.png")
 
 
 @pytest.mark.parametrize(
@@ -419,7 +421,7 @@ def test_a_material_file_without_a_material_is_refused(tmp_path, text, words):
     file = tmp_path / "material.json"
     file.write_text(text)
     with pytest.raises(InputError, match=words):
-        targets.label_of(str(file), None)
+        targets.resolve_labels(str(file), None)
 
 
 def test_transfer_needs_two_pictures_of_different_names(files, capsys):
@@ -486,7 +488,7 @@ def test_a_picture_of_twenty_megapixels_is_cut_to_its_object(files):
     values = np.zeros((3648, 5472, 4), np.uint8)
     values[1000:2000, 3000:4500] = (200, 100, 50, 255)
     Image.fromarray(values).save(files / "large.png", compress_level=1)
-    framed = framing.framed(*photographs.read(files / "large.png"), 128, 1.0)
+    framed = framing.frame_object(*photographs.read(files / "large.png"), 128, 1.0)
     assert framed.radiance.shape == (128, 128, 3) and framed.box[2] == pytest.approx(
         1500 * framing.MARGIN, rel=0.02
     )

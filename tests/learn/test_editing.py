@@ -186,7 +186,7 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
     values[mask > 0] = (0, 0, 255)
     Image.fromarray(values).save(tmp_path / "p.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
-    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
+    result = photograph.open_photograph(tmp_path / "p.png", [tmp_path / "m.png"], balance="grey")
     mean = result.balanced[:5].mean((0, 1))
     np.testing.assert_allclose(mean, mean[0], rtol=1e-3)
     np.testing.assert_allclose(
@@ -200,7 +200,9 @@ def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
     Image.new("RGB", (40, 30), (90, 90, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "m.png")
     for wanted_factors in ((2.0, 2.0, 2.0), (1.4, 1.0, 0.7)):
-        result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors)
+        result = photograph.open_photograph(
+            tmp_path / "p.png", [tmp_path / "m.png"], balance=wanted_factors
+        )
         # float32
         np.testing.assert_allclose(result.balance @ [0.2126, 0.7152, 0.0722], 1, rtol=1e-5)
         np.testing.assert_allclose(
@@ -215,12 +217,12 @@ def test_a_black_and_white_mask_is_softened_and_a_grey_one_is_not(tmp_path):
     mask = np.zeros((30, 40), np.uint8)
     mask[:, 20:] = 255
     Image.fromarray(mask).save(tmp_path / "m.png")
-    sharp = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"])
+    sharp = photograph.open_photograph(tmp_path / "p.png", [tmp_path / "m.png"])
     assert 0.1 < sharp.coverage[15, 19] < 0.5 < sharp.coverage[15, 20] < 0.9
     assert (sharp.regions > 0).sum() == 30 * 20  # what is edited stays what was asked for
     mask[:, 20] = 100
     Image.fromarray(mask).save(tmp_path / "m.png")
-    grey = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"])
+    grey = photograph.open_photograph(tmp_path / "p.png", [tmp_path / "m.png"])
     np.testing.assert_allclose(grey.coverage[15, 18:22], [0, 0, 100 / 255, 1], atol=1e-6)
 
 
@@ -232,7 +234,7 @@ def test_transparency_is_not_softened(tmp_path, with_regions):
     picture = np.full((30, 40, 3), 90, np.uint8)
     Image.fromarray(np.dstack([picture, alpha])).save(tmp_path / "p.png")
     Image.fromarray(alpha // 255).save(tmp_path / "r.png")
-    from_file = photograph.opened(
+    from_file = photograph.open_photograph(
         tmp_path / "p.png", regions=tmp_path / "r.png" if with_regions else None
     )
     from_array = photograph.from_arrays(
@@ -252,7 +254,9 @@ def test_several_masks_are_several_regions_and_where_they_overlap_the_later_one_
         mask = Image.new("L", (40, 30))
         mask.paste(255, box)
         mask.save(tmp_path / f"{name}.png")
-    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    result = photograph.open_photograph(
+        tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"]
+    )
     assert (result.regions[:, :20] == 1).all() and (result.regions[:, 20:] == 2).all()
 
 
@@ -268,7 +272,9 @@ def test_between_soft_masks_that_meet_is_no_background(tmp_path, below):
         first[5:25, 5:35], first[25, 5:35] = 255, 128
     for name, mask in (("a", first), ("b", second)):
         Image.fromarray(mask).save(tmp_path / f"{name}.png")
-    result = photograph.opened(tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"])
+    result = photograph.open_photograph(
+        tmp_path / "p.png", [tmp_path / "a.png", tmp_path / "b.png"]
+    )
     np.testing.assert_allclose(result.coverage[5:25, 5:35], 1, atol=0.01)
     np.testing.assert_allclose(result.coverage[25, 22:35], 128 / 255, atol=0.01)
     assert result.mask[5:25, 5:35].all()
@@ -278,9 +284,9 @@ def test_a_record_is_seen_by_its_own_camera_at_its_own_exposure(tmp_path, rng):
     write_dataset(
         tmp_path, [matte("a", 0.2)], rng, size=32, seeds=1, rotations=(0,), method="quadrature"
     )
-    result = photograph.opened(tmp_path)
+    result = photograph.open_photograph(tmp_path)
     assert result.exposure == 1 and result.record is not None
-    assert photograph.opened(tmp_path, exposure=3.0).exposure == 3
+    assert photograph.open_photograph(tmp_path, exposure=3.0).exposure == 3
     camera = msgspec.structs.replace(result.record.camera, elevation_deg=50.0)
     label = label_of("blue-rubber")
     for record, degrees in (
@@ -298,11 +304,11 @@ def test_a_record_that_has_a_target_material_already_is_edited_only_if_there_is_
     write_dataset(
         tmp_path, materials, rng, size=32, seeds=1, rotations=(0,), method="quadrature", side="test"
     )
-    first = photograph.opened(tmp_path).record.materials[0]
+    first = photograph.open_photograph(tmp_path).record.materials[0]
     (other,) = {"a", "b"} - {first}
-    assert photograph.opened(tmp_path, targets=[first, "c"]).record.materials == (other,)
-    assert photograph.opened(tmp_path, targets=[other]).record.materials == (first,)
-    assert photograph.opened(tmp_path, targets=["a", "b"]).record.materials == (first,)
+    assert photograph.open_photograph(tmp_path, targets=[first, "c"]).record.materials == (other,)
+    assert photograph.open_photograph(tmp_path, targets=[other]).record.materials == (first,)
+    assert photograph.open_photograph(tmp_path, targets=["a", "b"]).record.materials == (first,)
 
 
 def write_two_materials(folder, rng, rotations):
@@ -316,9 +322,9 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
     records = Records(tmp_path)
     by = {(r.materials, r.rotation_texels): r for r in records.records}
     for turn in (0, 5):
-        result = photograph.opened(tmp_path, record=by[("a",), turn].id)
-        np.testing.assert_array_equal(edit.truth_of(result, "b"), records.image(by[("b",), turn]))
-        assert edit.truth_of(result, "c") is None
+        result = photograph.open_photograph(tmp_path, record=by[("a",), turn].id)
+        np.testing.assert_array_equal(edit.find_truth(result, "b"), records.image(by[("b",), turn]))
+        assert edit.find_truth(result, "c") is None
 
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
@@ -331,12 +337,12 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
 
     known = SimpleNamespace(records=list(of.values()), image=lambda record: record.materials)
     two = replace(result, records=known, record=of["b", "a"])
-    assert edit.truth_of(two, "a+b") == ("a", "b")
-    assert edit.truth_of(two, "b+a") == ("b", "a")
-    assert edit.truth_of(two, "keep+b") == edit.truth_of(two, "b") == ("b", "b")
-    assert edit.truth_of(two, "a+a") is None
+    assert edit.find_truth(two, "a+b") == ("a", "b")
+    assert edit.find_truth(two, "b+a") == ("b", "a")
+    assert edit.find_truth(two, "keep+b") == edit.find_truth(two, "b") == ("b", "b")
+    assert edit.find_truth(two, "a+a") is None
     assert (
-        edit.truth_of(
+        edit.find_truth(
             replace(two, record=msgspec.structs.replace(of["b", "a"], rotation_texels=7)), "a+b"
         )
         is None
@@ -346,9 +352,9 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
 def test_a_datasets_own_materials_are_known(tmp_path, rng):
     write_two_materials(tmp_path, rng, (0,))
     label = Records(tmp_path).label("b")
-    np.testing.assert_array_equal(edit.labels_of("b", 1, None, {"b": label})[0], label)
+    np.testing.assert_array_equal(edit.labels_by_region("b", 1, None, {"b": label})[0], label)
     with pytest.raises(ValueError, match="none of that name"):
-        edit.labels_of("a-name-of-none", 1, None, {"b": label})
+        edit.labels_by_region("a-name-of-none", 1, None, {"b": label})
 
 
 def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
@@ -388,7 +394,9 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     regions = Image.new("L", (60, 40))
     regions.paste(1, (0, 0, 30, 40))
     regions.save(tmp_path / "r.png")
-    result = photograph.opened(tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png")
+    result = photograph.open_photograph(
+        tmp_path / "p.png", [tmp_path / "m.png"], tmp_path / "r.png"
+    )
     assert (result.coverage[:, :30] > 0.99).all() and (result.coverage[:, 36:] == 0).all()
     painter = Compositor(decomposition.decompose(result, Knowing(label_of("blue-rubber")), NETWORK))
     edited = painter.edited([label_of("gold-paint")[0]])
@@ -441,7 +449,7 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
     Image.new("RGB", (40, 30), (90, 60, 90)).save(tmp_path / "p.png")
     Image.new("L", (40, 30), 255).save(tmp_path / "p.mask.png")
     for balance, factors in (((2.0, 1.0, 1.0), 1), ("none", 1)):
-        edit.material_of(
+        edit.read_label_from_picture(
             tmp_path / "p.png", None, 64, edit.EditOptions(tmp_path, None, 0.01, 0.0, 3.0, balance)
         )
         assert asked[-1].exposure is None
@@ -451,30 +459,30 @@ def test_a_material_from_another_picture_is_not_scaled_by_this_ones_exposure(tmp
 def test_a_folder_of_masks_gives_each_picture_its_mask_and_never_itself(tmp_path):
     for name in ("a.png", "a.mask.png", "b.png", "c.jpg", "c.png"):
         (tmp_path / name).write_bytes(b"")
-    assert region_masks.beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
-    assert region_masks.beside(tmp_path / "b.png", tmp_path) is None
-    assert region_masks.beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
+    assert region_masks.find_mask_beside(tmp_path / "a.png", tmp_path) == tmp_path / "a.mask.png"
+    assert region_masks.find_mask_beside(tmp_path / "b.png", tmp_path) is None
+    assert region_masks.find_mask_beside(tmp_path / "c.jpg", tmp_path) == tmp_path / "c.png"
 
 
 def test_a_material_file_comes_back_as_it_was_written(tmp_path):
     label = label_of("brass")
     (tmp_path / "m.json").write_text(json.dumps({"label": [float(x) for x in label[0]]}))
-    np.testing.assert_allclose(targets.label_of(str(tmp_path / "m.json"), None), label)
+    np.testing.assert_allclose(targets.resolve_labels(str(tmp_path / "m.json"), None), label)
     (tmp_path / "two.json").write_text(json.dumps({"labels": [[float(x) for x in label[0]]] * 2}))
-    assert targets.label_of(str(tmp_path / "two.json"), None).shape == (2, 108)
+    assert targets.resolve_labels(str(tmp_path / "two.json"), None).shape == (2, 108)
 
 
 def test_materials_are_given_to_regions_in_their_order():
-    result = edit.labels_of("brass+keep", 2, None)
+    result = edit.labels_by_region("brass+keep", 2, None)
     np.testing.assert_array_equal(result[0], label_of("brass")[0])
     assert result[1] is None
-    assert len(edit.labels_of("brass", 3, None)) == 3
+    assert len(edit.labels_by_region("brass", 3, None)) == 3
     with pytest.raises(
         ValueError, match=r"one material, or 2: one for each region, found 3 \(keep"
     ):
-        edit.labels_of("brass+keep+keep", 2, None)
+        edit.labels_by_region("brass+keep+keep", 2, None)
     with pytest.raises(ValueError, match=r"expected one material, found 2 \(give regions"):
-        edit.labels_of("brass+keep", 1, None)
+        edit.labels_by_region("brass+keep", 1, None)
 
 
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():

@@ -118,7 +118,9 @@ def test_pairs_differ_in_nothing_but_the_material(data):
         a, b = edit.source, edit.truth
         assert a.materials != b.materials
         same = [
-            r.id for r in records if pairs.scene(r) == pairs.scene(b) and r.materials == b.materials
+            r.id
+            for r in records
+            if pairs.scene_key(r) == pairs.scene_key(b) and r.materials == b.materials
         ]
         assert b.id == min(same)  # of two seeds always the same one
         assert (a.geometry, a.light, a.rotation_texels, a.tier, a.camera) == (
@@ -132,9 +134,9 @@ def test_pairs_differ_in_nothing_but_the_material(data):
 
 def test_more_edits_begin_with_the_same_ones(data):
     records = Records(data).records
-    few, many = (pairs.chosen(records, count, 5) for count in (3, 9))
+    few, many = (pairs.choose_edits(records, count, 5) for count in (3, 9))
     assert few == many[:3] and len(many) == 9
-    assert pairs.chosen(records, 9, 6) != many  # a seed is heard
+    assert pairs.choose_edits(records, 9, 6) != many  # a seed is heard
 
 
 def test_shapes_come_in_turn_and_one_of_few_pictures_costs_the_others_none(data):
@@ -145,7 +147,7 @@ def test_shapes_come_in_turn_and_one_of_few_pictures_costs_the_others_none(data)
         for shape, of in (("a", once), ("b", few), ("c", once))
         for r in of
     ]
-    order = list(dict.fromkeys(edit.source.id for edit in pairs.chosen(records, 1000, 5)))
+    order = list(dict.fromkeys(edit.source.id for edit in pairs.choose_edits(records, 1000, 5)))
     shapes = [id_[0] for id_ in order]
     assert len(order) == len(records) == 15
     assert all(set(shapes[i : i + 3]) == set("abc") for i in (0, 3, 6))  # b has three pictures
@@ -154,25 +156,25 @@ def test_shapes_come_in_turn_and_one_of_few_pictures_costs_the_others_none(data)
 
 def test_pictures_of_more_samples_alter_no_edit_and_show_the_noise(data):
     records = Records(data).records
-    edited = pairs.chosen(records, 12, 5)
+    edited = pairs.choose_edits(records, 12, 5)
     truth = edited[0].truth
     # first by id, were it for that
     finer = [
         msgspec.structs.replace(truth, id=f"0{seed}", samples=512, seed=seed) for seed in (5, 6)
     ]
-    key = pairs.scene(truth), truth.materials
+    key = pairs.scene_key(truth), truth.materials
     for added in (finer, finer[:1]):
-        assert pairs.chosen([*added, *records], 12, 5) == edited
-    assert pairs.repeats([*records, *finer])[key] == finer
+        assert pairs.choose_edits([*added, *records], 12, 5) == edited
+    assert pairs.find_repeats([*records, *finer])[key] == finer
     # of one alone no noise is known
-    assert {r.samples for r in pairs.repeats([*records, *finer[:1]])[key]} == {1}
-    assert len(pairs.repeats([*records, *finer[:1]])[key]) == 2
+    assert {r.samples for r in pairs.find_repeats([*records, *finer[:1]])[key]} == {1}
+    assert len(pairs.find_repeats([*records, *finer[:1]])[key]) == 2
 
 
 def test_pictures_without_a_partner_are_refused(tmp_path):
     write_dataset(tmp_path, [matte()], np.random.default_rng(1), size=SIZE, rotations=(0,), seeds=2)
     with pytest.raises(InputError, match="differ in nothing but the material"):
-        pairs.chosen(Records(tmp_path).records, 5, 0)
+        pairs.choose_edits(Records(tmp_path).records, 5, 0)
 
 
 def told_the_truth(net):
@@ -219,8 +221,11 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
     none.
     """
     work = bench.Bench(data, weights, refine=False)
-    edit = pairs.chosen(work.records.records, 1, 0)[0]
-    batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
+    edit = pairs.choose_edits(work.records.records, 1, 0)[0]
+    batch, label = (
+        pairs.make_source_batch(work.records, edit),
+        pairs.target_label(work.records, edit),
+    )
     wrong = methods.Layered(
         "wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light * 0.5)
     )
@@ -236,10 +241,13 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
 
 def test_false_normals_are_told_from_a_false_light(data, weights):
     work = bench.Bench(data, weights, refine=False)
-    edits = pairs.chosen(work.records.records, 12, 0)
+    edits = pairs.choose_edits(work.records.records, 12, 0)
     # the brightest shows the error best
     edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))
-    batch, label = pairs.shown(work.records, edit), pairs.target_label(work.records, edit)
+    batch, label = (
+        pairs.make_source_batch(work.records, edit),
+        pairs.target_label(work.records, edit),
+    )
     wrong = methods.Layered(
         "wrong normals",
         lambda b: Prediction(
@@ -259,13 +267,13 @@ def test_false_normals_are_told_from_a_false_light(data, weights):
 
 def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weights, monkeypatch):
     work = bench.Bench(data, weights, refine=False)
-    edit = pairs.chosen(work.records.records, 1, 0)[0]
-    mask = (pairs.shown(work.records, edit).segments[0] > 0).numpy()[..., None]
+    edit = pairs.choose_edits(work.records.records, 1, 0)[0]
+    mask = (pairs.make_source_batch(work.records, edit).segments[0] > 0).numpy()[..., None]
     image = Records.image
     monkeypatch.setattr(
         Records, "image", lambda self, record: np.where(mask, image(self, record), np.float32(0.5))
     )
-    batch = pairs.shown(work.records, edit)
+    batch = pairs.make_source_batch(work.records, edit)
     assert (batch.image[0].movedim(0, -1).numpy() * ~mask).max() == 0
     _, (row,) = work.work(edit, [edit], False)
     assert row["methods"]["the layer alone"]["l2_frame"] < HALF_FLOATS
@@ -273,8 +281,8 @@ def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weigh
 
 def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, weights):
     work = bench.Bench(data, weights, refine=False)
-    edit = pairs.chosen(work.records.records, 1, 0)[0]
-    batch, truth = pairs.shown(work.records, edit), work.records.image(edit.truth)
+    edit = pairs.choose_edits(work.records.records, 1, 0)[0]
+    batch, truth = pairs.make_source_batch(work.records, edit), work.records.image(edit.truth)
     mask = (batch.segments[0] > 0).numpy()
     rim = mask & (batch.n[0, 2] < 0.5).numpy()
     result = work._layer(edit, np.where(rim[..., None], 0, truth), mask)
@@ -435,7 +443,7 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
     # of two pictures that differ in the seed alone, the one that edits are compared with
     alike = {}
     for record in Records(folder).records:
-        alike.setdefault((pairs.scene(record), record.materials), record)
+        alike.setdefault((pairs.scene_key(record), record.materials), record)
     seeds = list(alike.values())
     lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
     run.make(replace(options, data=folder))
@@ -628,11 +636,11 @@ def two_regions(data, tmp_path):
 
 def test_each_region_gets_its_own_material(two_regions, weights):
     work = bench.Bench(two_regions, weights, refine=False)
-    edits = pairs.chosen(work.records.records, 6, 0)
+    edits = pairs.choose_edits(work.records.records, 6, 0)
     assert len(edits) == 6 and all(edit.several for edit in edits)
     for edit in edits:
         assert (
-            pairs.shown(work.records, edit).label.shape
+            pairs.make_source_batch(work.records, edit).label.shape
             == (1, 2, 108)
             == (1, *pairs.target_label(work.records, edit).shape)
         )

@@ -94,7 +94,7 @@ def options(data, weights, tmp_path):
 def batch(data):
     """What methods see of one picture."""
     records = Records(data)
-    return pairs.shown(records, pairs.chosen(records.records, 1, 0)[0])
+    return pairs.make_source_batch(records, pairs.choose_edits(records.records, 1, 0)[0])
 
 
 class Finished(NamedTuple):
@@ -185,7 +185,7 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
     assert moved["rendered_all"] == figures(p.n, p.label, p.light, batch)
     assert moved["rendered_all"]["l2"] != plain["rendered_all"]["l2"]
     records = Records(finished.options.data)
-    (edit,) = pairs.chosen(records.records, 1, 0)
+    (edit,) = pairs.choose_edits(records.records, 1, 0)
     mask = batch.segments[0].numpy() > 0
     picture = methods.rendered(p.n, pairs.target_label(records, edit), p.light, batch)
     expected = metrics.compare(picture, records.image(edit.truth) * mask[..., None], mask)
@@ -270,7 +270,7 @@ def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
 
 def test_the_input_unchanged_is_the_picture_itself(data, batch):
     records = Records(data)
-    (edit,) = pairs.chosen(records.records, 1, 0)
+    (edit,) = pairs.choose_edits(records.records, 1, 0)
     picture = methods.Unchanged().edit(batch, pairs.target_label(records, edit))
     np.testing.assert_array_equal(
         picture, records.image(edit.source) * records.load(edit.source).mask.numpy()[..., None]

@@ -29,7 +29,7 @@ def data_splits(tmp_path_factory):
     """
     rendered_split = album_of(written(tmp_path_factory.mktemp("experiments")).folder)
     labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
-    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
+    maps = [lights.draw_computed(np.random.default_rng(2)).astype(np.float32)]
     return {
         side: DataSplit(rendered_split.geometry, np.arange(1), labels, maps, side, rendered_split)
         for side in ("train", "validation", "test")

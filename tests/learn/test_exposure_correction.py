@@ -27,12 +27,12 @@ def grey(value: float) -> np.ndarray:
 
 
 def test_cues_are_stops_of_the_object_and_of_how_much_brighter_it_is_rendered_again() -> None:
-    cues = exposure.cues_of(framed(grey(0.125)), grey(2.0), -2.5)
+    cues = exposure.measure_cues(framed(grey(0.125)), grey(2.0), -2.5)
     assert (cues.object, cues.again, cues.background) == pytest.approx((-3, 4, -2.5), abs=1e-5)
     # what stands behind the object does not count
     beside = grey(2.0)
     beside[:4] = 50
-    assert exposure.cues_of(framed(grey(0.125)), beside, None) == Cues(
+    assert exposure.measure_cues(framed(grey(0.125)), beside, None) == Cues(
         cues.object, cues.again, None
     )
 
@@ -41,29 +41,29 @@ def test_clipped_pixels_do_not_count_and_nothing_is_said_of_white_or_black() -> 
     seen, clipped = grey(0.125), np.zeros((SIZE, SIZE, 3), np.float32)
     seen[:16] = 1
     clipped[:16, :, 1] = 1
-    assert exposure.cues_of(framed(seen, clipped), grey(2.0), None).again == pytest.approx(4)
-    assert exposure.cues_of(framed(seen, np.ones_like(clipped)), grey(2.0), None).again is None
-    assert exposure.cues_of(framed(grey(0.125)), grey(0), None).again is None
+    assert exposure.measure_cues(framed(seen, clipped), grey(2.0), None).again == pytest.approx(4)
+    assert exposure.measure_cues(framed(seen, np.ones_like(clipped)), grey(2.0), None).again is None
+    assert exposure.measure_cues(framed(grey(0.125)), grey(0), None).again is None
 
 
 def test_the_first_guess_is_the_readers_rule_and_bounds_what_is_made_of_it() -> None:
     unknown, usual = Cues(0.0, None, -2.0), Cues(0.0, exposure.USUAL, -2.0)
-    assert exposure.exposure_of(unknown) == exposure.exposure_of(usual)
-    assert exposure.exposure_of(Cues(0.0, 99.0, None)) == pytest.approx(
+    assert exposure.exposure_from_cues(unknown) == exposure.exposure_from_cues(usual)
+    assert exposure.exposure_from_cues(Cues(0.0, 99.0, None)) == pytest.approx(
         framing.TYPICAL * 2**exposure.MOST
     )
-    assert exposure.exposure_of(Cues(0.0, -99.0, -3.0)) == pytest.approx(
+    assert exposure.exposure_from_cues(Cues(0.0, -99.0, -3.0)) == pytest.approx(
         framing.TYPICAL / 2**exposure.MOST
     )
 
 
 def test_what_is_darker_than_its_background_has_the_larger_exposure_before_a_darker_one() -> None:
     """The same object before a darker background was under less light: multiply by more."""
-    bright, dark = (exposure.exposure_of(Cues(-3.0, 1.0, behind)) for behind in (-1.0, -3.0))
+    bright, dark = (exposure.exposure_from_cues(Cues(-3.0, 1.0, behind)) for behind in (-1.0, -3.0))
     assert dark > 1.2 * bright
-    black = exposure.exposure_of(Cues(-3.0, 1.0, -9.0))
-    assert black == exposure.exposure_of(Cues(-3.0, 1.0, exposure.BACKGROUNDS[0]))
-    brighter_again = exposure.exposure_of(Cues(-3.0, 2.0, -3.0))
+    black = exposure.exposure_from_cues(Cues(-3.0, 1.0, -9.0))
+    assert black == exposure.exposure_from_cues(Cues(-3.0, 1.0, exposure.BACKGROUNDS[0]))
+    brighter_again = exposure.exposure_from_cues(Cues(-3.0, 2.0, -3.0))
     assert brighter_again > 1.2 * dark
 
 
@@ -74,11 +74,11 @@ def test_the_background_is_a_mean_logarithm_that_neither_lamps_nor_black_pixels_
     mask = np.zeros((40, 40), bool)
     mask[12:28, 12:28] = True
     picture[mask] = 0.9
-    assert exposure.background_of(photograph.from_arrays(picture, mask)) == pytest.approx(
+    assert exposure.measure_background(photograph.from_arrays(picture, mask)) == pytest.approx(
         -2, abs=1e-3
     )
     picture[0, 0], picture[0, 1] = 1.0, 0.0
-    assert exposure.background_of(photograph.from_arrays(picture, mask)) == pytest.approx(
+    assert exposure.measure_background(photograph.from_arrays(picture, mask)) == pytest.approx(
         -2, abs=0.01
     )
 
@@ -88,12 +88,12 @@ def test_a_cut_out_a_close_up_and_a_black_ground_have_no_background() -> None:
     mask = np.zeros((40, 40), bool)
     mask[5:35, 5:35] = True
     cut_out = np.concatenate([picture, mask[..., None].astype(np.float32)], -1)
-    assert exposure.background_of(photograph.from_arrays(cut_out)) is None
-    assert exposure.background_of(photograph.from_arrays(picture, mask)) is not None
+    assert exposure.measure_background(photograph.from_arrays(cut_out)) is None
+    assert exposure.measure_background(photograph.from_arrays(picture, mask)) is not None
     black = picture * mask[..., None]
-    assert exposure.background_of(photograph.from_arrays(black, mask)) is None
+    assert exposure.measure_background(photograph.from_arrays(black, mask)) is None
     mask[1:39, 1:39] = True
-    assert exposure.background_of(photograph.from_arrays(picture, mask)) is None
+    assert exposure.measure_background(photograph.from_arrays(picture, mask)) is None
 
 
 class Grey(torch.nn.Module):
@@ -118,13 +118,15 @@ def test_an_estimated_exposure_is_corrected_and_a_given_one_is_kept(tmp_path, gi
     mask[5:35, 5:35] = 255
     Image.fromarray(display).save(tmp_path / "photo.png")
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    opened = photograph.opened(tmp_path / "photo.png", (tmp_path / "mask.png",), exposure=given)
+    opened = photograph.open_photograph(
+        tmp_path / "photo.png", (tmp_path / "mask.png",), exposure=given
+    )
     result = decomposition.decompose(opened, Grey(), SIZE)
     inside = result.framed.mask
     factor = result.framed.exposure / (
-        given or framing.exposure_of(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
+        given or framing.resolve_exposure(*read(tmp_path / "photo.png", tmp_path / "mask.png"))
     )
-    again = exposure.rendered_again(result.batch, result.start)[inside].mean()
+    again = exposure.render_prediction(result.batch, result.start)[inside].mean()
     seen = result.framed.radiance[inside].mean()
     assert result.batch.image[0, 0][torch.from_numpy(inside)].mean() == pytest.approx(seen)
     if given:
@@ -135,7 +137,7 @@ def test_an_estimated_exposure_is_corrected_and_a_given_one_is_kept(tmp_path, gi
         cues = exposure.Cues(
             float(np.log2(seen / result.framed.exposure)),
             float(np.log2(again * factor / seen)),
-            exposure.background_of(opened),
+            exposure.measure_background(opened),
         )
-        assert result.framed.exposure == pytest.approx(exposure.exposure_of(cues), rel=1e-3)
+        assert result.framed.exposure == pytest.approx(exposure.exposure_from_cues(cues), rel=1e-3)
         assert abs(math.log(factor)) > 0.1

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from learn.commands import options
-from learn.data.batch import joined
+from learn.data.batch import collate
 from learn.evaluation.ladder_pictures import Shown
 from learn.experiments import glossy_weights
 
@@ -20,7 +20,7 @@ def picture(size):
     mask = number % 7 > 0
     label, light = np.zeros((1, 108), np.float32), np.ones((64, 128, 3), np.float32)
     example = (colours, mask, colours, mask.astype(np.int64), label, light, label, "a b c")
-    return Shown(joined([example], 0.3), colours, mask, label, 1.0)
+    return Shown(collate([example], 0.3), colours, mask, label, 1.0)
 
 
 def test_a_picture_becomes_every_second_pixel_in_all_of_its_parts():

@@ -458,7 +458,7 @@ def test_maps_that_are_good_enough_are_reduced_before_those_that_are_not():
 def test_errors_are_those_of_the_stored_codes(made):
     page, light = Page(made.text), made.result.decomposition.parts.light
     _, n = interactive.picture_data(made.compositor, Chunks())
-    scene = interactive.scene_of(made.compositor, light)
+    scene = interactive.make_scene(made.compositor, light)
     checked = interactive.checked_of(n)
     for name in CHOSEN:
         read = store.interpolated(page.values(0, name), checked)

@@ -37,7 +37,7 @@ def separate_weights(tmp_path):
 def kept_by(network, path):
     """Names of the modules that keep their weights when a network begins with those of a file."""
     before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         weights.fill_joint(network, stored)
     return {
         name.split(".")[0]
@@ -63,7 +63,7 @@ def test_it_begins_with_the_normals_of_a_pretrained_network(tmp_path):
     weights.save_weights(path, other, other.state_dict(), "{}", SIZE)
     network = JointEncoders(RANGES).eval()
     compact = network.down[0][0].weight.clone()
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         weights.fill_joint(network, stored)
     theirs = weights.load_network(path)[0]
     image, mask = picture()
@@ -79,7 +79,7 @@ def test_weights_of_one_encoder_are_no_beginning(tmp_path):
     path = tmp_path / "weights.safetensors"
     weights.save_weights(path, network, network.state_dict(), "{}", SIZE)
     with (
-        tensor_file.opened(path) as stored,
+        tensor_file.open_tensor_file(path) as stored,
         pytest.raises(InputError, match="a two-encoders network"),
     ):
         weights.fill_joint(JointEncoders(RANGES), stored)

@@ -32,7 +32,7 @@ def data_split(tmp_path_factory):
         for name in NAMES
         if name in catalogue
     }
-    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32) for _ in range(2)]
+    maps = [lights.draw_computed(np.random.default_rng(2)).astype(np.float32) for _ in range(2)]
     return DataSplit(geometry, np.arange(len(geometry)), labels, maps, "train")
 
 

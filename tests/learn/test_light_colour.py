@@ -41,7 +41,7 @@ def test_green_is_stops_above_the_mean_of_red_and_blue() -> None:
 @pytest.mark.parametrize("tint", [(1, 1.5, 0.8), (1.2, 0.7, 1.3)])
 def test_the_light_keeps_its_luminance_and_its_red_over_blue(tint) -> None:
     before = parts("blue-rubber", tint)
-    after = light_colour.without_green(before)
+    after = light_colour.remove_green(before)
     was, now = mean(before.light), mean(after.light)
     assert abs(light_colour.green_of(was)) > 0.2
     assert light_colour.green_of(now) == pytest.approx(0, abs=1e-5)
@@ -53,7 +53,7 @@ def test_the_light_keeps_its_luminance_and_its_red_over_blue(tint) -> None:
 @pytest.mark.parametrize(("name", "exact"), [("blue-rubber", 0.005), ("gold-paint", 0.05)])
 def test_the_object_looks_as_before_in_its_own_material(name, exact) -> None:
     before = parts(name, (1, 1.5, 0.8))
-    after = light_colour.without_green(before)
+    after = light_colour.remove_green(before)
     np.testing.assert_allclose(rendered(after), rendered(before), rtol=exact)
     # in another material it has lost the cast
     other = torch.from_numpy(label_of("white-paint"))[None].float()
@@ -67,7 +67,7 @@ def test_lobes_that_reflect_nothing_stay_so_and_numbers_stay_finite() -> None:
     label = before.label.reshape(1, 1, *SHAPE).clone()
     label[..., 2, 0, :] = -60.0
     label[..., 0, 0, :] = 4.4
-    after = light_colour.without_green(before._replace(label=label.reshape(1, 1, -1)))
+    after = light_colour.remove_green(before._replace(label=label.reshape(1, 1, -1)))
     assert after.label.isfinite().all()
     nothing = after.label.reshape(1, 1, *SHAPE)[..., 2, 0, :]
     assert (abs(nothing + 60) < 1).all()
@@ -76,11 +76,11 @@ def test_lobes_that_reflect_nothing_stay_so_and_numbers_stay_finite() -> None:
 def test_of_a_coloured_lamp_one_stop_is_taken_back() -> None:
     before = parts("blue-rubber", (0.05, 1.0, 0.05))
     green = [
-        light_colour.green_of(mean(of.light)) for of in (before, light_colour.without_green(before))
+        light_colour.green_of(mean(of.light)) for of in (before, light_colour.remove_green(before))
     ]
     assert green[0] - green[1] == pytest.approx(light_colour.MOST, abs=1e-4)
 
 
 def test_a_light_without_a_channel_is_left_alone() -> None:
     before = parts("brass", (1, 0, 1))
-    assert light_colour.without_green(before) is before
+    assert light_colour.remove_green(before) is before

@@ -8,7 +8,7 @@ from PIL import Image
 
 from learn.__main__ import COMMANDS
 from learn.editing import edit, material_expression, targets
-from learn.editing.material_expression import parsed
+from learn.editing.material_expression import parse_expression
 from manifests.cli import main
 from manifests.errors import InputError
 from shaders import principled_fit
@@ -34,13 +34,13 @@ from shaders.principled import PrincipledMaterial, ggx, lambert
     ],
 )
 def test_an_expression_is_the_material_it_says(text, material):
-    assert parsed(text) == material
+    assert parse_expression(text) == material
 
 
 def test_colours_are_srgb():
     # IEC 61966-2-1: 0x80 is .2159 of white, 0xc0 .5271
     np.testing.assert_allclose(
-        parsed("lambert(#80c000)").base_color, [0.2159, 0.5271, 0], atol=1e-4
+        parse_expression("lambert(#80c000)").base_color, [0.2159, 0.5271, 0], atol=1e-4
     )
 
 
@@ -72,23 +72,26 @@ def test_colours_are_srgb():
 )
 def test_what_is_no_material_is_refused_in_one_line_with_the_usage(text, words):
     with pytest.raises(InputError, match=words) as raised:
-        targets.label_of(text, None)
+        targets.resolve_labels(text, None)
     assert "\n" not in str(raised.value) and len(str(raised.value)) < 500
     if not text.startswith(("principle(", "__")):
         assert "as in: " in str(raised.value)
 
 
 def test_a_plus_within_parentheses_is_none_between_regions():
-    assert targets.parts_of("ggx(.9, roughness=2e+0)+keep") == ["ggx(.9, roughness=2e+0)", "keep"]
-    assert targets.parts_of("a+b+c") == ["a", "b", "c"]
+    assert targets.split_by_region("ggx(.9, roughness=2e+0)+keep") == [
+        "ggx(.9, roughness=2e+0)",
+        "keep",
+    ]
+    assert targets.split_by_region("a+b+c") == ["a", "b", "c"]
 
 
 def test_files_that_look_like_expressions_are_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lambert(1)").write_bytes(b"")
     seen = []
-    targets.label_of("lambert(1)", lambda path: seen.append(path.name))
-    targets.label_of("photo(1).png", lambda path: seen.append(path.name))
+    targets.resolve_labels("lambert(1)", lambda path: seen.append(path.name))
+    targets.resolve_labels("photo(1).png", lambda path: seen.append(path.name))
     assert seen == ["lambert(1)", "photo(1).png"]
 
 
@@ -100,11 +103,11 @@ def test_names_of_files_are_short_and_tell_expressions_from_each_other():
 
 
 def test_a_label_is_fitted_once(monkeypatch):
-    material_expression.fitted.cache_clear()
+    material_expression.fit_expression.cache_clear()
     count = []
     fit = principled_fit.fit
     monkeypatch.setattr(principled_fit, "fit", lambda m: count.append(m) or fit(m))
-    both = edit.labels_of("lambert(#abc)+keep", 2, None)
+    both = edit.labels_by_region("lambert(#abc)+keep", 2, None)
     targets.fit_errors(["lambert(#abc)+keep"])
     assert len(count) == 1 and both[0].shape == (108,) and both[1] is None
 

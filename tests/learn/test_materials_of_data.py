@@ -109,7 +109,7 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
     assert main("learn", "", ("train",), words) == 0
     assert shown == set(METALS)  # 24 draws of three: the same ones on every machine
     assert json.loads((tmp_path / "out" / "run.json").read_text())["data"]["materials"] == "dataset"
-    data_splits = sources.data_splits(Data(), metals.folder, progress=False)
+    data_splits = sources.load_data_splits(Data(), metals.folder, progress=False)
     for data_split in data_splits.values():  # none is held out, so few are there
         assert set(data_split.labels) == set(METALS)
         for name, label in data_split.labels.items():
@@ -117,7 +117,9 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
 
 
 def test_the_built_in_materials_are_taken_where_the_run_says_so(metals):
-    data_splits = sources.data_splits(Data(materials="built-in"), metals.folder, progress=False)
+    data_splits = sources.load_data_splits(
+        Data(materials="built-in"), metals.folder, progress=False
+    )
     assert {side: len(data_split.labels) for side, data_split in data_splits.items()} == BUILT_IN
 
 
@@ -154,8 +156,8 @@ def test_the_materials_of_the_geometry_job_are_the_built_in_ones_side_by_side(tm
     job = reading.read(JOBS / "geometry.json", dict)
     assert job["materials"] == ["merl", "rgl"]  # all there are, so this data set holds every entry
     records = with_materials(tmp_path, list(entries.values()))
-    own, _ = sources.materials_of(Data(), records)
-    built_in, _ = sources.materials_of(Data(materials="built-in"), records)
+    own, _ = sources.split_materials(Data(), records)
+    built_in, _ = sources.split_materials(Data(materials="built-in"), records)
     assert named(own) == named(built_in)
     assert {side: len(of_side) for side, of_side in own.items()} == BUILT_IN
     for side in own:
@@ -168,7 +170,7 @@ def test_one_training_material_in_ten_is_for_validation_and_eight_at_most(
     tmp_path, entries, count, held_out
 ):
     training = [e for e in entries.values() if e.split == "train"][:count]
-    result, _ = sources.materials_of(Data(), with_materials(tmp_path, training))
+    result, _ = sources.split_materials(Data(), with_materials(tmp_path, training))
     assert [len(result[side]) for side in ("train", "validation", "test")] == [
         count - held_out,
         held_out,
@@ -182,15 +184,15 @@ def test_a_data_set_without_materials_for_training_is_refused_with_the_remedy(tm
         InputError,
         match=r'expected materials for training, found 2, all of them for testing \(.*"built-in"',
     ):
-        sources.materials_of(Data(), records)
+        sources.split_materials(Data(), records)
 
 
 def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entries):
     steel, chrome = entries["steel"], entries["chrome"]
     records = with_materials(tmp_path, [msgspec.structs.replace(steel, hash="0" * 16), chrome])
     with pytest.raises(InputError, match=r"steel.*--skip-bad"):
-        sources.materials_of(Data(), records)
-    result, bad = sources.materials_of(Data(), records, skip_bad=True)
+        sources.split_materials(Data(), records)
+    result, bad = sources.split_materials(Data(), records, skip_bad=True)
     assert [m.name for m in result["train"]] == ["chrome"]
     assert set(bad) == {"steel"}
 
@@ -198,7 +200,7 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
 def test_priors_of_one_grey_material_hold_that_material_alone(rng):
     # the three channels alike: nothing spreads
     grey = np.tile(np.linspace(-1.0, 0.0, 36, dtype=np.float32), 3)
-    fitted = priors.fitted([grey], [lights.computed(rng).astype(np.float32)])
+    fitted = priors.fitted([grey], [lights.draw_computed(rng).astype(np.float32)])
     assert all(part.isfinite().all() for part in vars(fitted).values())
     z = torch.ones(1, len(fitted.directions), dtype=torch.float64)
     np.testing.assert_allclose(fitted.label(z)[0], grey, atol=1e-12)  # float64
@@ -212,11 +214,11 @@ def test_bad_starts_of_refinement_are_drawn_from_the_data_sets_own_materials(met
 
 
 def test_a_run_takes_the_measured_maps_beside_the_data_sets_own(metals):
-    own = sources.data_splits(Data(), metals.folder, progress=False)
+    own = sources.load_data_splits(Data(), metals.folder, progress=False)
     held = Data(
         measured_lights=True, validation_lights=("pmndrs_hall",), test_lights=("pmndrs_lab",)
     )
-    data_splits = sources.data_splits(held, metals.folder, progress=False)
+    data_splits = sources.load_data_splits(held, metals.folder, progress=False)
     assert data_splits["validation"].map_names == ("pmndrs_hall",)
     assert data_splits["test"].map_names == ("pmndrs_lab",)
     training = set(data_splits["train"].map_names)
@@ -227,7 +229,7 @@ def test_a_run_takes_the_measured_maps_beside_the_data_sets_own(metals):
 
 def test_a_run_of_all_materials_and_lights_holds_out_shapes_alone(metals):
     every = Data(materials="built-in", measured_lights=True, all_materials_and_lights=True)
-    data_splits = sources.data_splits(every, metals.folder, progress=False)
+    data_splits = sources.load_data_splits(every, metals.folder, progress=False)
     train = data_splits["train"]
     assert len(train.labels) == sum(BUILT_IN.values())
     assert {"pmndrs_lab", "blender_city", "blender_courtyard"} <= set(train.map_names)

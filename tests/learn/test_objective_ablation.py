@@ -41,7 +41,7 @@ def data_splits(tmp_path_factory):
     """Three sides of the one shape there is."""
     rendered_split = album_of(written(tmp_path_factory.mktemp("objective")).folder)
     labels = {name: rendered_split.records.label(name) for name in ("dark", "light")}
-    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
+    maps = [lights.draw_computed(np.random.default_rng(2)).astype(np.float32)]
     return {
         side: DataSplit(rendered_split.geometry, np.arange(1), labels, maps, side)
         for side in ("train", "validation", "test")

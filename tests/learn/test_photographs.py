@@ -74,7 +74,7 @@ def bytes_of(ball):
 @pytest.mark.parametrize("factor", [1e37, 1e12])
 def test_radiance_that_no_light_has_is_refused(exr_file, mask_file, factor):
     with pytest.raises(InputError, match=r"photo\.exr: expected radiance up to 1e\+10"):
-        photograph.opened(exr_file(factor), [mask_file])
+        photograph.open_photograph(exr_file(factor), [mask_file])
 
 
 def test_one_huge_value_beside_the_object_is_refused_too(exr_file, mask_file, tmp_path):
@@ -83,7 +83,7 @@ def test_one_huge_value_beside_the_object_is_refused_too(exr_file, mask_file, tm
     channels["R"][0, 0] = 1e37
     exr.write(tmp_path / "photo.exr", channels)
     with pytest.raises(InputError, match="radiance up to"):
-        photograph.opened(tmp_path / "photo.exr", [mask_file])
+        photograph.open_photograph(tmp_path / "photo.exr", [mask_file])
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_an_object_without_light_is_refused_with_the_option_to_give(
     with pytest.raises(
         InputError, match=rf"photo\.exr: expected an object of mean luminance .*{found}.*--exposure"
     ):
-        photograph.opened(exr_file(factor), [mask_file])
+        photograph.open_photograph(exr_file(factor), [mask_file])
 
 
 @pytest.mark.parametrize(
@@ -110,10 +110,10 @@ def test_a_constant_picture_is_accepted_unless_it_is_nearly_black(
     (tmp_path / "photo.png").write_bytes(encoded(np.full((*SIZE, 3), level, np.uint8)))
     if not accepted:
         with pytest.raises(InputError, match="an object of mean luminance"):
-            photograph.opened(tmp_path / "photo.png", [mask_file])
+            photograph.open_photograph(tmp_path / "photo.png", [mask_file])
         return
-    result = photograph.opened(tmp_path / "photo.png", [mask_file])
-    framed = framing.framed(result.balanced, result.mask, 32, result.exposure, "photo")
+    result = photograph.open_photograph(tmp_path / "photo.png", [mask_file])
+    framed = framing.frame_object(result.balanced, result.mask, 32, result.exposure, "photo")
     assert np.isfinite(framed.radiance).all()
 
 
@@ -126,13 +126,13 @@ def test_an_exposure_has_to_bring_the_object_to_what_networks_know(
 ):
     path = exr_file(factor)
     if accepted:
-        result = photograph.opened(path, [mask_file], exposure=exposure)
-        assert framing.framed(
+        result = photograph.open_photograph(path, [mask_file], exposure=exposure)
+        assert framing.frame_object(
             result.balanced, result.mask, 32, exposure
         ).radiance.max() == pytest.approx(0.8, rel=0.1)
     else:
         with pytest.raises(InputError, match="mean luminance times the exposure"):
-            photograph.opened(path, [mask_file], exposure=exposure)
+            photograph.open_photograph(path, [mask_file], exposure=exposure)
 
 
 @pytest.mark.parametrize("command", ["edit", "predict"])
@@ -164,13 +164,13 @@ def test_transparency_that_is_not_finite_is_refused(exr_file, mask_file, value):
     alpha = np.ones(SIZE, np.float32)
     alpha[0, 0] = value
     with pytest.raises(InputError, match="a finite alpha channel"):
-        photograph.opened(exr_file(A=alpha), [mask_file])
+        photograph.open_photograph(exr_file(A=alpha), [mask_file])
 
 
 def test_transparency_beyond_its_range_is_held_in_it(exr_file):
     # as filters that sharpen leave it
     alpha = np.where(np.arange(SIZE[1]) < 30, -0.5, 1.5).astype(np.float32)
-    result = photograph.opened(exr_file(A=np.broadcast_to(alpha, SIZE)))
+    result = photograph.open_photograph(exr_file(A=np.broadcast_to(alpha, SIZE)))
     assert result.coverage.min() >= 0 and result.coverage.max() <= 1
 
 
@@ -197,7 +197,7 @@ def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, 
     with pytest.raises(
         InputError, match="--white-balance grey: expected a background that is not black"
     ):
-        photograph.opened(tmp_path / "photo.png", [mask_file], balance="grey")
+        photograph.open_photograph(tmp_path / "photo.png", [mask_file], balance="grey")
 
 
 def test_no_picture_is_written_that_is_not_finite(tmp_path):
@@ -243,7 +243,7 @@ def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, 
     with pytest.raises(
         InputError, match=r"eps\.png: expected a picture in one of the formats PNG, JPEG"
     ):
-        photograph.opened(
+        photograph.open_photograph(
             tmp_path / name, masks, tmp_path / "eps.png" if role == "regions" else None
         )
     assert not ghostscript.exists()
@@ -265,7 +265,7 @@ def test_formats_that_are_not_on_the_list_are_refused_with_the_list(
     with pytest.raises(
         InputError, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"
     ):
-        photograph.opened(tmp_path / "photo.png", [mask_file])
+        photograph.open_photograph(tmp_path / "photo.png", [mask_file])
 
 
 @pytest.mark.parametrize("format_", ["PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF", "MPO"])
@@ -273,7 +273,7 @@ def test_formats_on_the_list_are_read(tmp_path, ball, mask_file, format_):
     if format_ == "AVIF" and format_ not in picture_decoding.formats():
         pytest.skip("this Pillow has no AVIF")
     (tmp_path / "photo.bin").write_bytes(encoded(bytes_of(ball), format_))
-    result = photograph.opened(tmp_path / "photo.bin", [mask_file])
+    result = photograph.open_photograph(tmp_path / "photo.bin", [mask_file])
     # colours are averaged by some formats, and palettes coarse
     assert np.median(abs(result.radiance - photographs._linear(ball))) < 0.03
 
@@ -283,14 +283,17 @@ def test_a_tiff_of_numbers_that_are_no_display_values_is_refused(tmp_path, ball,
     values = (ball[..., 0] * 1e6 - 1).astype(dtype)  # negative ones were NaN after the sRGB curve
     (tmp_path / "photo.tiff").write_bytes(encoded(values, "TIFF"))
     with pytest.raises(InputError, match="8 or 16 bit values"):
-        photograph.opened(tmp_path / "photo.tiff", [mask_file])
+        photograph.open_photograph(tmp_path / "photo.tiff", [mask_file])
 
 
 def test_damaged_exif_leaves_a_sound_picture_as_it_is(tmp_path, ball, mask_file):
     # a directory that leads back to itself
     noise = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0\x08\0\0\0"
     (tmp_path / "photo.jpg").write_bytes(encoded(bytes_of(ball), "JPEG", exif=noise))
-    assert photograph.opened(tmp_path / "photo.jpg", [mask_file]).radiance.shape == (*SIZE, 3)
+    assert photograph.open_photograph(tmp_path / "photo.jpg", [mask_file]).radiance.shape == (
+        *SIZE,
+        3,
+    )
 
 
 # ------------------------------------------------------------------------------------------------
@@ -314,7 +317,7 @@ def test_a_picture_one_pixel_wide_and_endlessly_high_is_refused_by_its_header(tm
     """Pillow keeps a pointer to each row: of 60 million rows with one pixel more than a GB."""
     (tmp_path / "photo.png").write_bytes(promising(1, 60_000_000))
     with pytest.raises(InputError, match="65535 a side, found 1 × 60000000"):
-        photograph.opened(tmp_path / "photo.png")
+        photograph.open_photograph(tmp_path / "photo.png")
 
 
 def test_a_tiffs_tile_is_no_larger_than_a_picture_may_be(tmp_path):
@@ -328,7 +331,7 @@ def test_a_tiffs_tile_is_no_larger_than_a_picture_may_be(tmp_path):
         whole + bytes(200 - len(whole)) + zlib.compress(bytes(64 * 48))
     )
     with pytest.raises(InputError, match="found tiles of 46000 × 46000"):
-        photograph.opened(tmp_path / "photo.tiff")
+        photograph.open_photograph(tmp_path / "photo.tiff")
 
 
 def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_made():
@@ -337,7 +340,7 @@ def test_an_object_as_long_as_a_picture_may_be_is_refused_before_its_square_is_m
     with pytest.raises(
         InputError, match="strip: expected an object at most 8135 pixels across, found 20000"
     ):
-        framing.framed(radiance, np.ones((16, 20_000), bool), 32, where="strip")
+        framing.frame_object(radiance, np.ones((16, 20_000), bool), 32, where="strip")
 
 
 @pytest.mark.parametrize("size", [(1, 64), (64, 1), (4, 4)])
@@ -346,8 +349,8 @@ def test_pictures_of_a_few_rows_are_framed_or_refused(tmp_path, size):
     rgba[0, 0, 3] = 0
     (tmp_path / "photo.png").write_bytes(encoded(rgba))
     try:
-        result = photograph.opened(tmp_path / "photo.png")
-        framed = framing.framed(result.balanced, result.mask, 32)
+        result = photograph.open_photograph(tmp_path / "photo.png")
+        framed = framing.frame_object(result.balanced, result.mask, 32)
     except InputError as problem:
         assert "16 pixels or more" in str(problem)
     else:

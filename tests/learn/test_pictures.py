@@ -52,12 +52,13 @@ def test_transparency_is_a_mask(tmp_path, disc):
 def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion():
     mask = np.ones((20, 20), bool)
     result = [
-        framing.framed(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure for Y in (0.05, 0.5)
+        framing.frame_object(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure
+        for Y in (0.05, 0.5)
     ]
     # docs/editing.md
     np.testing.assert_allclose(result, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)
     assert (
-        framing.framed(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure
+        framing.frame_object(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure
         == 2.0
     )
 
@@ -65,7 +66,7 @@ def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion()
 def test_a_thin_object_keeps_about_its_area_at_the_networks_size():
     y, x = np.mgrid[0:1200, 0:1200]
     ring = abs(np.hypot(x - 600, y - 600) - 590) < 1.5
-    result = framing.framed(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
+    result = framing.frame_object(np.full((1200, 1200, 3), 0.5, np.float32), ring, 128)
     share = ring.sum() * (128 / result.box[2]) ** 2  # its area in the network's pixels
     assert 0.8 * share < result.mask.sum() < 1.5 * share
     np.testing.assert_allclose(result.radiance[result.mask], 0.5 * result.exposure, rtol=1e-3)
@@ -76,7 +77,7 @@ def test_an_object_that_is_nearly_all_air_is_refused():
     specks[::1990, ::1990] = True
     specks[:4, :4] = True
     with pytest.raises(InputError, match="16 pixels or more at the network's 128 × 128"):
-        framing.framed(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
+        framing.frame_object(np.full((2000, 2000, 3), 0.5, np.float32), specks, 128)
 
 
 def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
@@ -98,7 +99,7 @@ def test_what_cannot_be_used_is_refused_with_the_remedy(tmp_path, mask_file):
 
 def test_an_object_is_framed_in_its_middle_at_the_size_asked_for(disc):
     radiance = np.where(disc[..., None], 0.5, 9.0).astype(np.float32).repeat(3, -1)[..., :3]
-    framed = framing.framed(radiance, disc, 32)
+    framed = framing.frame_object(radiance, disc, 32)
     rows, columns = np.nonzero(framed.mask)
     assert framed.radiance.shape == (32, 32, 3)
     # a picture's pixel is 1.6 here: its rounding, either way

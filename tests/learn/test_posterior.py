@@ -122,7 +122,7 @@ def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(
     asked = []
     train = SimpleNamespace(
         labels={name: rng.standard_normal(108) for name in "ab"},
-        maps=[lights.computed(rng).astype(np.float32) for _ in range(2)],
+        maps=[lights.draw_computed(rng).astype(np.float32) for _ in range(2)],
         copies=(),
     )
     monkeypatch.setattr(

@@ -14,7 +14,7 @@ from learn.__main__ import COMMANDS
 from learn.data import framing
 from learn.data.settings import Run
 from learn.editing import material_file, photograph, predict
-from learn.editing.exposure import rendered_again
+from learn.editing.exposure import render_prediction
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -147,8 +147,10 @@ def test_a_record_is_rendered_again_by_its_own_camera(weights, tmp_path, rng, mo
     seen = []
     monkeypatch.setattr(
         predict,
-        "rendered_again",
-        lambda batch, predicted: seen.append(batch.elevation) or rendered_again(batch, predicted),
+        "render_prediction",
+        lambda batch, predicted: (
+            seen.append(batch.elevation) or render_prediction(batch, predicted)
+        ),
     )
     synthetic.write_dataset(
         tmp_path,
@@ -187,9 +189,9 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
 def test_the_example_is_predicted_as_a_whole_by_the_masks_that_edit_has(weights, tmp_path):
     words = ["predict", "example:espresso-cup", "--weights", str(weights), "--device", "cpu"]
     assert main("learn", "", COMMANDS, [*words, "--out", str(tmp_path)]) == 0
-    seen = photograph.opened("example:espresso-cup")
+    seen = photograph.open_photograph("example:espresso-cup")
     assert seen.count == 2
-    framed = framing.framed(seen.radiance, seen.mask, SIZE)
+    framed = framing.frame_object(seen.radiance, seen.mask, SIZE)
     assert (shown(tmp_path / "mask.png") > 127).tolist() == framed.mask.tolist()
     report = json.loads((tmp_path / "material.json").read_text())
     assert report["box"] == list(framed.box) and len(report["label"]) == 108

@@ -114,7 +114,7 @@ def test_heads_come_from_other_weights_and_the_rest_stays(tmp_path):
     weights.save_weights(path, other, other.state_dict(), "{}", 64)
     network = CompactPretrained(RANGES)
     before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         weights.fill_heads(network, stored)
     after = network.state_dict()
     changed = {name.split(".")[0] for name in after if not torch.equal(after[name], before[name])}
@@ -128,5 +128,8 @@ def test_networks_without_such_heads_are_refused(tmp_path):
     other = CompactWrapped(RANGES)
     path = tmp_path / "weights.safetensors"
     weights.save_weights(path, other, other.state_dict(), "{}", 64)
-    with tensor_file.opened(path) as stored, pytest.raises(InputError, match="compact network"):
+    with (
+        tensor_file.open_tensor_file(path) as stored,
+        pytest.raises(InputError, match="compact network"),
+    ):
         weights.fill_heads(Paper(RANGES), stored)

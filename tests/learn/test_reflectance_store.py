@@ -28,7 +28,7 @@ def normals(count):
 
 
 def label(name):
-    return np.asarray(targets.label_of(name, None)[0], np.float32)
+    return np.asarray(targets.resolve_labels(name, None)[0], np.float32)
 
 
 @pytest.mark.parametrize("count", [10_000, 40_000])

@@ -27,7 +27,7 @@ def data_splits(tmp_path_factory):
     synthetic.write_dataset(folder, [synthetic.matte()], rng, size=SIZE, category="sphere")
     geometry, catalogue = Geometry(folder, progress=False), load_catalogue()
     labels = {name: catalogue[name].label.reshape(-1).astype(np.float32) for name in MATERIALS}
-    maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
+    maps = [lights.draw_computed(rng).astype(np.float32) for _ in range(2)]
     return {
         side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
         for side in ("train", "validation", "test")

@@ -124,7 +124,7 @@ def old(tmp_path):
 
 def changed(path, target, change):
     """Write a file's tensors with its lists as text after `change`; return the target."""
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         tensors = {name: stored.tensor(name) for name in stored.shapes}
         metadata = dict(stored.metadata)
     metadata[seen.KEY] = change(metadata[seen.KEY])
@@ -192,8 +192,8 @@ def test_network_page_refuses_a_test_side_that_was_seen(store, trained, capsys, 
     theirs = changed(
         trained / "weights.safetensors",
         tmp_path / "w.safetensors",
-        lambda text: seen.encoded(
-            seen.of(
+        lambda text: seen.encode_seen(
+            seen.make_seen(
                 {"shapes": [], "materials": labels, "lights": [map_hash(records.light("dusk"))]}
             )
         ),
@@ -236,52 +236,57 @@ def test_lists_other_than_those_written_are_refused_in_one_line(
 
 def test_lists_return_from_metadata_as_they_were(rng):
     hashes = {kind: [rng.bytes(32).hex() for _ in range(9)] for kind in seen.KINDS}
-    lists = seen.of(hashes, complete=False)
-    assert seen.of_metadata({seen.KEY: seen.encoded(lists)}, "file") == lists
+    lists = seen.make_seen(hashes, complete=False)
+    assert seen.read_seen({seen.KEY: seen.encode_seen(lists)}, "file") == lists
     assert lists.shapes == tuple(sorted(each[:DIGITS] for each in hashes["shapes"]))
-    assert seen.of_metadata({}, "file") is None
+    assert seen.read_seen({}, "file") is None
 
 
 def test_lists_of_thousands_stay_small_and_say_that_they_were_cut(rng):
     many = [rng.bytes(8).hex() for _ in range(seen.MOST + 1)]
-    lists = seen.of({"shapes": many, "materials": [], "lights": []})
+    lists = seen.make_seen({"shapes": many, "materials": [], "lights": []})
     assert lists.shapes == tuple(sorted(many)[: seen.MOST]) and not lists.complete
-    assert len(seen.encoded(lists)) < 20 * seen.MOST
-    assert seen.of_metadata({seen.KEY: seen.encoded(lists)}, "file") == lists
+    assert len(seen.encode_seen(lists)) < 20 * seen.MOST
+    assert seen.read_seen({seen.KEY: seen.encode_seen(lists)}, "file") == lists
 
 
 def test_a_run_that_began_from_weights_without_lists_does_not_claim_to_know_all():
-    own = seen.of({"shapes": ["a" * 16], "materials": [], "lights": []})
-    theirs = seen.of({"shapes": ["b" * 16], "materials": ["c" * 16], "lights": []})
+    own = seen.make_seen({"shapes": ["a" * 16], "materials": [], "lights": []})
+    theirs = seen.make_seen({"shapes": ["b" * 16], "materials": ["c" * 16], "lights": []})
     assert not own.joined(None).complete
     assert own.joined(theirs).shapes == ("a" * 16, "b" * 16)
     assert own.joined(theirs).complete and not own.joined(theirs.joined(None)).complete
 
 
 def test_lists_put_together_later_say_so_and_hand_it_on():
-    own = seen.of({"shapes": ["a" * 16], "materials": [], "lights": ["b" * 16]})
+    own = seen.make_seen({"shapes": ["a" * 16], "materials": [], "lights": ["b" * 16]})
     # as in files from before lists could be put together: these must stay readable
-    assert seen.encoded(own) == (
+    assert seen.encode_seen(own) == (
         '{"lists":{"version":1,"shapes":["aaaaaaaaaaaaaaaa"],"materials":[],'
         '"lights":["bbbbbbbbbbbbbbbb"],"complete":true},"digest":"3038ccef1a0f4ac1"}'
     )
-    theirs = seen.of(
+    theirs = seen.make_seen(
         {kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log alone has them"
     )
     both = own.joined(theirs)
     assert both.reconstructed == own.joined(theirs).joined(theirs).reconstructed
     assert both.reconstructed == "the log alone has them" and both.complete
-    assert seen.of_metadata({seen.KEY: seen.encoded(both)}, "file") == both
+    assert seen.read_seen({seen.KEY: seen.encode_seen(both)}, "file") == both
     assert own.joined(None).reconstructed is msgspec.UNSET
 
 
 def test_lists_written_later_leave_every_tensor_as_it_is(old, evaluate, capsys, tmp_path):
-    lists = seen.of({kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log says so")
+    lists = seen.make_seen(
+        {kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log says so"
+    )
     write_lists(old, lists, tmp_path / "new.safetensors")
     assert weights.seen_by(tmp_path / "new.safetensors") == lists
-    with tensor_file.opened(old) as a, tensor_file.opened(tmp_path / "new.safetensors") as b:
+    with (
+        tensor_file.open_tensor_file(old) as a,
+        tensor_file.open_tensor_file(tmp_path / "new.safetensors") as b,
+    ):
         assert a.shapes == b.shapes and a.kinds == b.kinds
-        assert b.metadata == a.metadata | {seen.KEY: seen.encoded(lists)}
+        assert b.metadata == a.metadata | {seen.KEY: seen.encode_seen(lists)}
         for name in a.shapes:
             assert torch.equal(a.tensor(name), b.tensor(name))
     assert not list(tmp_path.glob("*.trial"))
@@ -292,7 +297,7 @@ def test_lists_written_later_leave_every_tensor_as_it_is(old, evaluate, capsys, 
 
 
 def test_lists_are_not_written_into_a_file_that_would_change(old, tmp_path, monkeypatch):
-    lists = seen.of({kind: [] for kind in seen.KINDS})
+    lists = seen.make_seen({kind: [] for kind in seen.KINDS})
     write = tensor_file.write
 
     def damaged(path, tensors, metadata):
@@ -309,7 +314,9 @@ def test_lists_are_not_written_into_a_file_that_would_change(old, tmp_path, monk
 def test_lists_are_not_written_into_what_is_no_weights(tmp_path):
     tensor_file.write(tmp_path / "other.safetensors", {"a": torch.zeros(1)}, {})
     with pytest.raises(InputError, match="weights that name their network"):
-        write_lists(tmp_path / "other.safetensors", seen.of({k: [] for k in seen.KINDS}), tmp_path)
+        write_lists(
+            tmp_path / "other.safetensors", seen.make_seen({k: [] for k in seen.KINDS}), tmp_path
+        )
 
 
 @pytest.mark.parametrize(
@@ -322,7 +329,7 @@ def test_lists_are_not_written_into_what_is_no_weights(tmp_path):
 )
 def test_the_committed_weights_say_all_that_they_saw(name, digest, shapes, tmp_path):
     path = own_weights.FOLDER / f"{name}.safetensors"
-    with tensor_file.opened(path) as stored:
+    with tensor_file.open_tensor_file(path) as stored:
         tensors = {each: stored.tensor(each) for each in stored.shapes}
     assert weights.digest_of(tensors)[:16] == digest  # of the tensors that training left
     lists = weights.seen_by(path)
@@ -358,7 +365,7 @@ def test_a_target_material_counts_where_the_pictures_are_of_the_test_side(store)
 
 
 def test_validation_without_a_light_of_its_own_is_not_lit_by_one_for_tests(store):
-    splits = sources.data_splits(Data(), store.folder, progress=False)
+    splits = sources.load_data_splits(Data(), store.folder, progress=False)
     assert splits["validation"].map_names == ("sky",)
     assert splits["test"].map_names == ("dusk",)
 

@@ -44,7 +44,7 @@ def data_splits(tmp_path_factory):
     labels = {
         name: np.log(np.full(108, value, np.float32)) for name, value in (("a", 0.3), ("b", 0.5))
     }
-    maps = [lights.computed(rng).astype(np.float32)]
+    maps = [lights.draw_computed(rng).astype(np.float32)]
     return {
         side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
         for side in ("train", "validation", "test")
@@ -517,13 +517,15 @@ def test_a_light_map_that_has_the_name_of_another_one_is_refused_unless_it_is_a_
     for taken, data in ((name, Data()), ("blender_city", Data(measured_lights=True))):
         np.savez(path, **{taken: rng.random((64, 128, 3))})
         with pytest.raises(InputError) as caught:
-            sources.data_splits(data, store.folder, path, progress=False)
+            sources.load_data_splits(data, store.folder, path, progress=False)
         assert str(caught.value) == (
             f"--lights {path}: expected one map under a name, found a second, different one under"
             f" '{taken}' (rename it: the data set or the program has one of that name)"
         )
     np.savez(path, blender_city=2 * np.roll(known, 5, axis=1))
-    splits = sources.data_splits(Data(measured_lights=True), store.folder, path, progress=False)
+    splits = sources.load_data_splits(
+        Data(measured_lights=True), store.folder, path, progress=False
+    )
     assert "blender_city" in {light for side in splits.values() for light in side.map_names}
 
 

@@ -50,7 +50,7 @@ def data_splits(geometry):
     rng = np.random.default_rng(2)
     label = np.log(np.array(lambertian(0.5), np.float32))
     labels = {f"m{i}": (label + rng.normal(0, 0.3, 108)).astype(np.float32) for i in range(4)}
-    maps = [lights.computed(rng).astype(np.float32) for _ in range(2)]
+    maps = [lights.draw_computed(rng).astype(np.float32) for _ in range(2)]
     return {
         side: DataSplit(geometry, np.arange(len(geometry)), labels, maps, side)
         for side in ("train", "validation", "test")
@@ -177,7 +177,7 @@ def test_a_batch_depends_on_seed_and_number_alone_and_parts_make_the_whole(data_
 def test_a_relit_picture_is_the_layers_of_its_own_truth(data_splits):
     # held-out sides are not augmented
     batch = RelitDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
-    seen = validation.picture(batch.n, batch.label, batch.light, batch)
+    seen = validation.render_batch(batch.n, batch.label, batch.light, batch)
     mine = batch.image.movedim(1, -1).numpy()
     assert np.abs(seen - mine).mean() / mine.mean() < 0.03  # two methods at 1e-2 and 2e-2
 
@@ -402,7 +402,7 @@ def test_weights_come_back_to_half_precision(tmp_path):
 
 
 def test_sides_share_no_material_and_twin_maps_are_known(rng):
-    materials, _ = sources.materials_of(Data(materials="built-in"), None)
+    materials, _ = sources.split_materials(Data(materials="built-in"), None)
     names = [{m.name for m in materials[side]} for side in ("train", "validation", "test")]
     assert not (names[0] & names[1] or names[0] & names[2] or names[1] & names[2])
     assert all(names)
@@ -418,7 +418,7 @@ def test_a_photographed_picture_keeps_its_radiance_but_for_exposure_and_noise(rn
     image, mask = np.full((32, 32, 3), 0.3, np.float32), np.ones((32, 32), bool)
     draws = 1000
     ratios = np.log(
-        [augmentation.photographed(rng, image, mask).mean() / 0.3 for _ in range(draws)]
+        [augmentation.vary_exposure_and_noise(rng, image, mask).mean() / 0.3 for _ in range(draws)]
     )
     sigma = augmentation.EXPOSURE / np.sqrt(draws)
     # four standard deviations: 9 %
@@ -430,7 +430,7 @@ def test_an_eroded_mask_loses_its_rim_at_most(rng):
     mask = np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True
     for _ in range(8):
-        eroded = augmentation.eroded_mask(rng, mask)
+        eroded = augmentation.erode_mask(rng, mask)
         assert (eroded <= mask).all()
         assert eroded[5:11, 5:11].all()
 
@@ -441,7 +441,7 @@ def test_what_stays_in_register_moves_with_the_picture():
     moved = 0
     for seed in range(20):
         truth = torch.from_numpy(mask.astype(np.float32))[..., None]
-        _, seen_mask, (seen_truth,) = augmentation.seen(
+        _, seen_mask, (seen_truth,) = augmentation.prepare_picture(
             np.random.default_rng(seed), np.ones((64, 64, 3)), mask, [truth], True
         )
         inside = seen_truth[..., 0].numpy() > 0

@@ -85,7 +85,8 @@ def test_what_either_saw_the_joined_weights_have_seen(tmp_path, files):
     from learn.data import seen
 
     lists = [
-        seen.of({"shapes": [mark * 16], "materials": ["a" * 16], "lights": []}) for mark in "bc"
+        seen.make_seen({"shapes": [mark * 16], "materials": ["a" * 16], "lights": []})
+        for mark in "bc"
     ]
     for path, network, own in zip(
         files, (CompactPretrained(FIRST), CompactWrapped(SECOND)), lists, strict=True

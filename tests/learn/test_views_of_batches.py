@@ -36,7 +36,7 @@ def data_split(tmp_path_factory):
         for i, category in enumerate(CATEGORIES)
     ]
     labels = {"matte": np.array(synthetic.matte().label, np.float32)}
-    maps = [lights.computed(np.random.default_rng(2)).astype(np.float32)]
+    maps = [lights.draw_computed(np.random.default_rng(2)).astype(np.float32)]
     return DataSplit(geometry, np.arange(len(CATEGORIES)), labels, maps, "train")
 
 

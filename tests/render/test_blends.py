@@ -81,7 +81,7 @@ def bias_of_pictures(bias, limit):
     ratios = []
     for seed in range(16):
         known = Known(noise=1.0, left=0.05, bias=bias)
-        pair = [choice.picture(shown(known, s), limit) for s in (seed, seed + 100)]
+        pair = [choice.render_within_error(shown(known, s), limit) for s in (seed, seed + 100)]
         if all(each.estimator == "denoised" for each in pair):
             ratios.append(squared_bias([each.radiance for each in pair], known) / limit)
         assert all(each.estimated.bound <= limit for each in pair)
@@ -117,7 +117,7 @@ def test_a_closed_form_that_is_a_little_off_is_blended_or_left():
     for closed, alone in ((1.01, True), (1.045, False)):
         known = Shaded(noise=0.4, deepest=1.0, closed=closed)
         _make_vague(known)
-        made = choice.picture(Shown(known, 5, "direct", MASK), limit)
+        made = choice.render_within_error(Shown(known, 5, "direct", MASK), limit)
         exact = np.float32(known.unblocked * closed)
         assert error(made.radiance, known) <= limit
         assert (made.estimator == closed_form.NAME and (made.radiance == exact).all()) == alone

@@ -28,12 +28,12 @@ def geometry():
 
 
 def test_a_good_shot_passes(picture, geometry):
-    assert checks.picture(picture, 0.25, geometry.mask.astype(np.float32)) == []
-    assert checks.geometry(geometry, 1) == []
+    assert checks.picture_faults(picture, 0.25, geometry.mask.astype(np.float32)) == []
+    assert checks.geometry_faults(geometry, 1) == []
 
 
 def test_a_black_picture_passes():
-    assert checks.picture(np.zeros((8, 8, 3), np.float32)) == []
+    assert checks.picture_faults(np.zeros((8, 8, 3), np.float32)) == []
 
 
 @pytest.mark.parametrize(
@@ -42,19 +42,19 @@ def test_a_black_picture_passes():
 )
 def test_values_that_no_light_has_are_found(picture, value, found):
     picture[3, 4, 1] = value
-    (line,) = checks.picture(picture)
+    (line,) = checks.picture_faults(picture)
     assert found in line
 
 
 def test_magenta_on_any_material_is_found_and_a_red_picture_is_not(picture):
     shading = picture[..., :1]
-    assert "magenta" in checks.picture(shading * np.float32([1, 0, 1]))[0]
-    assert "magenta" in checks.picture(shading * np.float32([0.2, 0, 0.7]))[0]
-    assert checks.picture(shading * np.float32([1, 0, 0])) == []
+    assert "magenta" in checks.picture_faults(shading * np.float32([1, 0, 1]))[0]
+    assert "magenta" in checks.picture_faults(shading * np.float32([0.2, 0, 0.7]))[0]
+    assert checks.picture_faults(shading * np.float32([1, 0, 0])) == []
 
 
 def test_a_picture_that_covers_less_than_its_geometry_is_found(picture, geometry):
-    (line,) = checks.picture(picture, 0.25, np.zeros((32, 32)))
+    (line,) = checks.picture_faults(picture, 0.25, np.zeros((32, 32)))
     assert "expected coverage 0.2500" in line
 
 
@@ -70,4 +70,4 @@ def test_a_picture_that_covers_less_than_its_geometry_is_found(picture, geometry
 )
 def test_each_fault_of_geometry_is_found(geometry, spoil, found):
     spoil(geometry)
-    assert any(found in line for line in checks.geometry(geometry, 1))
+    assert any(found in line for line in checks.geometry_faults(geometry, 1))

@@ -71,7 +71,7 @@ def test_a_picture_is_made_of_all_samples_and_of_none_twice():
 @pytest.mark.parametrize("requested", [4.0, 40.0, 400.0])
 def test_the_error_is_kept_and_no_more_samples_are_taken_than_that_needs(requested, estimators):
     known = Known(noise=0.6)
-    made = choice.picture(shown(known), requested, estimators)
+    made = choice.render_within_error(shown(known), requested, estimators)
     assert made.estimated.bound <= requested
     assert error(made.radiance, known) <= requested
     if made.estimator == path_tracing.NAME and made.samples > 2 * attempts.PILOT:
@@ -129,17 +129,17 @@ def test_more_samples_are_denoised_more_thoroughly():
 
 def test_the_denoiser_is_taken_where_it_saves_samples_and_left_where_its_bias_is_too_large():
     noisy = {"noise": 1.5}
-    plain_alone = choice.picture(shown(Known(**noisy)), 20.0, ("path-tracing",))
-    saved = choice.picture(shown(Known(**noisy, left=0.05)), 20.0)
+    plain_alone = choice.render_within_error(shown(Known(**noisy)), 20.0, ("path-tracing",))
+    saved = choice.render_within_error(shown(Known(**noisy, left=0.05)), 20.0)
     assert saved.estimator == "denoised" and saved.samples < plain_alone.samples / 2
     biased = Known(**noisy, bias=0.2)
-    kept = choice.picture(shown(biased), 20.0)
+    kept = choice.render_within_error(shown(biased), 20.0)
     assert kept.estimator == "path-tracing" and error(kept.radiance, biased) <= 20
     assert 2 <= biased.tries <= 2 * denoised.MOST_TRIES
 
 
 def test_the_same_seed_chooses_the_same_estimator_and_another_seed_other_noise():
-    first, again, other = (choice.picture(shown(Known(), s), 15.0) for s in (5, 5, 6))
+    first, again, other = (choice.render_within_error(shown(Known(), s), 15.0) for s in (5, 5, 6))
     np.testing.assert_array_equal(first.radiance, again.radiance)
     assert (first.estimator, first.samples) == (again.estimator, again.samples)
     assert not np.array_equal(first.radiance, other.radiance)
@@ -147,7 +147,7 @@ def test_the_same_seed_chooses_the_same_estimator_and_another_seed_other_noise()
 
 def test_an_error_that_the_most_samples_do_not_reach_is_said(monkeypatch):
     monkeypatch.setattr(attempts, "MOST_SAMPLES", 32)
-    made = choice.picture(shown(Known()), 1e-3)
+    made = choice.render_within_error(shown(Known()), 1e-3)
     assert made.samples == 64 and made.estimated.bound > 1e-3
 
 
@@ -219,7 +219,7 @@ def test_no_closed_form_is_computed_where_light_is_blocked_and_its_noise_explain
         first, count, seed + (tier == "direct"), tier
     )
     for known in (dark, lit):
-        choice.picture(shown(known), 40.0)
+        choice.render_within_error(shown(known), 40.0)
     assert (dark.closed_forms, lit.closed_forms) == (0, 1)
 
 
@@ -279,26 +279,26 @@ def test_noise_is_not_counted_as_blocked_light():
 def test_the_closed_form_alone_is_taken_where_nothing_is_blocked():
     known = Shaded(deepest=1.0)
     at = Shown(known, 5, "direct", MASK)
-    made = choice.picture(at, 20.0)
+    made = choice.render_within_error(at, 20.0)
     assert made.estimator == closed_form.NAME and made.estimated.bound <= 20
     np.testing.assert_array_equal(made.radiance, known.unblocked)
-    plain = choice.picture(at, 20.0, ("path-tracing",))
+    plain = choice.render_within_error(at, 20.0, ("path-tracing",))
     assert made.samples < plain.samples
 
 
 @pytest.mark.parametrize("closed", [0.8, 1.25])
 def test_a_closed_form_that_is_off_is_seen(closed):
     known = Shaded(deepest=1.0, closed=closed)
-    made = choice.picture(shown(known), 20.0)
+    made = choice.render_within_error(shown(known), 20.0)
     assert made.estimator not in (closed_form.NAME, ratio.NAME)
     assert error(made.radiance, known) <= 20
 
 
 def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
     known = Shaded(noise=0.8, deepest=0.8)
-    made = choice.picture(shown(known), 20.0)
+    made = choice.render_within_error(shown(known), 20.0)
     assert made.estimator == ratio.NAME and error(made.radiance, known) <= 20
-    plain = choice.picture(shown(known), 20.0, ("path-tracing", "denoised"))
+    plain = choice.render_within_error(shown(known), 20.0, ("path-tracing", "denoised"))
     assert plain.estimator == path_tracing.NAME and made.samples < plain.samples / 2
 
 
@@ -558,11 +558,11 @@ def test_grids_that_differ_are_made_finer():
         return direct._replace(variance=np.full_like(direct.variance, 0.2 / points))
 
     known.direct_light = differing
-    choice.picture(shown(known), 40.0)
+    choice.render_within_error(shown(known), 40.0)
     assert len(asked) > 1 and asked == sorted(set(asked)) and asked[0] == closed_form.POINTS
     asked.clear()
     known.direct_light_work = lambda points: DirectWork(min(points, 16))
-    choice.picture(shown(known), 40.0)
+    choice.render_within_error(shown(known), 40.0)
     assert len(asked) == 1  # the frame has no more points
 
 
@@ -583,10 +583,10 @@ class Convex(Shaded):
 
 def test_direct_light_is_rendered_of_what_cannot_shade_itself():
     known, other = Convex(), Shaded()
-    made = choice.picture(shown(known), 20.0)
+    made = choice.render_within_error(shown(known), 20.0)
     assert set(known.tiers) == {"direct"} and made.traced == "direct"
     assert error(made.radiance, known) < 20
-    assert choice.picture(shown(other), 20.0).traced == "full"
+    assert choice.render_within_error(shown(other), 20.0).traced == "full"
 
 
 def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
@@ -705,7 +705,7 @@ def test_a_limit_on_rare_light_is_kept():
     achieved = []
     for seed in range(40):
         known = Sparse()
-        made = choice.picture(shown(known, seed), 4000.0, ("path-tracing",))
+        made = choice.render_within_error(shown(known, seed), 4000.0, ("path-tracing",))
         achieved.append(error(made.radiance, known))
     assert np.mean(np.array(achieved) <= 4000) >= 0.95
 

@@ -265,11 +265,11 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
     assert chair.direct_light_work().points == 64
     assert chair.direct_light_work(16).points == 16
     at = Shown(chair, 3, "direct", chair.geometry().mask)
-    assert choice.picture(at, 30.0).estimator == "closed-form"
+    assert choice.render_within_error(at, 30.0).estimator == "closed-form"
     for change in ({"lens": Camera(size=(SIZE, SIZE), fov_deg=30)}, {"resolution": "full"}):
         show(chair, **change)
         assert chair.direct_light() is None and chair.direct_light_work() is None
-        made = choice.picture(replace(at, mask=chair.geometry().mask), 30.0)
+        made = choice.render_within_error(replace(at, mask=chair.geometry().mask), 30.0)
         assert made.estimator in ("path-tracing", "denoised") and made.estimated.bound <= 30
 
 
@@ -324,7 +324,7 @@ def test_pictures_keep_their_error_beside_a_reference(chair, tier):
     for requested in (8.0, 60.0):
         achieved, estimated = [], []
         for seed in range(6):
-            made = choice.picture(Shown(chair, seed, tier, mask), requested)
+            made = choice.render_within_error(Shown(chair, seed, tier, mask), requested)
             a, r1, r2 = (
                 tone.display(each[mask], exposure) for each in (made.radiance, *reference.pictures)
             )

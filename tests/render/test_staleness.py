@@ -132,7 +132,7 @@ def test_the_canary_finds_a_lost_light(shown):
     texture.image = None  # to Cycles the same as a file that is not there
     with pytest.raises(RuntimeError, match="expected the map that was set"):
         canary.check(shown._scene, reference.soft_light(), nearest=True)
-    assert checks.picture(shown.render(1, 0)) == [
+    assert checks.picture_faults(shown.render(1, 0)) == [
         "expected the light's colours, found magenta: Cycles has no light map"
     ]
     shown.set_light(reference.soft_light(), 3)

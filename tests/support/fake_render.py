@@ -8,7 +8,7 @@ SECONDS are those between two parts, where OUT is a URL.
 import sys
 
 from factory.execution import leases, uploads
-from factory.execution.run import RunOptions, carry_out, planned
+from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from tests.support.tetrahedron import FAKE
@@ -19,4 +19,4 @@ if __name__ == "__main__":
         leases.RENEWED, leases.EXPIRED, leases.PAUSE = 0.05, 1.0, 0.05
     job, folder = jobs.load(sys.argv[1])
     assets = resolve(job, folder, catalogues=[sys.argv[3]])
-    carry_out(planned(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))
+    carry_out(make_plan(job, assets), sys.argv[2], RunOptions(workers=2, studio=FAKE))

@@ -8,15 +8,15 @@ I/N is the part of a job array.
 
 import sys
 
-from factory.execution.run import RunOptions, carry_out, parsed_shard, planned
+from factory.execution.run import RunOptions, carry_out, make_plan, parse_shard
 from factory.planning import jobs, reading
-from factory.planning.assets import opened
+from factory.planning.assets import resolve_unread
 from tests.support.tetrahedron import FAKE
 
 if __name__ == "__main__":
     reading.HERE = 0.0
     job, folder = jobs.load(sys.argv[1])
-    assets = opened(job, folder, catalogues=[sys.argv[3]])
-    shard = parsed_shard(sys.argv[4]) if len(sys.argv) > 4 else None
+    assets = resolve_unread(job, folder, catalogues=[sys.argv[3]])
+    shard = parse_shard(sys.argv[4]) if len(sys.argv) > 4 else None
     run_options = RunOptions(workers=2, studio=FAKE, shard=shard)
-    carry_out(planned(job, assets), sys.argv[2], run_options)
+    carry_out(make_plan(job, assets), sys.argv[2], run_options)

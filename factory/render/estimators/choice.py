@@ -15,7 +15,9 @@ from manifests.schema import Estimator
 ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
 
 
-def picture(shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL) -> Picture:
+def render_within_error(
+    shown: Shown, error: float, estimators: tuple[Estimator, ...] = ALL
+) -> Picture:
     """Return a picture whose estimated error is at most `error` with 95 % confidence.
 
     The estimate is larger if attempt.MOST_SAMPLES do not suffice.

@@ -167,11 +167,11 @@ class _StudioLoop:
         paths = [f"{self.folder}/picture{view:02}.exr"]
         if geometry:
             self.shots[view] = shot = self.studio.geometry()
-            faults += checks.geometry(shot, self.segments)
+            faults += checks.geometry_faults(shot, self.segments)
             paths.append(f"{self.folder}/geometry{view:02}.exr")
             write_bytes(paths[1], encode_geometry(shot))
         radiance, alpha = self.studio.picture(1, view, "direct")
-        faults += checks.picture(radiance, float(self.shots[view].mask.mean()), alpha)
+        faults += checks.picture_faults(radiance, float(self.shots[view].mask.mean()), alpha)
         write_bytes(paths[0], encode_picture(radiance))
         return {
             "faults": faults,

@@ -73,7 +73,7 @@ Rendered = tuple[str, str, np.ndarray, float]
 
 def limited(error: float) -> Method:
     """Return the function that renders a shot to a limit on its error."""
-    return lambda at: choice.picture(at, error).radiance
+    return lambda at: choice.render_within_error(at, error).radiance
 
 
 def methods(
