@@ -188,7 +188,7 @@ def _made(
     sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
     missing = _missing(parts, known, sources, counts, run_options.limit, watch)
-    assignment = assign(plan, run_options.library)
+    assignment = make_assignment(plan, run_options.library)
 
     def config(number: int) -> WorkerConfig:
         return worker_config(store, f"{prefix}{number:02d}", assignment, run_options)

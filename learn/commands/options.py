@@ -90,7 +90,7 @@ def add_count(
     )
 
 
-def add_refinement_method(parser: argparse.ArgumentParser) -> None:
+def add_refinement_method(parser: ParserOrGroup) -> None:
     """Add --refinement-method, one of LAYER_METHODS; None if it is not given."""
     parser.add_argument(
         "--refinement-method",

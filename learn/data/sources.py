@@ -117,11 +117,11 @@ def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dic
     maps = {name: records.light(name) for name in records.dataset.lights}
     if data.measured_lights:
         where, remedy = "data: measured_lights", "leave it out: the data set has one of that name"
-        maps = joined(maps, measured_lights.load_all(), where, remedy)
+        maps = join_maps(maps, measured_lights.load_all(), where, remedy)
     if maps_file is not None:
         where = f"--lights {maps_file}"
         remedy = "rename it: the data set or the program has one of that name"
-        maps = joined(maps, read_maps(maps_file), where, remedy)
+        maps = join_maps(maps, read_maps(maps_file), where, remedy)
     return maps
 
 
@@ -138,7 +138,7 @@ def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
     return sorted(names)
 
 
-def source_of(
+def make_batch_source(
     data_split: DataSplit, run: Run, batch: int, seed: int, part: tuple[int, int] = (0, 1)
 ) -> RelitDataset | RenderedDataset | MixedDataset:
     """Return the source of one split's batches: relit geometry, Cycles' pictures, or a mixture.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.editing import (
     decomposition,
     desired_light,

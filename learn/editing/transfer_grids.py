@@ -92,7 +92,7 @@ def relit_rows(
     Each object is exposed as a light meter at its place would say: a white diffuse object of its
     shape is just not clipped, so that dark and bright materials keep their brightness.
     """
-    white = targets.label_of("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
+    white = targets.resolve_labels("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
     assert white is not None
     above = head(decompositions)
     above[0] = (label, montage.light_picture(light))
@@ -112,7 +112,7 @@ def relit_rows(
                 np.concatenate([shown, alpha], -1),
             )
             ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
-            row.append(("", drawing.cropped(ground, decomposed)))
+            row.append(("", drawing.crop_to_object(ground, decomposed)))
             progress.update()
         rows.append(row)
     return rows
@@ -148,14 +148,16 @@ def edits_of(
 
 def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
     """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
-    shown = tone.display(picture, drawing.exposure_of(photo))
+    shown = tone.display(picture, drawing.display_exposure(photo))
     save(path, drawing.with_alpha(shown, photo))
 
 
 def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
     """Return the object's square of a linear picture, as a contact sheet shows it."""
-    shown = tone.display(picture, drawing.exposure_of(decompositions.photograph))
-    return drawing.cropped(drawing.on_ground(shown, decompositions.photograph), decompositions)
+    shown = tone.display(picture, drawing.display_exposure(decompositions.photograph))
+    return drawing.crop_to_object(
+        drawing.on_ground(shown, decompositions.photograph), decompositions
+    )
 
 
 def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:

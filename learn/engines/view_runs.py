@@ -196,14 +196,14 @@ def make_lobes(
     vx, vy, vz = run[0]
     s, t = (wx + vx, wy + vy, wz + vz), (wx - vx, wy - vy, wz - vz)
     theta_d = angle(dot(t, t), maximum(dot(s, s), LEAST_SQUARE))
-    b, t = basis(theta_d), tents(theta_d)
+    b, tent = basis(theta_d), tents(theta_d)
     slopes = (
-        -2.0 * t[0],
-        fma(t[0], 2.0, 0.0 - t[1]),
-        t[1] - t[2],
-        t[2] - t[3],
-        fma(t[4], -2.0, t[3]),
-        2.0 * t[4],
+        -2.0 * tent[0],
+        fma(tent[0], 2.0, 0.0 - tent[1]),
+        tent[1] - tent[2],
+        tent[2] - tent[3],
+        fma(tent[4], -2.0, tent[3]),
+        2.0 * tent[4],
     )
     store_basis(scratch, a + VIEW_BASIS, b)
     store_basis(scratch, a + VIEW_BASIS + BASIS_STRIDE, slopes)

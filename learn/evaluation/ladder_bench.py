@@ -9,9 +9,9 @@ import torch
 from msgspec import Struct
 
 from learn.data.batch import ExampleBatch
-from learn.data.devices import array
+from learn.data.devices import to_numpy
 from learn.data.records import Records
-from learn.editing.decomposition import Parts, parts_of
+from learn.editing.decomposition import Parts, require_parts
 from learn.evaluation import methods
 from learn.evaluation.ladder_design import RUNGS, Scene
 from learn.evaluation.ladder_pictures import Shown, shown
@@ -91,7 +91,7 @@ class Bench:
         (rung,) = (each for each in RUNGS if each.name == name)
         picture = shown(self.records, scene, rung, self.size)
         batch = picture.batch.to(self.device)
-        source = array((batch.image * batch.mask)[0].movedim(0, -1))
+        source = to_numpy((batch.image * batch.mask)[0].movedim(0, -1))
         prediction = self.predict(batch)
         facing = torch.zeros_like(batch.n)
         facing[:, 2] = 1.0
@@ -114,9 +114,9 @@ class Bench:
             constant_irradiance=float(irradiance_error(torch.ones_like(batch.light), batch.light)),
             unchanged_l2=display_l2(source, picture.target, picture.mask),
             floor_l2=floor,
-            predicted=measured(parts_of(prediction), picture, batch),
+            predicted=measured(require_parts(prediction), picture, batch),
             refined=(
-                measured(parts_of(self.refine(batch, prediction).prediction), picture, batch)
+                measured(require_parts(self.refine(batch, prediction).prediction), picture, batch)
                 if refined
                 else None
             ),
@@ -146,9 +146,9 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
 
 def rendered_again(prediction: Prediction, picture: Shown) -> float:
     """Return the display L2 of the picture's re-rendering by the integral against the picture."""
-    parts, batch = parts_of(prediction), picture.batch
+    parts, batch = require_parts(prediction), picture.batch
     again = methods.rendered(parts.n, parts.label, parts.light, batch)
-    return display_l2(again, array((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
+    return display_l2(again, to_numpy((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 
 
 def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:

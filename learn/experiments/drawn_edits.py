@@ -99,7 +99,7 @@ def refined_row(
 
     from msgspec import to_builtins
 
-    from learn.editing.decomposition import parts_of
+    from learn.editing.decomposition import require_parts
     from learn.evaluation import ladder_bench
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
@@ -120,7 +120,7 @@ def refined_row(
         "target": target,
         "metal": bench.records.material(target).family == "metal",
     } | {
-        name: to_builtins(ladder_bench.measured(parts_of(parts), picture, picture.batch))
+        name: to_builtins(ladder_bench.measured(require_parts(parts), picture, picture.batch))
         | {"seconds": seconds[name], "image_l2": ladder_bench.rendered_again(parts, picture)}
         for name, parts in (("predicted", start), ("refined", refined))
     }

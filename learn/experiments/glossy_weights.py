@@ -116,7 +116,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
 
     bench  of learn.evaluation.ladder
     """
-    from learn.editing.decomposition import parts_of
+    from learn.editing.decomposition import require_parts
     from learn.evaluation import ladder_bench
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
@@ -125,7 +125,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     (known,) = (each for each in RUNGS if each.name == rung)
     picture = of_size(shown(bench.records, scene, known, bench.size), bench.size)
     prediction = bench.predict(picture.batch)
-    parts = parts_of(prediction)
+    parts = require_parts(prediction)
     of_parts = ladder_bench.measured(parts, picture, picture.batch)
     return {
         "shape": scene.shape,

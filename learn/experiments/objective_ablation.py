@@ -152,7 +152,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     names = [name for name in names if name not in left_out]
     torch.set_num_threads(1)
     outputs.pin_settings(arguments.out / "settings.json", _pinned(run, arguments))
-    data_splits = sources.data_splits(run.data, arguments.data, arguments.lights)
+    data_splits = sources.load_data_splits(run.data, arguments.data, arguments.lights)
     policy, tested = predictions.VALIDATION, run
     if arguments.glossy:
         data_splits = objective_training.glossy(data_splits)

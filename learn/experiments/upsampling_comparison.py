@@ -36,7 +36,7 @@ def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str,
     """
     network, metadata = checkpoint.load_parts(weights)
     size = metadata["size"]
-    edits = pairs.chosen(records.records, count, 0)
+    edits = pairs.choose_edits(records.records, count, 0)
     if any(edit.several for edit in edits):
         raise InputError(
             records.folder,

@@ -329,7 +329,7 @@ def test_the_truth_of_an_edit_is_of_the_same_turn_of_the_light(tmp_path, rng):
 
 def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was(tmp_path, rng):
     write_two_materials(tmp_path, rng, (0,))
-    result = photograph.opened(tmp_path)
+    result = photograph.open_photograph(tmp_path)
     of = {
         key: msgspec.structs.replace(result.record, id=" ".join(key), materials=key)
         for key in (("a", "b"), ("b", "a"), ("b", "b"))

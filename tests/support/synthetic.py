@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.sources import VALIDATION_SHAPES, by_hash
+from learn.data.sources import VALIDATION_SHAPES, number_from_hash
 from learn.layer import render
 from manifests import exr, ids, light_files
 from manifests import materials as catalogue
@@ -32,7 +32,9 @@ from shaders.mixture import Mixture
 ALBEDO = 0.4
 DIGITS = 12
 # a shape that is for validation, where it is on the side of training
-VALIDATION = next(f"ball:{k}" for k in range(1000) if by_hash(f"ball:{k}", VALIDATION_SHAPES) == 0)
+VALIDATION = next(
+    f"ball:{k}" for k in range(1000) if number_from_hash(f"ball:{k}", VALIDATION_SHAPES) == 0
+)
 SHAPE, LIGHT, RENDER = "5" * 64, "a" * 64, "synthetic"  # stand-ins of hashes
 
 
