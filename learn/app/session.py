@@ -141,7 +141,10 @@ class Session:
             assert self.selection is not None
             self.selection.given = (alpha >= 0.5).astype(np.uint8)
             return "The object is what is not transparent. Clicks can divide it into parts."
-        return "Now click on the object, once on each of its surfaces, or paint it with the brush."
+        return (
+            "Now click on the object, once on each of its surfaces. Or choose *Draw* and draw a"
+            " line around it."
+        )
 
     def load_example(self) -> str:
         """Take the program's example, a cup on a saucer, with its two regions."""
@@ -250,6 +253,14 @@ class Session:
 
     def paint(self, strokes: Sequence[np.ndarray], region: int) -> None:
         """Add strokes, each (h, w) bool, on the picture of `reduced`. Raises InputError."""
+        self.opened().paint(self._enlarged(strokes), region)
+
+    def enclose(self, strokes: Sequence[np.ndarray], region: int) -> None:
+        """Take strokes, each (h, w) bool, for a line around the object. Raises InputError."""
+        self.opened().enclose(self._enlarged(strokes), region)
+
+    def _enlarged(self, strokes: Sequence[np.ndarray]) -> np.ndarray:
+        """Return which pixels (H, W) bool of the photograph strokes on `reduced` cover."""
         selection, size = self.opened(), self.reduced().shape[:2]
         for covered in strokes:
             if covered.shape != size:
@@ -259,7 +270,7 @@ class Session:
         covered = np.logical_or.reduce(list(strokes))
         rows, columns = selection.size
         whole = Image.fromarray(covered).resize((columns, rows), Image.Resampling.NEAREST)
-        selection.paint(np.asarray(whole), region)
+        return np.asarray(whole)
 
     def reduced(self) -> np.ndarray:
         """Return the photograph (h, w, 3) uint8, scaled."""
@@ -305,8 +316,7 @@ class Session:
         """
         opened, selection = self.marked(), self.opened()
         soft_mask, _ = self._soft_mask(selection.labels())
-        marked = selection.clicks or selection.strokes
-        by_hand = bool(marked) or selection.given is not self._example_mask
+        by_hand = bool(selection.marks) or selection.given is not self._example_mask
         self.stop = stop = threading.Event()
         self.number += 1
         decomposed = yield from background_decomposition.decompose(

@@ -20,9 +20,10 @@ from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
 from learn.app.download_files import Downloads
 from learn.app.page_html import without_markup
-from learn.app.selection import MOST_STROKES, Selection
+from learn.app.selection import MOST_STROKES, Selection, enclosed
 from learn.app.session import Session, display_of
 from learn.app.sessions import Sessions
+from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer, composed, displayed
 from learn.commands import app as command
 from learn.commands import options
@@ -72,7 +73,7 @@ def test_clicks_select_an_object_and_divide_it_into_regions() -> None:
     assert overlap(labels == 2, disk(half=True)) > 0.9
     # a click on the red half as background leaves the grey one
     selection.click(80, 45, 0)
-    selection.clicks.pop(1)
+    selection.marks.pop(1)
     assert overlap(selection.labels() > 0, disk() & ~disk(half=True)) > 0.9
     selection.clear()
     assert not selection.labels().any()
@@ -95,6 +96,84 @@ def test_strokes_count_more_than_clicks_and_regions_have_no_gap() -> None:
     selection.paint(covered, 4)
     labels = selection.labels()
     assert (labels[:10, :10] == 2).all() and labels.max() == 2
+
+
+def test_a_stroke_is_carried_on_to_the_edges_of_what_it_covers() -> None:
+    selection = Selection(scene())
+    covered = np.zeros((80, 120), bool)
+    covered[30:50, 45:75] = True  # over the grey half and the red one
+    selection.paint(covered, 1)
+    assert overlap(selection.labels() > 0, disk()) > 0.95
+    # strokes that take away are carried on as well, and win over earlier ones where both are
+    covered = np.zeros((80, 120), bool)
+    covered[30:50, 66:80] = True
+    selection.paint(covered, 0)
+    labels = selection.labels()
+    assert not labels[covered].any()
+    assert overlap(labels > 0, disk() & ~disk(half=True)) > 0.85
+
+
+def look_alike() -> tuple[np.ndarray, np.ndarray]:
+    """A disk before a wall of its colour: only a line of shade on its rim tells them apart."""
+    rng = np.random.default_rng(0)
+    rows, columns = np.mgrid[:240, :320]
+    distance = np.hypot(rows - 120, columns - 160)
+    picture = np.full((240, 320, 3), 180.0) - 40 * np.exp(-((distance - 70) ** 2) / 6)[..., None]
+    return np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(
+        np.uint8
+    ), distance < 70
+
+
+def test_a_faint_rim_keeps_a_stroke_from_leaking_into_a_wall_of_the_same_colour() -> None:
+    picture, inside = look_alike()
+    selection = Selection(picture)
+    stroke = np.zeros(inside.shape, bool)
+    stroke[110:130, 110:210] = True
+    selection.paint(stroke, 1)
+    assert overlap(selection.labels() > 0, inside) > 0.85
+    pixels = Superpixels.of(picture)
+    selection.superpixels = replace(pixels, weights=pixels.by_colour)
+    selection._made = None
+    assert overlap(selection.labels() > 0, inside) < 0.7  # without edges along borders
+
+
+@pytest.mark.parametrize("gap", [0, 8])
+def test_a_line_around_the_object_finds_it(gap: int) -> None:
+    picture, inside = look_alike()
+    rows, columns = np.mgrid[:240, :320]
+    line = np.abs(np.hypot(rows - 120, columns - 160) - 90) < 3
+    line[:, 158 : 158 + gap] &= rows[:, 158 : 158 + gap] > 120  # not closed at the top
+    selection = Selection(picture)
+    selection.enclose(line, 0)  # whatever the radio button says
+    labels = selection.labels()
+    assert overlap(labels > 0, inside) > 0.9
+    assert not labels[np.hypot(rows - 120, columns - 160) > 95].any()
+    assert selection.undo() and not selection.labels().any()
+
+
+def test_a_line_that_ends_at_the_frame_encloses_what_the_frame_cuts_off() -> None:
+    line = np.zeros((100, 150), bool)
+    line[40:43, :60] = line[40:, 57:60] = True  # from the left side to the lower one
+    inside = enclosed(line)
+    assert inside[45:, :55].all() and not inside[:39].any() and not inside[:, 62:].any()
+
+
+def test_a_line_that_encloses_nothing_is_refused() -> None:
+    selection = Selection(scene())
+    line = np.zeros((80, 120), bool)
+    line[40, 20:100] = True
+    with pytest.raises(InputError, match="the line: expected a closed line around the object"):
+        selection.enclose(line, 1)
+    assert not selection.marks
+
+
+def test_a_line_cuts_a_mask_of_a_file_off() -> None:
+    selection = Selection(scene(), given=disk().astype(np.uint8))
+    line = np.zeros((80, 120), bool)
+    line[5:75, 30:33] = line[5:75, 57:60] = line[5:8, 30:60] = line[72:75, 30:60] = True
+    selection.enclose(line, 1)
+    labels = selection.labels()
+    assert labels[40, 45] and not labels[:, 61:].any() and not labels[~disk()].any()
 
 
 def test_strokes_end_at_a_number_and_go_on_after_one_is_undone() -> None:
@@ -148,9 +227,10 @@ def test_strokes_on_the_picture_that_is_shown_cover_the_photograph(
     upper = np.zeros((height, width), bool)
     upper[: height // 2, : width // 2] = True
     session.paint([upper, ~upper & False], 1)
-    labels = session.opened().labels()
-    assert labels.shape == (80, 120)
-    assert labels[:40, :60].all() and not labels[41:].any() and not labels[:, 61:].any()
+    covered = session.opened().strokes[0].covered
+    assert covered.shape == (80, 120)
+    assert covered[:40, :60].all() and not covered[41:].any() and not covered[:, 61:].any()
+    assert session.opened().labels()[:40, :60].all()
     with pytest.raises(InputError, match="strokes of the picture's size 800 × 533"):
         session.paint([np.ones((80, 120), bool)], 1)
 

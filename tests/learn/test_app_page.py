@@ -302,7 +302,22 @@ def open_tab(walk: Walk, text: str) -> None:
     )
 
 
-def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixels_again(
+def draw(walk: Walk, points: list[tuple[float, float]]) -> None:
+    """Draw a line on the canvas, through points in shares of its width and height."""
+    x, y, width, height = walk.window.run(
+        "const r = document.querySelector('#brush canvas').getBoundingClientRect();"
+        "return [r.left, r.top, r.width, r.height]"
+    )
+    walk.window.drag([(x + width * column, y + height * row) for column, row in points])
+    time.sleep(0.5)
+
+
+def covered_share(walk: Walk) -> int:
+    """Return how much of the picture the object covers, in per cent, as the page says."""
+    return int(walk.text("#status").split("covers ")[1].split("%")[0])
+
+
+def test_drawing_sliders_another_pictures_material_an_own_light_and_the_same_pixels_again(
     served, photo, tmp_path
 ):
     from brdfactory.command_line import run
@@ -315,25 +330,31 @@ def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixel
         window.wait("document.querySelector('#marking img')")
         assert window.run("return document.querySelector('#decompose').disabled")
 
-        # strokes over the cup
-        open_tab(walk, "Brush")
+        # a line around the cup, then paint on the table beside it, which is not the object
+        open_tab(walk, "Draw")
         window.wait("document.querySelector('#brush canvas')?.getBoundingClientRect().width > 99")
         time.sleep(2)  # the canvas is laid out in steps
-        x, y, width, height = window.run(
-            "const r = document.querySelector('#brush canvas').getBoundingClientRect();"
-            "return [r.left, r.top, r.width, r.height]"
-        )
-        ends = (0.3, 0.46)
-        for part in (0.45, 0.55, 0.65):
-            walk.window.drag([(x + width * end, y + height * part) for end in ends])
-        time.sleep(0.5)
-        walk.shot("strokes")
-        window.click("#use-brush")
+        window.click("#use-line")
+        window.wait(f"({ERROR_TEXT}).some(e => e.includes('Draw on the picture first'))")
+        around = [(0.27, 0.42), (0.5, 0.42), (0.68, 0.55), (0.6, 0.85), (0.3, 0.85), (0.27, 0.42)]
+        draw(walk, around)
+        walk.shot("line")
+        window.click("#use-line")
         walk.wait_for("#status", "covers")
-        covered = int(walk.text("#status").split("covers ")[1].split("%")[0])
-        assert 2 <= covered <= 40
+        enclosed = covered_share(walk)
+        assert 2 <= enclosed <= 25
+        time.sleep(2)
+        draw(walk, [(0.3, 0.8), (0.6, 0.8)])
+        window.click("#marked label:nth-of-type(2)")
+        walk.shot("not-the-object")
+        window.click("#use-brush")
+        window.wait(f"!document.querySelector('#status').innerText.includes('covers {enclosed}%')")
+        # the line that was drawn before is no paint of the second
+        assert 0 < covered_share(walk) < enclosed
+        window.click("#undo")
+        walk.wait_for("#status", f"covers {enclosed}%")
         open_tab(walk, "Click")
-        walk.shot("painted-mask")
+        walk.shot("drawn-mask")
 
         window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
