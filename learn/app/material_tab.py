@@ -247,6 +247,12 @@ class MaterialTab:
             *controls_of(session, 1),
         )
 
+    def shown_again(self, session: Session) -> tuple[Any, ...]:
+        """Return the values of `filled` for a page that was loaded again."""
+        if session.viewer is None or session.edit is None:
+            return (gr.skip(),) * len(self.filled)
+        return self.fill(session)
+
     def _quick(self, session: Session, change: Callable[[Edit], Edit]) -> tuple[Any, ...]:
         """Change the edit, and return the quick view of it."""
         session.choose(change)

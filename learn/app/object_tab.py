@@ -35,6 +35,8 @@ class ObjectTab:
     All other methods handle one event each. They return the new values of the components that
     `connect` names for them: `marks`, the picture with its regions and what depends on them, or
     those of the tabs that a photograph fills or empties.
+
+    on_canvas  `marks`, and the picture to draw on
     """
 
     def __init__(self, session_of: SessionOf):
@@ -45,6 +47,7 @@ class ObjectTab:
             with gr.Column(scale=3, min_width=320):
                 self._lay_out_picture()
         self.marks = [self.marking, self.status, self.decompose]
+        self.on_canvas: list[Any] = [*self.marks, self.brush]
 
     def _lay_out_controls(self) -> None:
         self.photo = gr.UploadButton(
@@ -134,12 +137,12 @@ class ObjectTab:
         self.mask.upload(self.take_mask, self.mask, self.marks, **waiting)
         self.regions_file.upload(self.take_regions, self.regions_file, self.marks, **waiting)
         self.marking.select(self.click, self.marked, self.marks, trigger_mode="multiple", **QUIET)
-        drawn, on_canvas = [self.marked, self.brush], [*self.marks, self.brush]
-        self.use_brush.click(self.stroke, drawn, on_canvas, **QUIET)
-        self.use_line.click(self.line, drawn, on_canvas, **QUIET)
+        drawn = [self.marked, self.brush]
+        self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
+        self.use_line.click(self.line, drawn, self.on_canvas, **QUIET)
         self.drawing.select(self.canvas, None, self.brush, **QUIET)
-        self.undo.click(self.take_back, None, on_canvas, trigger_mode="multiple", **QUIET)
-        self.clear.click(self.take_back_all, None, on_canvas, **QUIET)
+        self.undo.click(self.take_back, None, self.on_canvas, trigger_mode="multiple", **QUIET)
+        self.clear.click(self.take_back_all, None, self.on_canvas, **QUIET)
 
         decomposed_to = [self.progress, self.decompose, self.stop, *materials.filled]
         self.materials = materials
@@ -159,6 +162,12 @@ class ObjectTab:
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
         return (*self._marks_of(session, text), canvas_of(session), "", *others)
+
+    def shown_again(self, session: Session) -> tuple[Any, ...]:
+        """Return the values of `on_canvas` for a page that was loaded again."""
+        if session.selection is None:
+            return (gr.skip(),) * len(self.on_canvas)
+        return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
     def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:

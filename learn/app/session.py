@@ -78,6 +78,7 @@ class Session:
     beside     the kept one that the view shows on its left, None: the photograph
     number     counts choices: a picture of an earlier one is not shown any more
     is_lost    whether the page had a session that ended, so that it shows what is no longer there
+    key        by which the page has its session back after it was loaded again; it is a secret
     """
 
     folder: Path
@@ -98,6 +99,7 @@ class Session:
     beside: Kept | None = None
     number: int = 0
     is_lost: bool = False
+    key: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     stop: threading.Event = field(default_factory=threading.Event)
     used: float = field(default_factory=time.monotonic)
     _views: list[Path] = field(default_factory=list)

@@ -864,6 +864,23 @@ def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
         sessions.of("served before the program was started again").opened()
 
 
+def test_a_page_that_is_loaded_again_has_its_session_back_by_its_key_alone(
+    sessions: Sessions,
+) -> None:
+    first = sessions.begin("first")
+    other = sessions.begin("other")
+    assert len({first.key, other.key}) == 2 and len(first.key) >= 43  # 256 random bits
+    sessions.close_later("first", 0.2)  # the page is left, to be loaded again
+    assert sessions.begin("again", first.key) is first
+    time.sleep(0.5)
+    assert sessions.of("again") is first and first.folder.exists()
+    # neither no key, nor a part of one, nor the old page's name brings a session back
+    for number, key in enumerate(("", first.key[:-1], first.key + "x", "ü")):
+        assert sessions.begin(f"new {number}", key) not in (first, other)
+    assert sessions.of("first") is not first and sessions.of("first").is_lost
+    assert sessions.of("again") is first and sessions.of("other") is other
+
+
 def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
     """A browser that asks whether to leave a page has reported to Gradio that it is left."""
     folders = [sessions.of(name).folder for name in ("left", "stayed")]
