@@ -3,12 +3,13 @@
 Each change shows a quick view at once; the exact one follows when no later change came.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from learn.app import choices, gallery
+from learn.app.background_decomposition import Stopped
 from learn.app.choices import MOST_STOPS, OWN_LIGHT, Chosen, Edit, LightChoice, Painted
 from learn.app.event_handling import (
     QUIET,
@@ -19,7 +20,7 @@ from learn.app.event_handling import (
     read_and_delete,
 )
 from learn.app.offline_gradio import gr
-from learn.app.page_html import address_of, figures, kept_tiles, without_markup
+from learn.app.page_html import address_of, figures, kept_tiles, progress_bar, without_markup
 from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
@@ -48,15 +49,15 @@ class MaterialTab:
     """Lays the tab out when it is made, inside gr.Tabs; `connect` then says what its parts do.
 
     pictures  the file of the materials' pictures, where the page's server has it
-    views     the edit, a line about it, the decomposition's parts and the kept pictures; EMPTY:
-              their values before there is a decomposition
+    views     the edit, a line about it, the decomposition's parts, the kept pictures, and how far
+              improving is; EMPTY: their values before there is a decomposition
     filled    all components that a decomposition gives new values, which `fill` returns
 
     The methods after `fill` handle one event each, and return the new values of what is shown.
     """
 
     NOTHING_YET = "Choose a photograph first, in step 1, and click on its object."
-    EMPTY = (None, NOTHING_YET, None, "")
+    EMPTY = (None, NOTHING_YET, None, "", "")
 
     def __init__(self, session_of: SessionOf, pictures: Path):
         self.session_of, self.pictures = session_of, pictures
@@ -72,7 +73,17 @@ class MaterialTab:
                     max_height=560,
                 )
                 shown = gr.Markdown(self.NOTHING_YET, elem_id="shown")
-                self.keep = gr.Button("Keep this picture to compare", elem_id="keep-it", size="sm")
+                with gr.Row():
+                    self.keep = gr.Button(
+                        "Keep this picture to compare", elem_id="keep-it", size="sm"
+                    )
+                    self.improve = gr.Button(
+                        "Improve: about half a minute", elem_id="improve", size="sm"
+                    )
+                    self.halt = gr.Button(
+                        "Stop improving", elem_id="stop-improving", size="sm", visible=False
+                    )
+                self.improving = gr.HTML("", elem_id="improving")
                 self.kept_row = gr.HTML("", js_on_load=TILE_CLICKS, elem_id="kept")
                 with gr.Accordion("What was read from the photograph", open=False):
                     parts = gr.HTML(elem_id="decomposition")
@@ -81,7 +92,7 @@ class MaterialTab:
                 self._lay_out_own_materials()
                 self._lay_out_light()
         self.view = [self.slider, shown]
-        self.views: list[Any] = [*self.view, parts, self.kept_row]
+        self.views: list[Any] = [*self.view, parts, self.kept_row, self.improving]
         self.controls: list[Any] = [
             self.share,
             self.rotation,
@@ -179,6 +190,15 @@ class MaterialTab:
         self._show_live(self.hide.input, self.hidden, [self.hide])
         self._show_live(self.brightness.input, self.brightened, [self.brightness])
         self.keep.click(self.keep_picture, None, self.kept_row, trigger_mode="once", **QUIET)
+        self.improve.click(
+            self.improved,
+            None,
+            [self.halt, *self.views],
+            concurrency_limit=2,
+            trigger_mode="once",
+            **QUIET,
+        )
+        self.halt.click(self.stop_improving, None, self.improving, queue=False, **QUIET)
         self._show_live(
             self.kept_row.click,
             self.kept_clicked,
@@ -243,9 +263,41 @@ class MaterialTab:
             *result,
             figures(tiles),
             self._kept_of(session),
+            "",
             gr.Radio(region_choices(len(edit.regions)), value=1, visible=several),
             *controls_of(session, 1),
         )
+
+    @one_line
+    def improved(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        """Refine the decomposition; yield the progress, and at last what is shown.
+
+        The edit goes on meanwhile with the decomposition that there is.
+        """
+        session = self.session_of(request)
+        session.decomposed()
+        rest = (gr.skip(),) * (len(self.views) - 1)
+        shown, hidden = gr.Button(visible=True), gr.Button(visible=False)
+        if session.refined:
+            yield hidden, *rest, "Shape and light are improved already."
+            return
+        try:
+            yield shown, *rest, progress_bar(0.01, "waiting until another user is served")
+            for report in session.decompose(refine=True, goes_on=True):
+                yield shown, *rest, progress_bar(report.share, report.text)
+        except Stopped:
+            yield hidden, *rest, "Stopped. The edit is as it was."
+            return
+        except InputError:
+            yield hidden, *rest, ""
+            raise
+        done = "Shape and light are fitted more closely to the photograph now."
+        yield hidden, *self.fill(session)[: len(rest)], done
+
+    def stop_improving(self, request: gr.Request) -> str:
+        """Stop the refinement."""
+        self.session_of(request).stop.set()
+        return "Stopping …"
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
         """Return the values of `filled` for a page that was loaded again."""

@@ -66,12 +66,6 @@ class ObjectTab:
         with gr.Row(elem_id="undoing"):
             self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
             self.clear = gr.Button("Start again", elem_id="clear", size="sm", min_width=80)
-        self.refine = gr.Checkbox(
-            True,
-            label="Take more time",
-            info="Shape and light are fitted more closely to the photograph; about half a minute.",
-            elem_id="refine",
-        )
         self.decompose = gr.Button(
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
         )
@@ -147,10 +141,10 @@ class ObjectTab:
         decomposed_to = [self.progress, self.decompose, self.stop, *materials.filled]
         self.materials = materials
         self.decompose.click(
-            self.run, self.refine, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
+            self.run, None, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
         ).success(None, self.progress, js=OPEN_EDIT)
-        self.work.upload(self.take_work, self.work, [*on_load, self.refine], **waiting).success(
-            self.run, self.refine, decomposed_to, concurrency_limit=2, **QUIET
+        self.work.upload(self.take_work, self.work, on_load, **waiting).success(
+            self.run, None, decomposed_to, concurrency_limit=2, **QUIET
         ).success(None, self.progress, js=OPEN_EDIT)
         self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
 
@@ -185,8 +179,7 @@ class ObjectTab:
     def take_work(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
         """Open saved work that was sent; `run` then decomposes its photograph."""
         session = self.session_of(request)
-        text = read_and_delete(sent, session.load_work)
-        return (*self._loaded(session, text), session.refined)
+        return self._loaded(session, read_and_delete(sent, session.load_work))
 
     @one_line
     def take_mask(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -244,15 +237,19 @@ class ObjectTab:
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
-    def run(self, refined: bool, request: gr.Request) -> Iterator[tuple[Any, ...]]:
-        """Decompose the photograph; yield the progress, and at last what tab 2 shows."""
+    def run(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        """Decompose the photograph; yield the progress, and at last what tab 2 shows.
+
+        Only saved work that was refined is refined at once: a first result takes some seconds, and
+        tab 2 has a button that refines.
+        """
         session = self.session_of(request)
         go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
             session.marked()  # what is wrong with the mask is said at once
             yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
-            for report in session.decompose(refined):
+            for report in session.decompose(session.saved_was_refined):
                 yield progress_bar(report.share, report.text), halt, go, *rest
         except Stopped:
             yield "Stopped. The photograph and its mask are still here.", go, halt, *rest

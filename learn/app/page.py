@@ -54,7 +54,7 @@ CSS = """
 #decomposition .tiles {display: flex; flex-wrap: wrap; gap: 8px}
 #decomposition figure {margin: 0; width: 110px; text-align: center}
 #decomposition img {width: 110px; height: 110px; object-fit: contain}
-#progress progress {width: 100%; height: 14px}
+#progress progress, #improving progress {width: 100%; height: 14px}
 footer {display: none !important}
 @media (max-width: 640px) {
   /* the picture comes after the buttons that choose it, and before what is done with it */
@@ -83,7 +83,7 @@ SCRIPT = """
     event.preventDefault();
     setTimeout(() => document.querySelector('#stayed').click(), 500);
   });
-  const live = '#status, #shown, #progress, #made, #count';
+  const live = '#status, #shown, #progress, #improving, #made, #count';
   const names = {
     '#marking img': 'The photograph. A click on it marks the object.',
     '#editor img': 'The photograph and its edit, divided by a line',

@@ -311,9 +311,15 @@ class Session:
         covered = np.where(changed, (labels > 0).astype(np.float32), self.coverage)
         return covered, bool(changed.any())
 
-    def decompose(self, refine: bool = True) -> Iterator[Progress]:
+    @property
+    def saved_was_refined(self) -> bool:
+        """Whether saved work is open that was refined, and is not decomposed yet."""
+        return self._saved is not None and self._saved.refined
+
+    def decompose(self, refine: bool = True, goes_on: bool = False) -> Iterator[Progress]:
         """Decompose the photograph and yield the progress.
 
+        goes_on  whether the edit stays as it is, where the regions are as many as before
         Raises  InputError; Stopped
         """
         opened, selection = self.marked(), self.opened()
@@ -330,8 +336,10 @@ class Session:
             raise Stopped
         self.viewer, self.refined = viewer, refine
         self.soft_mask, self.by_hand = soft_mask, by_hand
-        edits, kept = self._edits_of(opened.count)
-        self.edit = edits
+        before = self.edit
+        self.edit, kept = self._edits_of(opened.count)
+        if goes_on and before is not None and len(before.regions) == opened.count:
+            self.edit = before
         self.beside = None
         for each in self.kept:
             each.picture.unlink(missing_ok=True)

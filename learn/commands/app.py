@@ -58,7 +58,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--refine",
         action=argparse.BooleanOptionalAction,
-        help="with --repeat: whether to refine, as on the page (default: yes)",
+        help="with --repeat: whether to refine, as “Improve” of the page does (default: yes)",
     )
     options.add_weights(parser)
     options.add_device(parser)

@@ -115,7 +115,6 @@ def main() -> None:
                 window.type(selector, str(file))
                 said = "click on the object" if file == photo else "from the file"
                 window.wait(f"document.querySelector('#status').innerText.includes('{said}')")
-            window.run("document.querySelector('#refine input').click()")
             window.click("#decompose")
             window.wait("document.querySelector('#editor img')")
             time.sleep(2)

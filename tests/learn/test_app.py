@@ -927,6 +927,25 @@ def test_nothing_is_darkened_before_the_first_click() -> None:
     assert (overlay.draw(selection, 1.0)[0] < scene()[0]).all()
 
 
+def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(450, 270, 1)
+    decompose(session, refine=False)
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    edit, viewer = session.edit, session.viewer
+    list(session.decompose(refine=False, goes_on=True))
+    assert session.edit == edit and session.viewer is not viewer
+    session.click(600, 270, 2)  # another number of parts
+    list(session.decompose(refine=False, goes_on=True))
+    assert session.edit == Edit((Painted(), Painted()))
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    decompose(session, refine=False)  # by the button of step 1
+    assert session.edit == Edit((Painted(), Painted()))
+
+
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))

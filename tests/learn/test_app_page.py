@@ -223,13 +223,6 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         walk.point(SAUCER)
         walk.wait_for("#status", "2 parts")
 
-        # stop, then decompose without refinement
-        window.click("#decompose")
-        walk.wait_for("#progress", "refining, step")
-        walk.shot("refining")
-        window.click("#stop")
-        walk.wait_for("#progress", "Stopped")
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -243,6 +236,14 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         painted = "part 1: natural-209; part 2: as it is"
         first = walk.changed(lambda: walk.pick("natural-209"), painted)
         walk.shot("material")
+
+        # a refinement that is stopped leaves the edit as it is
+        window.click("#improve")
+        walk.wait_for("#improving", "refining, step")
+        walk.shot("improving")
+        window.click("#stop-improving")
+        walk.wait_for("#improving", "Stopped")
+        assert painted in walk.text("#shown")
 
         # the second region, then a blend
         walk.choose("#region", 1)
@@ -356,7 +357,6 @@ def test_drawing_sliders_another_pictures_material_an_own_light_and_the_same_pix
         open_tab(walk, "Click")
         walk.shot("drawn-mask")
 
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -446,7 +446,6 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         )
         for point in (CUP, SAUCER):
             walk.point(point)
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -571,6 +570,30 @@ def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
         time.sleep(0.2)
     else:
         pytest.fail("the photograph of a closed page is still served")
+
+
+def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(served):
+    kept = "sessionStorage.getItem('brdfactory-session')"
+    with Browser() as window:
+        walk = opened(window, served, Path())
+        window.click("#example")
+        window.wait("document.querySelector('#marking img')")
+        key = window.run(f"return {kept}")
+        window.reload()
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        walk.wait_for("#status", "in 2 parts")
+        assert window.run(f"return {kept}") == key and key not in window.run("return location.href")
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        window.reload()
+        window.wait("document.querySelector('#editor img')")
+    with Browser() as window:
+        walk = opened(window, served, Path())
+        window.wait(kept)
+        time.sleep(1)
+        assert window.run(f"return {kept}") != key
+        assert "Choose a photograph" in walk.text("#status")
+        assert not window.run("return !!document.querySelector('#marking img, #editor img')")
 
 
 def test_nothing_outside_this_computer_is_asked_for(served):
