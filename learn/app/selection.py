@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
-from learn.app.superpixels import BACKGROUND, Superpixels
+from learn.app.superpixels import BACKGROUND, FEWER, Superpixels
 from learn.data.photographs import MOST_REGIONS
 from manifests.errors import InputError
 
@@ -163,6 +163,11 @@ class Selection:
         """The picture's superpixels, made once."""
         return Superpixels.of(self.display)
 
+    @cached_property
+    def for_clicks(self) -> Superpixels:
+        """Those for clicks alone, which have little to set against edges inside the object."""
+        return Superpixels.of(self.display, FEWER, lines=False)
+
     def reduced(self, size: tuple[int, int]) -> np.ndarray:
         """Return the picture (h, w, 3) uint8 at another size, (width, height)."""
         if self._small is None or self._small.shape[1::-1] != size:
@@ -199,8 +204,10 @@ class Selection:
 
     def _walked(self) -> np.ndarray:
         """Labels (H, W) where there is no mask, from all marks."""
+        lines, clicks = self.lines, self.clicks
+        if len(clicks) == len(self.marks):
+            return self._walked_from(clicks, frame=True)
         pixels, seeds = self.superpixels, dict[int, int]()
-        lines = self.lines
         if lines:
             outside = ~np.logical_or.reduce([line.inside for line in lines])
             if outside.any():
@@ -212,9 +219,7 @@ class Selection:
                 seeds[pixels.at(mark.column, mark.row, self.size)] = mark.region
             elif isinstance(mark, Stroke):
                 seeds |= dict.fromkeys(map(int, pixels.covered(mark.covered)), mark.region)
-        # one click has little to set against edges inside the object
-        by_colour = len(self.clicks) == len(self.marks)
-        return pixels.labels(seeds, self.size, frame=not lines, by_colour=by_colour)
+        return pixels.labels(seeds, self.size, frame=not lines)
 
     def _divided(self, given: np.ndarray) -> np.ndarray:
         """Labels (H, W) of a given mask as clicks divide it and lines cut it off."""
@@ -228,8 +233,8 @@ class Selection:
         return result
 
     def _walked_from(self, clicks: list[Click], frame: bool = False) -> np.ndarray:
-        seeds = {self.superpixels.at(c.column, c.row, self.size): c.region for c in clicks}
-        return self.superpixels.labels(seeds, self.size, frame, by_colour=True)
+        seeds = {self.for_clicks.at(c.column, c.row, self.size): c.region for c in clicks}
+        return self.for_clicks.labels(seeds, self.size, frame)
 
     def _concerned(self, given: np.ndarray, clicks: list[Click]) -> np.ndarray:
         """Pixels (H, W) bool of a given mask that clicks speak about.

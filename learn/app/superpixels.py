@@ -25,6 +25,7 @@ from scipy.sparse.linalg import spsolve
 BACKGROUND = 0
 LONGEST = 512  # pixels of the longer side of the picture that superpixels are made of
 SUPERPIXELS = 2000
+FEWER = 1200  # for clicks alone
 COMPACTNESS = 8.0  # of SLIC: how much place counts against colour
 CONTRAST = 12.0  # CIELAB units: across such a difference of colour a walk goes e⁻¹ times as often
 # CIELAB units per pixel: along a border of this gradient a walk crosses e⁻¹ times as often
@@ -43,7 +44,6 @@ class Superpixels:
     area       (K,) pixels of each
     pairs      (E, 2) neighbours
     weights    (E,) how often a walk crosses from one to the other, up to 1 × the border's length
-    by_colour  the same where lines of change along a border are no edges
     frame      (K,) bool: superpixels at the picture's frame
     """
 
@@ -51,12 +51,15 @@ class Superpixels:
     area: np.ndarray
     pairs: np.ndarray
     weights: np.ndarray
-    by_colour: np.ndarray
     frame: np.ndarray
 
     @classmethod
-    def of(cls, display: np.ndarray) -> "Superpixels":
-        """Return the superpixels of a picture (H, W, 3) uint8."""
+    def of(cls, display: np.ndarray, count: int = SUPERPIXELS, lines: bool = True) -> "Superpixels":
+        """Return superpixels of a picture (H, W, 3) uint8.
+
+        count  about how many there are
+        lines  whether lines of change along a border are edges, beside differences of colour
+        """
         from skimage import color, segmentation
 
         height, width = display.shape[:2]
@@ -65,7 +68,7 @@ class Superpixels:
         small = np.asarray(Image.fromarray(display).resize(size, Image.Resampling.BOX))
         index = segmentation.slic(
             small,
-            n_segments=SUPERPIXELS,
+            n_segments=count,
             compactness=COMPACTNESS,
             sigma=0.7,
             start_label=0,
@@ -73,11 +76,11 @@ class Superpixels:
         )
         _, flat = np.unique(index, return_inverse=True)
         index = flat.reshape(index.shape)
-        count = int(index.max()) + 1
+        number = int(index.max()) + 1
         lab = color.rgb2lab(small)
-        area = np.bincount(index.ravel(), minlength=count)
+        area = np.bincount(index.ravel(), minlength=number)
         mean = np.stack(
-            [np.bincount(index.ravel(), lab[..., k].ravel(), count) / area for k in range(3)], -1
+            [np.bincount(index.ravel(), lab[..., k].ravel(), number) / area for k in range(3)], -1
         )
         slope = slopes(lab)
         sides = [(np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])]
@@ -90,15 +93,14 @@ class Superpixels:
         ends.sort(1)
         pairs, which, lengths = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
         contrast = ((mean[pairs[:, 0]] - mean[pairs[:, 1]]) ** 2).sum(-1) / CONTRAST**2
-        along = np.bincount(which.ravel(), np.concatenate(steep), len(pairs)) / lengths
-        by_colour, weights = (
-            lengths * np.maximum(np.exp(-edge), WEAKEST)
-            for edge in (contrast, contrast + (along / GRADIENT) ** 2)
-        )
-        frame = np.zeros(count, bool)
+        if lines:
+            along = np.bincount(which.ravel(), np.concatenate(steep), len(pairs)) / lengths
+            contrast += (along / GRADIENT) ** 2
+        weights = lengths * np.maximum(np.exp(-contrast), WEAKEST)
+        frame = np.zeros(number, bool)
         for edge in (index[0], index[-1], index[:, 0], index[:, -1]):
             frame[edge] = True
-        return cls(index, area, pairs, weights, by_colour, frame)
+        return cls(index, area, pairs, weights, frame)
 
     def at(self, column: int, row: int, size: tuple[int, int]) -> int:
         """Return the superpixel at a pixel of a picture of that size, rows × columns."""
@@ -133,16 +135,13 @@ class Superpixels:
         small = Image.fromarray(pixels).resize(self.index.shape[::-1], Image.Resampling.NEAREST)
         return np.asarray(small)
 
-    def labels(
-        self, seeds: Mapping[int, int], size: tuple[int, int], frame: bool, by_colour: bool = False
-    ) -> np.ndarray:
+    def labels(self, seeds: Mapping[int, int], size: tuple[int, int], frame: bool) -> np.ndarray:
         """Return labels (H, W) of a picture of that size, rows × columns.
 
-        seeds      {superpixel: region} of all that is marked
-        frame      whether the picture's frame is background, but where it is marked
-        by_colour  whether lines of change along a border are no edges
+        seeds  {superpixel: region} of all that is marked
+        frame  whether the picture's frame is background, but where it is marked
         """
-        shares, regions = self.probabilities(seeds, frame, by_colour)
+        shares, regions = self.probabilities(seeds, frame)
         if len(regions) == 1:
             return np.full(size, regions[0], np.uint8)
         # enlarged before the greatest is chosen, so that edges are no stairs of the small picture
@@ -154,18 +153,12 @@ class Superpixels:
             best = np.maximum(best, large)
         return result
 
-    def probabilities(
-        self, seeds: Mapping[int, int], frame: bool, by_colour: bool = False
-    ) -> tuple[np.ndarray, list[int]]:
-        """Return the probability (K, R) of each region for each superpixel, and the regions.
-
-        Arguments are those of `labels`.
-        """
+    def probabilities(self, seeds: Mapping[int, int], frame: bool) -> tuple[np.ndarray, list[int]]:
+        """Return the probability (K, R) of each region for each superpixel, and the regions."""
         count = len(self.frame)
         regions = sorted({*seeds.values(), *([BACKGROUND] if frame else [])})
         i, j = self.pairs.T
-        weights = self.by_colour if by_colour else self.weights
-        W = sparse.coo_matrix((weights, (i, j)), (count, count))
+        W = sparse.coo_matrix((self.weights, (i, j)), (count, count))
         W = (W + W.T).tocsr()
         # the frame is a weak pull towards background: the object may touch it
         ground = FRAME_STRENGTH * np.asarray(W.sum(1)).ravel() * self.frame * frame

@@ -11,8 +11,8 @@ look-alike walls  objects that `brdfactory render` rendered, put before a wall o
                   mean colour, with noise, a gradient of light, a floor and a soft shadow
 other walls       the same before a wall of another colour
 
-Each is measured as the page does it, and as it did before: with fewer superpixels, and with strokes
-that change the pixels that they cover and no others.
+Each is measured as the page does it, and as it did before, when strokes changed the pixels that
+they cover and no others, and there were no lines. Clicks alone do what they did.
 Every second photograph, in order of their names, was looked at while the settings were chosen; they
 are marked, and the others are summed up apart.
 
@@ -31,10 +31,8 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
-import brdfactory as bf
-from learn.app import superpixels
 from learn.app.selection import Selection
-from learn.app.superpixels import BACKGROUND, Superpixels
+from learn.app.superpixels import BACKGROUND
 from learn.data.records import Records
 from manifests import files
 from manifests.provenance import provenance
@@ -61,17 +59,6 @@ class Former(Selection):
         if not self.clicks:
             return np.zeros(self.size, np.uint8)
         return self._walked_from(self.clicks, frame=True)
-
-
-def former(display: np.ndarray) -> Selection:
-    """Return a selection as it was."""
-    result, now = Former(display), superpixels.SUPERPIXELS
-    try:
-        superpixels.SUPERPIXELS = 1200
-        result.superpixels = Superpixels.of(display)
-    finally:
-        superpixels.SUPERPIXELS = now
-    return result
 
 
 def deepest(wrong: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -164,14 +151,14 @@ def before_walls(dataset: Path) -> dict[str, dict[str, tuple[np.ndarray, np.ndar
         mask = sample.mask.numpy()
         name = f"{record.shape.replace(':', ' ')}, {record.materials[0]}"
         own = radiance[mask].mean(0)
-        exposure = 0.35 / own.mean()
+        exposure = 0.45 / own.mean()
         for group, colour in (("look-alike walls", own), ("other walls", own[[1, 2, 0]] * 0.5)):
             if group == "other walls":
                 colour = colour * np.array([0.5, 0.8, 1.4])
             linear = wall(mask, colour, np.random.default_rng(number))
             linear[mask] = radiance[mask]
             grain = np.random.default_rng(number).normal(0, 3, linear.shape)
-            display = 255 * tone.display(gaussian_filter(linear, (0.6, 0.6, 0)), exposure) + grain
+            display = tone.display(gaussian_filter(linear, (0.6, 0.6, 0)), exposure) + grain
             result[group][name] = np.clip(display, 0, 255).astype(np.uint8), mask
     return result
 
@@ -231,7 +218,7 @@ def main() -> None:
     for title, pictures in groups.items():
         results[title] = {}
         for name, (display, truth) in pictures.items():
-            past, present = former(display), Selection(display)
+            past, present = Former(display), Selection(display)
             results[title][name] = {
                 text: [
                     None if "l" in plan else after(past, truth, plan),
@@ -240,7 +227,7 @@ def main() -> None:
                 for text, plan in PLANS.items()
             }
             print(title, name, results[title][name], flush=True)
-    report = {"provenance": provenance(), "version": bf.__version__, "results": results}
+    report = {"made": provenance(), "results": results}
     arguments.out.mkdir(parents=True, exist_ok=True)
     files.write_json(arguments.out / "report.json", report)
     lines = ["# Selecting an object by marks", ""]

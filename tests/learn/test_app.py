@@ -131,8 +131,7 @@ def test_a_faint_rim_keeps_a_stroke_from_leaking_into_a_wall_of_the_same_colour(
     stroke[110:130, 110:210] = True
     selection.paint(stroke, 1)
     assert overlap(selection.labels() > 0, inside) > 0.85
-    pixels = Superpixels.of(picture)
-    selection.superpixels = replace(pixels, weights=pixels.by_colour)
+    selection.superpixels = Superpixels.of(picture, lines=False)
     selection._made = None
     assert overlap(selection.labels() > 0, inside) < 0.7  # without edges along borders
 
