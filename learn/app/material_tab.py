@@ -11,6 +11,15 @@ from typing import Any
 from learn.app import choices, gallery
 from learn.app.background_decomposition import Stopped
 from learn.app.choices import MOST_STOPS, OWN_LIGHT, Chosen, Edit, LightChoice, Painted
+from learn.app.edit_controls import (
+    FIRST,
+    SECOND,
+    controls_of,
+    painting,
+    region_choices,
+    said,
+    share_of,
+)
 from learn.app.event_handling import (
     QUIET,
     SessionOf,
@@ -20,14 +29,13 @@ from learn.app.event_handling import (
     read_and_delete,
 )
 from learn.app.offline_gradio import gr
-from learn.app.page_html import address_of, figures, kept_tiles, progress_bar, without_markup
+from learn.app.page_html import address_of, figures, kept_tiles, progress_bar
 from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
 from manifests.wording import number_of
 
-FIRST, SECOND = "the material", "a second one to mix with it"
 QUICK_TEXT = "Quick view; the exact one follows."
 EXACT_TEXT = "Exact view."
 SLIDERS = (  # of a material of one's own: id, label, first value
@@ -472,52 +480,3 @@ class MaterialTab:
                 " material of your own”."
             )
         return self._tiles(matching, text), line
-
-
-def region_choices(count: int) -> list[tuple[str, int]]:
-    """Return the choices (label, number) of `count` regions, which the page calls parts."""
-    return [(f"Part {number}", number) for number in range(1, count + 1)]
-
-
-def painting(number: int, place: str, chosen: Chosen) -> Callable[[Edit], Edit]:
-    """Return the change that gives region `number` a material; place: FIRST or SECOND."""
-
-    def change(edit: Edit) -> Edit:
-        painted = edit.regions[number - 1]
-        if place == FIRST:
-            return edit.with_region(number - 1, replace(painted, first=chosen))
-        # a second material is seen at once
-        amount = painted.share if painted.second is not None and painted.share else 0.5
-        return edit.with_region(number - 1, replace(painted, second=chosen, share=amount))
-
-    return change
-
-
-def share_of(session: Session, number: int) -> float:
-    """Return the second material's share in region `number`, in per cent."""
-    if session.edit is None:
-        return 0
-    painted = session.edit.regions[int(number) - 1]
-    return 0 if painted.second is None else 100 * painted.share
-
-
-def controls_of(session: Session, number: int) -> tuple[Any, ...]:
-    """Return the values of MaterialTab.controls that show the edit; number: of the region."""
-    _, edit = session.decomposed()
-    names = [OWN_LIGHT, *choices.light_names()]
-    if edit.light.name not in names:  # a map of the user's own
-        names.append(edit.light.name)
-    return (
-        share_of(session, number),
-        edit.light.rotation_deg,
-        gr.Dropdown(names, value=edit.light.name),
-        edit.hide_background,
-        edit.brightness_stops,
-    )
-
-
-def said(session: Session, note: str) -> str:
-    """Return the line below the view: a note, what the edit is, and what is on the left."""
-    _, edit = session.decomposed()
-    left = "the photograph" if session.beside is None else session.beside.edit.caption
-    return f"{note} {without_markup(edit.caption)}. Left of the line: {without_markup(left)}."

@@ -15,16 +15,17 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, download_files, gallery, overlay
+from learn.app import choices, download_files, edit_file, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
+from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
 from learn.app.session import Session, display_of
 from learn.app.sessions import Sessions
 from learn.app.superpixels import Superpixels
-from learn.app.viewer import Superseded, Viewer, composed, displayed
+from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
 from learn.data import photographs
@@ -401,7 +402,7 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
         np.testing.assert_array_equal(one[others], two[others])
     untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
     np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
-    command = choices.command_line(darker, "a.png", [], True, own_weights.EDITING)
+    command = edit_file.command_line(darker, "a.png", [], True, own_weights.EDITING)
     assert "--repeat edit.json" in command
 
 
@@ -431,8 +432,8 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
         light = choices.LightChoice("mine.exr", 45.0, light.map)
     own = choices.principled_material("#a03020", 0.35, 0.0)
     edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
-    choices.write(tmp_path / "edit.json", edit)
-    again = choices.read(tmp_path / "edit.json")
+    edit_file.write(tmp_path / "edit.json", edit)
+    again = edit_file.read(tmp_path / "edit.json")
     assert again.regions == edit.regions and again.hide_background
     assert again.brightness_stops == -1.5 and "brightness −1.5" in again.caption
     assert again.regions[0].second.read and not again.regions[0].first.read
@@ -446,29 +447,31 @@ def test_a_damaged_edit_json_is_refused(tmp_path: Path) -> None:
     for text in ("{", '{"regions": []}', '{"regions": [{"first": {"text": "no-such"}}]}'):
         path.write_text(text)
         with pytest.raises(InputError):
-            choices.read(path)
+            edit_file.read(path)
     path.write_text(json.dumps({"regions": [{}], "light": "x", "map": "../light.exr"}))
     with pytest.raises(InputError, match="same folder"):
-        choices.read(path)
+        edit_file.read(path)
 
 
 def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "edit.json"
     path.write_text(json.dumps({"regions": [{}], "light": "x", "map": ""}))
     with pytest.raises(InputError, match="same folder, found an empty name"):
-        choices.read(path)
+        edit_file.read(path)
 
 
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
     default = own_weights.EDITING
-    text = choices.command_line(plain, "my cup.png", ["regions.png"], False, default)
+    text = edit_file.command_line(plain, "my cup.png", ["regions.png"], False, default)
     assert text == (
         "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"
         " --out edited"
     )
     blend = Edit((Painted(chosen("brass"), chosen("chrome")),))
-    assert "--repeat edit.json" in choices.command_line(blend, "a.png", ["mask.png"], True, default)
+    assert "--repeat edit.json" in edit_file.command_line(
+        blend, "a.png", ["mask.png"], True, default
+    )
 
 
 @pytest.mark.parametrize("blended", [False, True])
@@ -480,7 +483,7 @@ def test_the_command_takes_the_weights_that_decomposed(
     weights = options.weights_file(text)
     second = chosen("chrome") if blended else None
     edit = Edit((Painted(chosen("brass"), second),))
-    line = choices.command_line(edit, "a.png", ["mask.png"], True, weights)
+    line = edit_file.command_line(edit, "a.png", ["mask.png"], True, weights)
     *_, option, named = shlex.split(line)
     assert option == "--weights" and (named == text or Path(named).is_absolute())
     monkeypatch.chdir("/")
