@@ -161,7 +161,10 @@ class ObjectTab:
         """Return the values of `on_canvas` for a page that was loaded again."""
         if session.selection is None:
             return (gr.skip(),) * len(self.on_canvas)
-        return (*self._marks_of(session, covered_text(session)), canvas_of(session))
+        text = covered_text(session)
+        if session.viewer is not None:
+            text = f"Your edit is in step 2. {text}"
+        return (*self._marks_of(session, text), canvas_of(session))
 
     @one_line
     def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:

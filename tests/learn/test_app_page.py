@@ -586,7 +586,9 @@ def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(serve
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         window.reload()
-        window.wait("document.querySelector('#editor img')")
+        walk.wait_for("#status", "Your edit is in step 2")
+        open_tab(walk, "Material")
+        window.wait("document.querySelector('#editor img')?.naturalWidth")
     with Browser() as window:
         walk = opened(window, served, Path())
         window.wait(kept)

@@ -1,12 +1,10 @@
 """Headless Chromium, driven through ChromeDriver's HTTP interface (W3C WebDriver)."""
 
 import base64
-import contextlib
 import json
 import shutil
 import subprocess
 import tempfile
-import urllib.error
 import urllib.request
 from pathlib import Path
 from typing import Any, Self
@@ -105,10 +103,11 @@ class Browser:
         self._call("POST", "/url", {"url": address})
 
     def reload(self) -> None:
-        """Load the page again; a question whether to leave it is answered with yes."""
+        """Load the page again, without a question whether to leave it."""
+        ask = "addEventListener('beforeunload', e => e.stopImmediatePropagation(), true);"
+        self.run(f"{ask} window.isOld = true;")
         self._call("POST", "/goog/cdp/execute", {"cmd": "Page.reload", "params": {}})
-        with contextlib.suppress(urllib.error.HTTPError):  # there is no question
-            self._call("POST", "/alert/accept", {})
+        self.wait("!window.isOld")
 
     def click_at(self, x: float, y: float) -> None:
         """Click on a point of the window, in pixels from its upper left corner."""
