@@ -86,7 +86,7 @@ class MaterialTab:
                         "Keep this picture to compare", elem_id="keep-it", size="sm"
                     )
                     self.improve = gr.Button(
-                        "Improve: about half a minute", elem_id="improve", size="sm"
+                        "Improve shape and light", elem_id="improve", size="sm"
                     )
                     self.halt = gr.Button(
                         "Stop improving", elem_id="stop-improving", size="sm", visible=False

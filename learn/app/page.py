@@ -40,7 +40,9 @@ CSS = """
 #materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
-#stayed, #key {display: none}
+#stayed, .form:has(> #key) {display: none}
+/* a message says what did not work; Gradio's own sign would cover the picture that is still there */
+[data-testid=status-tracker]:has(.error) {display: none !important}
 #kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));
   gap: 8px; max-height: none}
 #kept figure {margin: 0}

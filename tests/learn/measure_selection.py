@@ -2,7 +2,9 @@
 
 The user always marks the largest error: clicks on the point of it that is deepest inside, or
 strokes along its long axis; or draws a line around the object, a tenth of its size away from it.
-After each mark the intersection over union with the known mask is taken. Three groups:
+After each mark the intersection over union with the known mask is taken.
+
+Pictures are of these groups:
 
 photographs       those of docs/results/photographs, by other people, with the repository's masks;
                   the packages that hold them are unpacked below ROOT, which measure_photographs.py
