@@ -283,6 +283,7 @@ def enclosed(line: np.ndarray) -> np.ndarray:
                 whole[side] = True
             inside = binary_fill_holes(whole)[1:-1, 1:-1] & ~closed
             if inside.mean() >= LEAST_ENCLOSED:
-                large = Image.fromarray(inside).resize(line.shape[::-1], Image.Resampling.NEAREST)
+                whole_size = line.shape[1], line.shape[0]
+                large = Image.fromarray(inside).resize(whole_size, Image.Resampling.NEAREST)
                 return np.asarray(large) & ~line
     return np.zeros_like(line)

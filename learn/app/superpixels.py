@@ -15,6 +15,7 @@ labels  (H, W) uint8: 0 background, 1 … S the regions
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -83,7 +84,10 @@ class Superpixels:
             [np.bincount(index.ravel(), lab[..., k].ravel(), number) / area for k in range(3)], -1
         )
         slope = slopes(lab)
-        sides = [(np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])]
+        sides: list[tuple[Any, Any]] = [
+            (np.s_[:, :-1], np.s_[:, 1:]),
+            (np.s_[:-1], np.s_[1:]),
+        ]
         both, steep = [], []
         for one, other in sides:
             border = index[one] != index[other]
@@ -120,7 +124,8 @@ class Superpixels:
         if not share.any():  # thinner than the pixels that superpixels are made of
             rows, columns = np.nonzero(pixels)
             middle = len(rows) // 2
-            return np.array([self.at(int(columns[middle]), int(rows[middle]), pixels.shape)])
+            size = pixels.shape[0], pixels.shape[1]
+            return np.array([self.at(int(columns[middle]), int(rows[middle]), size)])
         half = np.flatnonzero(share >= 0.5)
         return half if len(half) else np.array([int(share.argmax())])
 
@@ -132,7 +137,8 @@ class Superpixels:
 
     def reduced(self, pixels: np.ndarray) -> np.ndarray:
         """Return pixels (H, W) bool at the size of `index`."""
-        small = Image.fromarray(pixels).resize(self.index.shape[::-1], Image.Resampling.NEAREST)
+        height, width = self.index.shape
+        small = Image.fromarray(pixels).resize((width, height), Image.Resampling.NEAREST)
         return np.asarray(small)
 
     def labels(self, seeds: Mapping[int, int], size: tuple[int, int], frame: bool) -> np.ndarray:

@@ -199,8 +199,8 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         time.sleep(0.5)  # it fades in
         walk.shot("bad-file")
         # and no sign of it lies over the picture, where a photograph may be open
-        seen = "[...document.querySelectorAll('.error')].filter(e => e.checkVisibility()).length"
-        assert window.run(f"return {seen}") == 0
+        signs = "[...document.querySelectorAll('[data-testid=status-tracker] .error')]"
+        assert window.run(f"return {signs}.filter(e => e.checkVisibility()).length") == 0
         window.run("document.querySelector('.toast-close').click()")
         window.wait(f"!({ERROR_TEXT}).length")
 
