@@ -41,7 +41,7 @@ CSS = """
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
 #stayed, .form:has(> #key) {display: none}
-/* a message says what did not work; Gradio's own sign would cover the picture that is still there */
+/* a message says what did not work; Gradio's own sign would cover the open photograph */
 [data-testid=status-tracker]:has(.error) {display: none !important}
 #kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));
   gap: 8px; max-height: none}
