@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.app import choices, work_file
+from learn.app import edit_file, work_file
 from learn.app.choices import Edit
+from learn.app.composition import opacity_of
 from learn.app.session import EXAMPLE, Session
-from learn.app.viewer import opacity_of, read_labels
+from learn.app.viewer import read_labels
 from learn.app.work_file import Saved
 from learn.data import photographs
 from learn.editing import material_file, photograph
@@ -87,9 +88,9 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
             path, weights = folder / name, session.network.weights
             material_file.write(path, stacked, framed, metadata, weights, were)
     masks = write_masks(session, folder, decomposed.photograph)
-    choices.write(folder / "edit.json", edit)
+    edit_file.write(folder / "edit.json", edit)
     weights = session.network.weights
-    command = choices.command_line(edit, session.name, masks, session.refined, weights)
+    command = edit_file.command_line(edit, session.name, masks, session.refined, weights)
     files.write_text(folder / "command.txt", command + "\n")
     others = sorted(path for path in folder.iterdir() if path not in pictures)
     return Downloads(pictures, _write_work(session, folder, masks), others, command)

@@ -3,13 +3,23 @@
 Each change shows a quick view at once; the exact one follows when no later change came.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from learn.app import choices, gallery
+from learn.app.background_decomposition import Stopped
 from learn.app.choices import MOST_STOPS, OWN_LIGHT, Chosen, Edit, LightChoice, Painted
+from learn.app.edit_controls import (
+    FIRST,
+    SECOND,
+    controls_of,
+    painting,
+    region_choices,
+    said,
+    share_of,
+)
 from learn.app.event_handling import (
     QUIET,
     SessionOf,
@@ -19,14 +29,13 @@ from learn.app.event_handling import (
     read_and_delete,
 )
 from learn.app.offline_gradio import gr
-from learn.app.page_html import address_of, figures, kept_tiles, without_markup
+from learn.app.page_html import address_of, figures, kept_tiles, progress_bar
 from learn.app.session import THE_PAGE, Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
 from manifests.wording import number_of
 
-FIRST, SECOND = "the material", "a second one to mix with it"
 QUICK_TEXT = "Quick view; the exact one follows."
 EXACT_TEXT = "Exact view."
 SLIDERS = (  # of a material of one's own: id, label, first value
@@ -48,15 +57,15 @@ class MaterialTab:
     """Lays the tab out when it is made, inside gr.Tabs; `connect` then says what its parts do.
 
     pictures  the file of the materials' pictures, where the page's server has it
-    views     the edit, a line about it, the decomposition's parts and the kept pictures; EMPTY:
-              their values before there is a decomposition
+    views     the edit, a line about it, the decomposition's parts, the kept pictures, and how far
+              improving is; EMPTY: their values before there is a decomposition
     filled    all components that a decomposition gives new values, which `fill` returns
 
     The methods after `fill` handle one event each, and return the new values of what is shown.
     """
 
     NOTHING_YET = "Choose a photograph first, in step 1, and click on its object."
-    EMPTY = (None, NOTHING_YET, None, "")
+    EMPTY = (None, NOTHING_YET, None, "", "")
 
     def __init__(self, session_of: SessionOf, pictures: Path):
         self.session_of, self.pictures = session_of, pictures
@@ -72,7 +81,17 @@ class MaterialTab:
                     max_height=560,
                 )
                 shown = gr.Markdown(self.NOTHING_YET, elem_id="shown")
-                self.keep = gr.Button("Keep this picture to compare", elem_id="keep-it", size="sm")
+                with gr.Row():
+                    self.keep = gr.Button(
+                        "Keep this picture to compare", elem_id="keep-it", size="sm"
+                    )
+                    self.improve = gr.Button(
+                        "Improve shape and light", elem_id="improve", size="sm"
+                    )
+                    self.halt = gr.Button(
+                        "Stop improving", elem_id="stop-improving", size="sm", visible=False
+                    )
+                self.improving = gr.HTML("", elem_id="improving")
                 self.kept_row = gr.HTML("", js_on_load=TILE_CLICKS, elem_id="kept")
                 with gr.Accordion("What was read from the photograph", open=False):
                     parts = gr.HTML(elem_id="decomposition")
@@ -81,7 +100,7 @@ class MaterialTab:
                 self._lay_out_own_materials()
                 self._lay_out_light()
         self.view = [self.slider, shown]
-        self.views: list[Any] = [*self.view, parts, self.kept_row]
+        self.views: list[Any] = [*self.view, parts, self.kept_row, self.improving]
         self.controls: list[Any] = [
             self.share,
             self.rotation,
@@ -179,6 +198,15 @@ class MaterialTab:
         self._show_live(self.hide.input, self.hidden, [self.hide])
         self._show_live(self.brightness.input, self.brightened, [self.brightness])
         self.keep.click(self.keep_picture, None, self.kept_row, trigger_mode="once", **QUIET)
+        self.improve.click(
+            self.improved,
+            None,
+            [self.halt, *self.views],
+            concurrency_limit=2,
+            trigger_mode="once",
+            **QUIET,
+        )
+        self.halt.click(self.stop_improving, None, self.improving, queue=False, **QUIET)
         self._show_live(
             self.kept_row.click,
             self.kept_clicked,
@@ -243,9 +271,47 @@ class MaterialTab:
             *result,
             figures(tiles),
             self._kept_of(session),
+            "",
             gr.Radio(region_choices(len(edit.regions)), value=1, visible=several),
             *controls_of(session, 1),
         )
+
+    @one_line
+    def improved(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        """Refine the decomposition; yield the progress, and at last what is shown.
+
+        The edit goes on meanwhile with the decomposition that there is.
+        """
+        session = self.session_of(request)
+        session.decomposed()
+        rest = (gr.skip(),) * (len(self.views) - 1)
+        shown, hidden = gr.Button(visible=True), gr.Button(visible=False)
+        if session.refined:
+            yield hidden, *rest, "Shape and light are improved already."
+            return
+        try:
+            yield shown, *rest, progress_bar(0.01, "waiting until another user is served")
+            for report in session.decompose(refine=True, goes_on=True):
+                yield shown, *rest, progress_bar(report.share, report.text)
+        except Stopped:
+            yield hidden, *rest, "Stopped. The edit is as it was."
+            return
+        except InputError:
+            yield hidden, *rest, ""
+            raise
+        done = "Shape and light are fitted more closely to the photograph now."
+        yield hidden, *self.fill(session)[: len(rest)], done
+
+    def stop_improving(self, request: gr.Request) -> str:
+        """Stop the refinement."""
+        self.session_of(request).stop.set()
+        return "Stopping …"
+
+    def shown_again(self, session: Session) -> tuple[Any, ...]:
+        """Return the values of `filled` for a page that was loaded again."""
+        if session.viewer is None or session.edit is None:
+            return (gr.skip(),) * len(self.filled)
+        return self.fill(session)
 
     def _quick(self, session: Session, change: Callable[[Edit], Edit]) -> tuple[Any, ...]:
         """Change the edit, and return the quick view of it."""
@@ -414,52 +480,3 @@ class MaterialTab:
                 " material of your own”."
             )
         return self._tiles(matching, text), line
-
-
-def region_choices(count: int) -> list[tuple[str, int]]:
-    """Return the choices (label, number) of `count` regions, which the page calls parts."""
-    return [(f"Part {number}", number) for number in range(1, count + 1)]
-
-
-def painting(number: int, place: str, chosen: Chosen) -> Callable[[Edit], Edit]:
-    """Return the change that gives region `number` a material; place: FIRST or SECOND."""
-
-    def change(edit: Edit) -> Edit:
-        painted = edit.regions[number - 1]
-        if place == FIRST:
-            return edit.with_region(number - 1, replace(painted, first=chosen))
-        # a second material is seen at once
-        amount = painted.share if painted.second is not None and painted.share else 0.5
-        return edit.with_region(number - 1, replace(painted, second=chosen, share=amount))
-
-    return change
-
-
-def share_of(session: Session, number: int) -> float:
-    """Return the second material's share in region `number`, in per cent."""
-    if session.edit is None:
-        return 0
-    painted = session.edit.regions[int(number) - 1]
-    return 0 if painted.second is None else 100 * painted.share
-
-
-def controls_of(session: Session, number: int) -> tuple[Any, ...]:
-    """Return the values of MaterialTab.controls that show the edit; number: of the region."""
-    _, edit = session.decomposed()
-    names = [OWN_LIGHT, *choices.light_names()]
-    if edit.light.name not in names:  # a map of the user's own
-        names.append(edit.light.name)
-    return (
-        share_of(session, number),
-        edit.light.rotation_deg,
-        gr.Dropdown(names, value=edit.light.name),
-        edit.hide_background,
-        edit.brightness_stops,
-    )
-
-
-def said(session: Session, note: str) -> str:
-    """Return the line below the view: a note, what the edit is, and what is on the left."""
-    _, edit = session.decomposed()
-    left = "the photograph" if session.beside is None else session.beside.edit.caption
-    return f"{note} {without_markup(edit.caption)}. Left of the line: {without_markup(left)}."

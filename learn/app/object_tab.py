@@ -3,14 +3,16 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
-from learn.app.selection import BACKGROUND
 from learn.app.session import NEXT, Session
+from learn.app.superpixels import BACKGROUND
 from manifests.errors import InputError
 
 PARTS_OFFERED = 4
@@ -33,6 +35,8 @@ class ObjectTab:
     All other methods handle one event each. They return the new values of the components that
     `connect` names for them: `marks`, the picture with its regions and what depends on them, or
     those of the tabs that a photograph fills or empties.
+
+    on_canvas  `marks`, and the picture to draw on
     """
 
     def __init__(self, session_of: SessionOf):
@@ -43,6 +47,7 @@ class ObjectTab:
             with gr.Column(scale=3, min_width=320):
                 self._lay_out_picture()
         self.marks = [self.marking, self.status, self.decompose]
+        self.on_canvas: list[Any] = [*self.marks, self.brush]
 
     def _lay_out_controls(self) -> None:
         self.photo = gr.UploadButton(
@@ -54,19 +59,13 @@ class ObjectTab:
             [("The object", 1), ("Not the object", BACKGROUND)]
             + [(f"Part {number}", number) for number in range(2, PARTS_OFFERED + 1)],
             value=1,
-            label="What I click on is …",
+            label="What I click on or paint is …",
             info="Parts of an object can have different materials, such as a seat and its legs.",
             elem_id="marked",
         )
         with gr.Row(elem_id="undoing"):
             self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
             self.clear = gr.Button("Start again", elem_id="clear", size="sm", min_width=80)
-        self.refine = gr.Checkbox(
-            True,
-            label="Take more time",
-            info="Shape and light are fitted more closely to the photograph; about half a minute.",
-            elem_id="refine",
-        )
         self.decompose = gr.Button(
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
         )
@@ -85,7 +84,8 @@ class ObjectTab:
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of an object, or try the example. Then click on the object.",
+            "Choose a photograph of an object, or try the example. Then click on the object, or"
+            " choose *Draw* and draw a line around it.",
             elem_id="status",
         )
         with gr.Tabs(elem_id="picture"):
@@ -98,12 +98,19 @@ class ObjectTab:
                     elem_id="marking",
                     type="filepath",
                 )
-            with gr.Tab("Brush", id="brush"):
+            with gr.Tab("Draw", id="draw") as self.drawing:
                 gr.Markdown(
-                    "Paint over the object, then press the button. Strokes count for"
-                    " what is chosen beside “What I click on is”."
+                    "Draw a line all around the object, or paint over a part of it; then press the"
+                    " button that says what you drew. Near the outline a click or a stroke more"
+                    " helps, also one of “Not the object”."
                 )
-                self.use_brush = gr.Button("Use the strokes", elem_id="use-brush", size="sm")
+                with gr.Row():
+                    self.use_line = gr.Button(
+                        "It is a line around the object", elem_id="use-line", size="sm"
+                    )
+                    self.use_brush = gr.Button(
+                        "It is paint on what is chosen at the left", elem_id="use-brush", size="sm"
+                    )
                 self.brush = gr.ImageEditor(
                     show_label=False,
                     sources=(),
@@ -111,7 +118,7 @@ class ObjectTab:
                     layers=False,
                     type="numpy",
                     height=520,
-                    brush=gr.Brush(default_size=40, colors=["#ff00ff"], color_mode="fixed"),
+                    brush=gr.Brush(default_size=12, colors=["#ff00ff"], color_mode="fixed"),
                     elem_id="brush",
                 )
 
@@ -124,17 +131,20 @@ class ObjectTab:
         self.mask.upload(self.take_mask, self.mask, self.marks, **waiting)
         self.regions_file.upload(self.take_regions, self.regions_file, self.marks, **waiting)
         self.marking.select(self.click, self.marked, self.marks, trigger_mode="multiple", **QUIET)
-        self.use_brush.click(self.stroke, [self.marked, self.brush], self.marks, **waiting)
-        self.undo.click(self.take_back, None, self.marks, trigger_mode="multiple", **QUIET)
-        self.clear.click(self.take_back_all, None, self.marks, **QUIET)
+        drawn = [self.marked, self.brush]
+        self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
+        self.use_line.click(self.line, drawn, self.on_canvas, **QUIET)
+        self.drawing.select(self.canvas, None, self.brush, **QUIET)
+        self.undo.click(self.take_back, None, self.on_canvas, trigger_mode="multiple", **QUIET)
+        self.clear.click(self.take_back_all, None, self.on_canvas, **QUIET)
 
         decomposed_to = [self.progress, self.decompose, self.stop, *materials.filled]
         self.materials = materials
         self.decompose.click(
-            self.run, self.refine, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
+            self.run, None, decomposed_to, concurrency_limit=2, trigger_mode="once", **QUIET
         ).success(None, self.progress, js=OPEN_EDIT)
-        self.work.upload(self.take_work, self.work, [*on_load, self.refine], **waiting).success(
-            self.run, self.refine, decomposed_to, concurrency_limit=2, **QUIET
+        self.work.upload(self.take_work, self.work, on_load, **waiting).success(
+            self.run, None, decomposed_to, concurrency_limit=2, **QUIET
         ).success(None, self.progress, js=OPEN_EDIT)
         self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
 
@@ -144,11 +154,17 @@ class ObjectTab:
         return str(path), text, gr.Button(interactive=bool(selection.labels().any()))
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
-        # the size at which it is shown: a browser would receive a large photograph for a minute
-        shown = session.reduced()
-        canvas = {"background": shown, "layers": [], "composite": shown}
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
-        return (*self._marks_of(session, text), canvas, "", *others)
+        return (*self._marks_of(session, text), canvas_of(session), "", *others)
+
+    def shown_again(self, session: Session) -> tuple[Any, ...]:
+        """Return the values of `on_canvas` for a page that was loaded again."""
+        if session.selection is None:
+            return (gr.skip(),) * len(self.on_canvas)
+        text = covered_text(session)
+        if session.viewer is not None:
+            text = f"Your edit is in step 2. {text}"
+        return (*self._marks_of(session, text), canvas_of(session))
 
     @one_line
     def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -166,8 +182,7 @@ class ObjectTab:
     def take_work(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
         """Open saved work that was sent; `run` then decomposes its photograph."""
         session = self.session_of(request)
-        text = read_and_delete(sent, session.load_work)
-        return (*self._loaded(session, text), session.refined)
+        return self._loaded(session, read_and_delete(sent, session.load_work))
 
     @one_line
     def take_mask(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -193,38 +208,51 @@ class ObjectTab:
     def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush, which say that they cover region `number`."""
         session = self.session_of(request)
-        layers = [] if drawn is None else drawn.get("layers") or []
-        if not any((layer[..., 3] > OPAQUE).any() for layer in layers):
-            rule = ("the brush", "strokes over the object", "none", "paint on the picture")
-            raise InputError(*rule)
-        session.paint([layer[..., 3] > OPAQUE for layer in layers], int(number))
-        return self._marks_of(session, covered_text(session))
+        session.paint(strokes_of(drawn), int(number))
+        return (*self._marks_of(session, covered_text(session)), canvas_of(session))
+
+    @one_line
+    def line(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
+        """Use the strokes of the brush as a line around the object, of region `number`."""
+        session = self.session_of(request)
+        session.enclose(strokes_of(drawn), int(number))
+        return (*self._marks_of(session, covered_text(session)), canvas_of(session))
+
+    def canvas(self, request: gr.Request) -> Any:
+        """Show what is marked by now where it is drawn."""
+        session = self.session_of(request)
+        return gr.skip() if session.selection is None else canvas_of(session)
 
     @one_line
     def take_back(self, request: gr.Request) -> tuple[Any, ...]:
-        """Take back the last click or strokes."""
+        """Take back the last click, strokes or line."""
         session = self.session_of(request)
         undone = session.opened().undo()
         text = covered_text(session)
-        return self._marks_of(session, text if undone else f"Nothing is left to undo. {text}")
+        text = text if undone else f"Nothing is left to undo. {text}"
+        return (*self._marks_of(session, text), canvas_of(session))
 
     @one_line
     def take_back_all(self, request: gr.Request) -> tuple[Any, ...]:
-        """Take back all clicks and strokes."""
+        """Take back all clicks, strokes and lines."""
         session = self.session_of(request)
         session.opened().clear()
-        return self._marks_of(session, covered_text(session))
+        return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
-    def run(self, refined: bool, request: gr.Request) -> Iterator[tuple[Any, ...]]:
-        """Decompose the photograph; yield the progress, and at last what tab 2 shows."""
+    def run(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        """Decompose the photograph; yield the progress, and at last what tab 2 shows.
+
+        Only saved work that was refined is refined at once: a first result takes some seconds, and
+        tab 2 has a button that refines.
+        """
         session = self.session_of(request)
         go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
             session.marked()  # what is wrong with the mask is said at once
             yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
-            for report in session.decompose(refined):
+            for report in session.decompose(session.saved_was_refined):
                 yield progress_bar(report.share, report.text), halt, go, *rest
         except Stopped:
             yield "Stopped. The photograph and its mask are still here.", go, halt, *rest
@@ -240,12 +268,30 @@ class ObjectTab:
         return "Stopping …", gr.Button(interactive=False)
 
 
+def strokes_of(drawn: dict | None) -> list[np.ndarray]:
+    """Return what was drawn, each (h, w) bool. Raises InputError where nothing was."""
+    layers = [] if drawn is None else drawn.get("layers") or []
+    strokes = [layer[..., 3] > OPAQUE for layer in layers]
+    if not any(covered.any() for covered in strokes):
+        raise InputError("the brush", "something drawn", "nothing", "draw on the picture first")
+    return strokes
+
+
+def canvas_of(session: Session) -> dict[str, Any]:
+    """Return the picture to draw on, which shows what is marked, without what was drawn before.
+
+    It has the size at which it is shown: a browser would receive a large photograph for a minute.
+    """
+    shown = session.overlay()
+    return {"background": shown, "layers": [], "composite": shown}
+
+
 def covered_text(session: Session) -> str:
     """Return what is marked, and what to do next, as a sentence or two."""
     labels = session.opened().labels()
     covered = f"{(labels > 0).mean():.0%} of the picture"
     if not labels.any():
-        return "Click on the object, once on each of its surfaces."
+        return "Click on the object, or choose *Draw* and draw a line around it."
     count = int(labels.max())
     several = f", in {count} parts" if count > 1 else ""
     return (

@@ -40,7 +40,9 @@ CSS = """
 #materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
-#stayed {display: none}
+#stayed, .form:has(> #key) {display: none}
+/* a message says what did not work; Gradio's own sign would cover the open photograph */
+[data-testid=status-tracker]:has(.error) {display: none !important}
 #kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));
   gap: 8px; max-height: none}
 #kept figure {margin: 0}
@@ -54,7 +56,7 @@ CSS = """
 #decomposition .tiles {display: flex; flex-wrap: wrap; gap: 8px}
 #decomposition figure {margin: 0; width: 110px; text-align: center}
 #decomposition img {width: 110px; height: 110px; object-fit: contain}
-#progress progress {width: 100%; height: 14px}
+#progress progress, #improving progress {width: 100%; height: 14px}
 footer {display: none !important}
 @media (max-width: 640px) {
   /* the picture comes after the buttons that choose it, and before what is done with it */
@@ -83,7 +85,7 @@ SCRIPT = """
     event.preventDefault();
     setTimeout(() => document.querySelector('#stayed').click(), 500);
   });
-  const live = '#status, #shown, #progress, #made, #count';
+  const live = '#status, #shown, #progress, #improving, #made, #count';
   const names = {
     '#marking img': 'The photograph. A click on it marks the object.',
     '#editor img': 'The photograph and its edit, divided by a line',
@@ -101,6 +103,11 @@ SCRIPT = """
   new MutationObserver(label).observe(document.body, {childList: true, subtree: true});
 }
 """
+
+# The key of the page's session, by which a page that is loaded again goes on. The browser keeps it
+# for this tab, and shows it to no other page; in the address it would be passed on with a link.
+RECALL_KEY = "() => [sessionStorage.getItem('brdfactory-session') || '']"
+KEEP_KEY = "key => {sessionStorage.setItem('brdfactory-session', key)}"
 
 
 def serve(
@@ -180,8 +187,9 @@ def page(sessions: Sessions) -> gr.Blocks:
     def session_of(request: gr.Request) -> Session:
         return sessions.of(str(request.session_hash))
 
-    def begun(request: gr.Request) -> None:
-        sessions.begin(str(request.session_hash))
+    def begun(key: str, request: gr.Request) -> tuple:
+        session = sessions.begin(str(request.session_hash), str(key))
+        return session.key, *objects.shown_again(session), *materials.shown_again(session)
 
     def stayed(request: gr.Request) -> None:
         session_of(request)
@@ -204,7 +212,10 @@ def page(sessions: Sessions) -> gr.Blocks:
         objects.connect(materials, download)
         materials.connect()
         download.connect()
-        blocks.load(begun, None, None, api_visibility="private")
+        key = gr.Textbox(elem_id="key", show_label=False)
+        blocks.load(
+            begun, key, [key, *objects.on_canvas, *materials.filled], js=RECALL_KEY, **QUIET
+        ).success(None, key, js=KEEP_KEY, **QUIET)
         gr.Button("I stay", elem_id="stayed").click(stayed, None, None, queue=False, **QUIET)
         blocks.unload(closed)
     blocks.queue(default_concurrency_limit=4, max_size=64, api_open=False)

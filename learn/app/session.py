@@ -78,6 +78,7 @@ class Session:
     beside     the kept one that the view shows on its left, None: the photograph
     number     counts choices: a picture of an earlier one is not shown any more
     is_lost    whether the page had a session that ended, so that it shows what is no longer there
+    key        by which the page has its session back after it was loaded again; it is a secret
     """
 
     folder: Path
@@ -98,6 +99,7 @@ class Session:
     beside: Kept | None = None
     number: int = 0
     is_lost: bool = False
+    key: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     stop: threading.Event = field(default_factory=threading.Event)
     used: float = field(default_factory=time.monotonic)
     _views: list[Path] = field(default_factory=list)
@@ -141,7 +143,10 @@ class Session:
             assert self.selection is not None
             self.selection.given = (alpha >= 0.5).astype(np.uint8)
             return "The object is what is not transparent. Clicks can divide it into parts."
-        return "Now click on the object, once on each of its surfaces, or paint it with the brush."
+        return (
+            "Now click on the object, once on each of its surfaces. Or choose *Draw* and draw a"
+            " line around it."
+        )
 
     def load_example(self) -> str:
         """Take the program's example, a cup on a saucer, with its two regions."""
@@ -250,6 +255,14 @@ class Session:
 
     def paint(self, strokes: Sequence[np.ndarray], region: int) -> None:
         """Add strokes, each (h, w) bool, on the picture of `reduced`. Raises InputError."""
+        self.opened().paint(self._enlarged(strokes), region)
+
+    def enclose(self, strokes: Sequence[np.ndarray], region: int) -> None:
+        """Take strokes, each (h, w) bool, for a line around the object. Raises InputError."""
+        self.opened().enclose(self._enlarged(strokes), region)
+
+    def _enlarged(self, strokes: Sequence[np.ndarray]) -> np.ndarray:
+        """Return which pixels (H, W) bool of the photograph strokes on `reduced` cover."""
         selection, size = self.opened(), self.reduced().shape[:2]
         for covered in strokes:
             if covered.shape != size:
@@ -259,7 +272,7 @@ class Session:
         covered = np.logical_or.reduce(list(strokes))
         rows, columns = selection.size
         whole = Image.fromarray(covered).resize((columns, rows), Image.Resampling.NEAREST)
-        selection.paint(np.asarray(whole), region)
+        return np.asarray(whole)
 
     def reduced(self) -> np.ndarray:
         """Return the photograph (h, w, 3) uint8, scaled."""
@@ -298,15 +311,20 @@ class Session:
         covered = np.where(changed, (labels > 0).astype(np.float32), self.coverage)
         return covered, bool(changed.any())
 
-    def decompose(self, refine: bool = True) -> Iterator[Progress]:
+    @property
+    def saved_was_refined(self) -> bool:
+        """Whether saved work is open that was refined, and is not decomposed yet."""
+        return self._saved is not None and self._saved.refined
+
+    def decompose(self, refine: bool = True, goes_on: bool = False) -> Iterator[Progress]:
         """Decompose the photograph and yield the progress.
 
+        goes_on  whether the edit stays as it is, where the regions are as many as before
         Raises  InputError; Stopped
         """
         opened, selection = self.marked(), self.opened()
         soft_mask, _ = self._soft_mask(selection.labels())
-        marked = selection.clicks or selection.strokes
-        by_hand = bool(marked) or selection.given is not self._example_mask
+        by_hand = bool(selection.marks) or selection.given is not self._example_mask
         self.stop = stop = threading.Event()
         self.number += 1
         decomposed = yield from background_decomposition.decompose(
@@ -318,8 +336,10 @@ class Session:
             raise Stopped
         self.viewer, self.refined = viewer, refine
         self.soft_mask, self.by_hand = soft_mask, by_hand
-        edits, kept = self._edits_of(opened.count)
-        self.edit = edits
+        before = self.edit
+        self.edit, kept = self._edits_of(opened.count)
+        if goes_on and before is not None and len(before.regions) == opened.count:
+            self.edit = before
         self.beside = None
         for each in self.kept:
             each.picture.unlink(missing_ok=True)

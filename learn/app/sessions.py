@@ -1,6 +1,8 @@
 """The sessions of all users of the page: which belongs to whom, and when each ends.
 
-A user is one open page, by the random name that the page has. A session ends, and its files are
+A user is one open page, by the random name that the page has. A page that is loaded again has a
+new name; it shows the secret key of its session, which the browser keeps for this tab alone, and
+has the session back. A session ends, and its files are
 deleted, some seconds after the page is closed, after IDLE_SECONDS without a request, when
 MOST_SESSIONS newer ones are open, or when the server ends.
 """
@@ -27,9 +29,23 @@ class Sessions:
         self._sessions: OrderedDict[str, Session] = OrderedDict()
         self._lock = threading.Lock()
 
-    def begin(self, name: str) -> None:
-        """Begin the session of a page that was opened just now."""
-        self.of(name).is_lost = False
+    def begin(self, name: str, key: str = "") -> Session:
+        """Return the session of a page that was opened just now.
+
+        key  of the session that the page had before it was loaded again; "": none. A session
+             belongs to one page: the one that it had is told that what it shows is lost
+        """
+        with self._lock:
+            shown = key.encode()
+            for old, session in self._sessions.items():
+                if secrets.compare_digest(session.key.encode(), shown):
+                    del self._sessions[old]
+                    session.used = time.monotonic()  # it does not end with the page that was left
+                    self._sessions[name] = session
+                    return session
+        session = self.of(name)
+        session.is_lost = False
+        return session
 
     def of(self, name: str) -> Session:
         """Return the session of a page.
@@ -41,9 +57,8 @@ class Sessions:
         with self._lock:
             session = self._sessions.get(name)
             if session is None:
-                folder = self.folder / secrets.token_hex(
-                    16
-                )  # so that its address cannot be guessed
+                # so that its address cannot be guessed
+                folder = self.folder / secrets.token_hex(16)
                 folder.mkdir(mode=0o700)
                 session = Session(folder, self.network, is_lost=True)
                 self._sessions[name] = session

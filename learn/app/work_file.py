@@ -3,7 +3,7 @@
     work.json               Saved
     photograph.EXT          as it was sent; the program's example is named in work.json instead
     mask.png, regions.png   where the mask is not the photograph's transparency
-    edit.json, light.exr    the edit, as learn.app.choices writes it
+    edit.json, light.exr    the edit, as learn.app.edit_file writes it
     kept-K/…                the same of each edit that was kept to be compared, K from 1 on
 
 An archive comes from outside: it is read into memory member by member, each bounded before it is
@@ -21,7 +21,7 @@ from typing import Annotated
 
 import msgspec
 
-from learn.app import choices
+from learn.app import edit_file
 from learn.app.choices import Edit
 from manifests import files, reading
 from manifests.errors import InputError
@@ -75,11 +75,11 @@ def write(
     folder  an empty one, for files on the way
     parts   files whose names MEMBER has: photograph, mask and regions
     """
-    choices.write(folder / "edit.json", edit)
+    edit_file.write(folder / "edit.json", edit)
     files.write_json(folder / "work.json", msgspec.to_builtins(saved))
     for number, each in enumerate(kept, 1):
         (folder / f"kept-{number}").mkdir()
-        choices.write(folder / f"kept-{number}" / "edit.json", each)
+        edit_file.write(folder / f"kept-{number}" / "edit.json", each)
     made = sorted(each for each in folder.rglob("*") if each.is_file())
 
     def save(file) -> None:
@@ -110,7 +110,8 @@ def read(path: Path, folder: Path) -> Work:
         rule = "one photograph"
         raise InputError(path, rule, f"{len(photographs)}", REMEDY)
     edits = [
-        choices.read(folder / f"kept-{number}" / "edit.json") for number in range(1, saved.kept + 1)
+        edit_file.read(folder / f"kept-{number}" / "edit.json")
+        for number in range(1, saved.kept + 1)
     ]
     mask, regions = (
         folder / each if each in names else None for each in ("mask.png", "regions.png")
@@ -118,7 +119,7 @@ def read(path: Path, folder: Path) -> Work:
     return Work(
         name,
         saved.refined,
-        choices.read(folder / "edit.json"),
+        edit_file.read(folder / "edit.json"),
         tuple(edits),
         photographs[0] if photographs else None,
         mask,

@@ -58,7 +58,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--refine",
         action=argparse.BooleanOptionalAction,
-        help="with --repeat: whether to refine, as on the page (default: yes)",
+        help="with --repeat: whether to refine, as “Improve” of the page does (default: yes)",
     )
     options.add_weights(parser)
     options.add_device(parser)
@@ -117,8 +117,9 @@ def _require_address(host: str) -> None:
 
 def _repeat(arguments: argparse.Namespace) -> None:
     """Repeat an edit: write edited.png and edited.exr."""
-    from learn.app import choices
-    from learn.app.viewer import Viewer, opacity_of
+    from learn.app import edit_file
+    from learn.app.composition import opacity_of
+    from learn.app.viewer import Viewer
     from learn.data import devices, photographs
     from learn.editing import decomposition, photograph
     from learn.networks import weights as checkpoint
@@ -142,7 +143,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
         arguments.overwrite,
         inputs,
     )
-    edit = choices.read(arguments.repeat)
+    edit = edit_file.read(arguments.repeat)
     masks = [] if arguments.mask is None else [arguments.mask]
     opened = photograph.open_photograph(arguments.photo, masks, arguments.regions)
     if len(edit.regions) != opened.count:

@@ -5,7 +5,11 @@ browser has decoded the new picture: materials from the gallery, blends, turned 
 What was shown before is not shown again, so that no kept map helps. Each change waits until the
 exact view of the one before is there, unless --hurry.
 
-PYTHONPATH=. python tests/learn/measure_app.py [--count N] [--hurry] [--picture FILE.jpg] [--clicks]
+--first times the first edit instead, without a browser: from the button of step 1 to the exact view
+of a first material, without and with refinement, in turn, and states the processor's seconds too.
+
+PYTHONPATH=. python tests/learn/measure_app.py [--count N] [--hurry] [--picture FILE.jpg]
+    [--clicks | --first]
 """
 
 import argparse
@@ -18,8 +22,11 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
-from learn.app import gallery, page
+from learn.app import choices, gallery, page
+from learn.app.background_decomposition import Network
+from learn.app.choices import Painted
 from learn.app.selection import Selection
+from learn.app.sessions import Sessions
 from learn.commands.options import EDITING_WEIGHTS
 from learn.data import photographs
 from learn.editing import photograph
@@ -85,6 +92,36 @@ def selection_by_clicks(count: int = 14) -> None:
         )
 
 
+def first_edits(count: int = 2) -> None:
+    """Print how long a first edit of the example takes, without and with refinement."""
+    seconds: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
+    with tempfile.TemporaryDirectory() as name:
+        sessions = Sessions(Path(name), Network(EDITING_WEIGHTS))
+        sessions.network.loaded()
+        for number in range(count + 1):
+            for refine, times in seconds.items():
+                if not number and refine:
+                    continue
+                session = sessions.begin(f"{number} {refine}")
+                session.load_example()
+                start = time.perf_counter(), time.process_time()
+                for _ in session.decompose(refine):
+                    pass
+                brass = Painted(choices.catalogue_material("brass"))
+                session.choose(lambda edit, brass=brass: edit.with_region(0, brass))
+                viewer, edit = session.decomposed()
+                viewer.view(edit, exact=True)
+                if number:  # the first one compiles
+                    times.append((time.perf_counter() - start[0], time.process_time() - start[1]))
+    for refine, each in seconds.items():
+        words = "with refinement" if refine else "without refinement"
+        for title, times in zip(
+            ("elapsed", "of the processor"), zip(*each, strict=True), strict=True
+        ):
+            every = ", ".join(f"{value:.1f}" for value in times)
+            print(f"first edit {words}: median {np.median(times):.1f} s ({every}), {title}")
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -92,7 +129,11 @@ def main() -> None:
     parser.add_argument("--hurry", action="store_true", help="do not wait for exact views")
     parser.add_argument("--picture", type=Path, help="write a screenshot")
     parser.add_argument("--clicks", action="store_true", help="measure the selection alone")
+    parser.add_argument("--first", action="store_true", help="measure the first edit alone")
     arguments = parser.parse_args()
+    if arguments.first:
+        first_edits()
+        return
     if arguments.clicks:
         selection_by_clicks()
         return
@@ -115,7 +156,6 @@ def main() -> None:
                 window.type(selector, str(file))
                 said = "click on the object" if file == photo else "from the file"
                 window.wait(f"document.querySelector('#status').innerText.includes('{said}')")
-            window.run("document.querySelector('#refine input').click()")
             window.click("#decompose")
             window.wait("document.querySelector('#editor img')")
             time.sleep(2)

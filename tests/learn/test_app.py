@@ -15,15 +15,17 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, download_files, gallery, overlay
+from learn.app import choices, download_files, edit_file, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted
+from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
 from learn.app.page_html import without_markup
-from learn.app.selection import MOST_STROKES, Selection
+from learn.app.selection import MOST_STROKES, Selection, enclosed
 from learn.app.session import Session, display_of
 from learn.app.sessions import Sessions
-from learn.app.viewer import Superseded, Viewer, composed, displayed
+from learn.app.superpixels import Superpixels
+from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
 from learn.data import photographs
@@ -72,7 +74,7 @@ def test_clicks_select_an_object_and_divide_it_into_regions() -> None:
     assert overlap(labels == 2, disk(half=True)) > 0.9
     # a click on the red half as background leaves the grey one
     selection.click(80, 45, 0)
-    selection.clicks.pop(1)
+    selection.marks.pop(1)
     assert overlap(selection.labels() > 0, disk() & ~disk(half=True)) > 0.9
     selection.clear()
     assert not selection.labels().any()
@@ -95,6 +97,83 @@ def test_strokes_count_more_than_clicks_and_regions_have_no_gap() -> None:
     selection.paint(covered, 4)
     labels = selection.labels()
     assert (labels[:10, :10] == 2).all() and labels.max() == 2
+
+
+def test_a_stroke_is_carried_on_to_the_edges_of_what_it_covers() -> None:
+    selection = Selection(scene())
+    covered = np.zeros((80, 120), bool)
+    covered[30:50, 45:75] = True  # over the grey half and the red one
+    selection.paint(covered, 1)
+    assert overlap(selection.labels() > 0, disk()) > 0.95
+    # strokes that take away are carried on as well, and win over earlier ones where both are
+    covered = np.zeros((80, 120), bool)
+    covered[30:50, 66:80] = True
+    selection.paint(covered, 0)
+    labels = selection.labels()
+    assert not labels[covered].any()
+    assert overlap(labels > 0, disk() & ~disk(half=True)) > 0.85
+
+
+def look_alike() -> tuple[np.ndarray, np.ndarray]:
+    """A disk before a wall of its colour: only a line of shade on its rim tells them apart."""
+    rng = np.random.default_rng(0)
+    rows, columns = np.mgrid[:240, :320]
+    distance = np.hypot(rows - 120, columns - 160)
+    picture = np.full((240, 320, 3), 180.0) - 40 * np.exp(-((distance - 70) ** 2) / 6)[..., None]
+    return np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(
+        np.uint8
+    ), distance < 70
+
+
+def test_a_faint_rim_keeps_a_stroke_from_leaking_into_a_wall_of_the_same_colour() -> None:
+    picture, inside = look_alike()
+    selection = Selection(picture)
+    stroke = np.zeros(inside.shape, bool)
+    stroke[110:130, 110:210] = True
+    selection.paint(stroke, 1)
+    assert overlap(selection.labels() > 0, inside) > 0.85
+    selection.superpixels = Superpixels.of(picture, lines=False)
+    selection._made = None
+    assert overlap(selection.labels() > 0, inside) < 0.7  # without edges along borders
+
+
+@pytest.mark.parametrize("gap", [0, 8])
+def test_a_line_around_the_object_finds_it(gap: int) -> None:
+    picture, inside = look_alike()
+    rows, columns = np.mgrid[:240, :320]
+    line = np.abs(np.hypot(rows - 120, columns - 160) - 90) < 3
+    line[:, 158 : 158 + gap] &= rows[:, 158 : 158 + gap] > 120  # not closed at the top
+    selection = Selection(picture)
+    selection.enclose(line, 0)  # whatever the radio button says
+    labels = selection.labels()
+    assert overlap(labels > 0, inside) > 0.9
+    assert not labels[np.hypot(rows - 120, columns - 160) > 95].any()
+    assert selection.undo() and not selection.labels().any()
+
+
+def test_a_line_that_ends_at_the_frame_encloses_what_the_frame_cuts_off() -> None:
+    line = np.zeros((100, 150), bool)
+    line[40:43, :60] = line[40:, 57:60] = True  # from the left side to the lower one
+    inside = enclosed(line)
+    assert inside[45:, :55].all() and not inside[:39].any() and not inside[:, 62:].any()
+
+
+def test_a_line_that_encloses_nothing_is_refused() -> None:
+    selection = Selection(scene())
+    line = np.zeros((80, 120), bool)
+    line[40, 20:100] = True
+    with pytest.raises(InputError, match="the line: expected a closed line around the object"):
+        selection.enclose(line, 1)
+    assert not selection.marks
+
+
+def test_a_line_cuts_a_mask_of_a_file_off() -> None:
+    selection = Selection(scene(), given=disk().astype(np.uint8))
+    line = np.zeros((80, 120), bool)
+    line[5:75, 30:33] = line[5:75, 57:60] = line[5:8, 30:60] = line[72:75, 30:60] = True
+    selection.enclose(line, 1)
+    labels = selection.labels()
+    assert labels[40, 45] and not labels[:, 61:].any() and not labels[~disk()].any()
 
 
 def test_strokes_end_at_a_number_and_go_on_after_one_is_undone() -> None:
@@ -148,9 +227,10 @@ def test_strokes_on_the_picture_that_is_shown_cover_the_photograph(
     upper = np.zeros((height, width), bool)
     upper[: height // 2, : width // 2] = True
     session.paint([upper, ~upper & False], 1)
-    labels = session.opened().labels()
-    assert labels.shape == (80, 120)
-    assert labels[:40, :60].all() and not labels[41:].any() and not labels[:, 61:].any()
+    covered = session.opened().strokes[0].covered
+    assert covered.shape == (80, 120)
+    assert covered[:40, :60].all() and not covered[41:].any() and not covered[:, 61:].any()
+    assert session.opened().labels()[:40, :60].all()
     with pytest.raises(InputError, match="strokes of the picture's size 800 × 533"):
         session.paint([np.ones((80, 120), bool)], 1)
 
@@ -322,7 +402,7 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
         np.testing.assert_array_equal(one[others], two[others])
     untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
     np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
-    command = choices.command_line(darker, "a.png", [], True, own_weights.EDITING)
+    command = edit_file.command_line(darker, "a.png", [], True, own_weights.EDITING)
     assert "--repeat edit.json" in command
 
 
@@ -352,8 +432,8 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
         light = choices.LightChoice("mine.exr", 45.0, light.map)
     own = choices.principled_material("#a03020", 0.35, 0.0)
     edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
-    choices.write(tmp_path / "edit.json", edit)
-    again = choices.read(tmp_path / "edit.json")
+    edit_file.write(tmp_path / "edit.json", edit)
+    again = edit_file.read(tmp_path / "edit.json")
     assert again.regions == edit.regions and again.hide_background
     assert again.brightness_stops == -1.5 and "brightness −1.5" in again.caption
     assert again.regions[0].second.read and not again.regions[0].first.read
@@ -367,29 +447,31 @@ def test_a_damaged_edit_json_is_refused(tmp_path: Path) -> None:
     for text in ("{", '{"regions": []}', '{"regions": [{"first": {"text": "no-such"}}]}'):
         path.write_text(text)
         with pytest.raises(InputError):
-            choices.read(path)
+            edit_file.read(path)
     path.write_text(json.dumps({"regions": [{}], "light": "x", "map": "../light.exr"}))
     with pytest.raises(InputError, match="same folder"):
-        choices.read(path)
+        edit_file.read(path)
 
 
 def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "edit.json"
     path.write_text(json.dumps({"regions": [{}], "light": "x", "map": ""}))
     with pytest.raises(InputError, match="same folder, found an empty name"):
-        choices.read(path)
+        edit_file.read(path)
 
 
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
     default = own_weights.EDITING
-    text = choices.command_line(plain, "my cup.png", ["regions.png"], False, default)
+    text = edit_file.command_line(plain, "my cup.png", ["regions.png"], False, default)
     assert text == (
         "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"
         " --out edited"
     )
     blend = Edit((Painted(chosen("brass"), chosen("chrome")),))
-    assert "--repeat edit.json" in choices.command_line(blend, "a.png", ["mask.png"], True, default)
+    assert "--repeat edit.json" in edit_file.command_line(
+        blend, "a.png", ["mask.png"], True, default
+    )
 
 
 @pytest.mark.parametrize("blended", [False, True])
@@ -401,7 +483,7 @@ def test_the_command_takes_the_weights_that_decomposed(
     weights = options.weights_file(text)
     second = chosen("chrome") if blended else None
     edit = Edit((Painted(chosen("brass"), second),))
-    line = choices.command_line(edit, "a.png", ["mask.png"], True, weights)
+    line = edit_file.command_line(edit, "a.png", ["mask.png"], True, weights)
     *_, option, named = shlex.split(line)
     assert option == "--weights" and (named == text or Path(named).is_absolute())
     monkeypatch.chdir("/")
@@ -784,6 +866,23 @@ def test_a_page_whose_session_ended_is_told_so(sessions: Sessions) -> None:
         sessions.of("served before the program was started again").opened()
 
 
+def test_a_page_that_is_loaded_again_has_its_session_back_by_its_key_alone(
+    sessions: Sessions,
+) -> None:
+    first = sessions.begin("first")
+    other = sessions.begin("other")
+    assert len({first.key, other.key}) == 2 and len(first.key) >= 43  # 256 random bits
+    sessions.close_later("first", 0.2)  # the page is left, to be loaded again
+    assert sessions.begin("again", first.key) is first
+    time.sleep(0.5)
+    assert sessions.of("again") is first and first.folder.exists()
+    # neither no key, nor a part of one, nor the old page's name brings a session back
+    for number, key in enumerate(("", first.key[:-1], first.key + "x", "ü")):
+        assert sessions.begin(f"new {number}", key) not in (first, other)
+    assert sessions.of("first") is not first and sessions.of("first").is_lost
+    assert sessions.of("again") is first and sessions.of("other") is other
+
+
 def test_a_page_that_is_left_has_a_moment_to_return(sessions: Sessions) -> None:
     """A browser that asks whether to leave a page has reported to Gradio that it is left."""
     folders = [sessions.of(name).folder for name in ("left", "stayed")]
@@ -828,6 +927,25 @@ def test_nothing_is_darkened_before_the_first_click() -> None:
     np.testing.assert_array_equal(overlay.draw(selection, 1.0), scene())
     selection.click(45, 40, 1)
     assert (overlay.draw(selection, 1.0)[0] < scene()[0]).all()
+
+
+def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(450, 270, 1)
+    decompose(session, refine=False)
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    edit, viewer = session.edit, session.viewer
+    list(session.decompose(refine=False, goes_on=True))
+    assert session.edit == edit and session.viewer is not viewer
+    session.click(600, 270, 2)  # another number of parts
+    list(session.decompose(refine=False, goes_on=True))
+    assert session.edit == Edit((Painted(), Painted()))
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    decompose(session, refine=False)  # by the button of step 1
+    assert session.edit == Edit((Painted(), Painted()))
 
 
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:

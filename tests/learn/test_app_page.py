@@ -198,6 +198,9 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         window.wait(f"({ERROR_TEXT}).join().includes('notes.png: expected')")
         time.sleep(0.5)  # it fades in
         walk.shot("bad-file")
+        # and no sign of it lies over the picture, where a photograph may be open
+        signs = "[...document.querySelectorAll('[data-testid=status-tracker] .error')]"
+        assert window.run(f"return {signs}.filter(e => e.checkVisibility()).length") == 0
         window.run("document.querySelector('.toast-close').click()")
         window.wait(f"!({ERROR_TEXT}).length")
 
@@ -223,13 +226,6 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         walk.point(SAUCER)
         walk.wait_for("#status", "2 parts")
 
-        # stop, then decompose without refinement
-        window.click("#decompose")
-        walk.wait_for("#progress", "refining, step")
-        walk.shot("refining")
-        window.click("#stop")
-        walk.wait_for("#progress", "Stopped")
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -243,6 +239,14 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         painted = "part 1: natural-209; part 2: as it is"
         first = walk.changed(lambda: walk.pick("natural-209"), painted)
         walk.shot("material")
+
+        # a refinement that is stopped leaves the edit as it is
+        window.click("#improve")
+        walk.wait_for("#improving", "refining, step")
+        walk.shot("improving")
+        window.click("#stop-improving")
+        walk.wait_for("#improving", "Stopped")
+        assert painted in walk.text("#shown")
 
         # the second region, then a blend
         walk.choose("#region", 1)
@@ -302,7 +306,22 @@ def open_tab(walk: Walk, text: str) -> None:
     )
 
 
-def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixels_again(
+def draw(walk: Walk, points: list[tuple[float, float]]) -> None:
+    """Draw a line on the canvas, through points in shares of its width and height."""
+    x, y, width, height = walk.window.run(
+        "const r = document.querySelector('#brush canvas').getBoundingClientRect();"
+        "return [r.left, r.top, r.width, r.height]"
+    )
+    walk.window.drag([(x + width * column, y + height * row) for column, row in points])
+    time.sleep(0.5)
+
+
+def covered_share(walk: Walk) -> int:
+    """Return how much of the picture the object covers, in per cent, as the page says."""
+    return int(walk.text("#status").split("covers ")[1].split("%")[0])
+
+
+def test_drawing_sliders_another_pictures_material_an_own_light_and_the_same_pixels_again(
     served, photo, tmp_path
 ):
     from brdfactory.command_line import run
@@ -315,27 +334,32 @@ def test_brush_sliders_another_pictures_material_an_own_light_and_the_same_pixel
         window.wait("document.querySelector('#marking img')")
         assert window.run("return document.querySelector('#decompose').disabled")
 
-        # strokes over the cup
-        open_tab(walk, "Brush")
+        # a line around the cup, then paint on the table beside it, which is not the object
+        open_tab(walk, "Draw")
         window.wait("document.querySelector('#brush canvas')?.getBoundingClientRect().width > 99")
         time.sleep(2)  # the canvas is laid out in steps
-        x, y, width, height = window.run(
-            "const r = document.querySelector('#brush canvas').getBoundingClientRect();"
-            "return [r.left, r.top, r.width, r.height]"
-        )
-        ends = (0.3, 0.46)
-        for part in (0.45, 0.55, 0.65):
-            walk.window.drag([(x + width * end, y + height * part) for end in ends])
-        time.sleep(0.5)
-        walk.shot("strokes")
-        window.click("#use-brush")
+        window.click("#use-line")
+        window.wait(f"({ERROR_TEXT}).some(e => e.includes('Draw on the picture first'))")
+        around = [(0.27, 0.42), (0.5, 0.42), (0.68, 0.55), (0.6, 0.85), (0.3, 0.85), (0.27, 0.42)]
+        draw(walk, around)
+        walk.shot("line")
+        window.click("#use-line")
         walk.wait_for("#status", "covers")
-        covered = int(walk.text("#status").split("covers ")[1].split("%")[0])
-        assert 2 <= covered <= 40
+        enclosed = covered_share(walk)
+        assert 2 <= enclosed <= 25
+        time.sleep(2)
+        draw(walk, [(0.3, 0.8), (0.6, 0.8)])
+        window.click("#marked label:nth-of-type(2)")
+        walk.shot("not-the-object")
+        window.click("#use-brush")
+        window.wait(f"!document.querySelector('#status').innerText.includes('covers {enclosed}%')")
+        # the line that was drawn before is no paint of the second
+        assert 0 < covered_share(walk) < enclosed
+        window.click("#undo")
+        walk.wait_for("#status", f"covers {enclosed}%")
         open_tab(walk, "Click")
-        walk.shot("painted-mask")
+        walk.shot("drawn-mask")
 
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -425,7 +449,6 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         )
         for point in (CUP, SAUCER):
             walk.point(point)
-        window.run("document.querySelector('#refine input').click()")
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         walk.wait_for("#shown", "choose a material")
@@ -550,6 +573,32 @@ def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
         time.sleep(0.2)
     else:
         pytest.fail("the photograph of a closed page is still served")
+
+
+def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(served):
+    kept = "sessionStorage.getItem('brdfactory-session')"
+    with Browser() as window:
+        walk = opened(window, served, Path())
+        window.click("#example")
+        window.wait("document.querySelector('#marking img')")
+        key = window.run(f"return {kept}")
+        window.reload()
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        walk.wait_for("#status", "in 2 parts")
+        assert window.run(f"return {kept}") == key and key not in window.run("return location.href")
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        window.reload()
+        walk.wait_for("#status", "Your edit is in step 2")
+        open_tab(walk, "Material")
+        window.wait("document.querySelector('#editor img')?.naturalWidth")
+    with Browser() as window:
+        walk = opened(window, served, Path())
+        window.wait(kept)
+        time.sleep(1)
+        assert window.run(f"return {kept}") != key
+        assert "Choose a photograph" in walk.text("#status")
+        assert not window.run("return !!document.querySelector('#marking img, #editor img')")
 
 
 def test_nothing_outside_this_computer_is_asked_for(served):

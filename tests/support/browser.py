@@ -102,6 +102,13 @@ class Browser:
         """Load an address."""
         self._call("POST", "/url", {"url": address})
 
+    def reload(self) -> None:
+        """Load the page again, without a question whether to leave it."""
+        ask = "addEventListener('beforeunload', e => e.stopImmediatePropagation(), true);"
+        self.run(f"{ask} window.isOld = true;")
+        self._call("POST", "/goog/cdp/execute", {"cmd": "Page.reload", "params": {}})
+        self.wait("!window.isOld")
+
     def click_at(self, x: float, y: float) -> None:
         """Click on a point of the window, in pixels from its upper left corner."""
         place = {"type": "pointerMove", "duration": 0, "x": round(x), "y": round(y)}
