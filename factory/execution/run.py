@@ -4,6 +4,7 @@ Shapes that the plan has not read yet are read meanwhile, in processes of their 
 of the first ones are made while others are read (factory.execution.parts).
 """
 
+import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -153,7 +154,8 @@ def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: 
             " with --shard"
         )
         raise InputError("render --ray", "a folder, not a URL, as --out", "a URL", remedy)
-    with uploading(url, run_options.shard, lambda line: watch("note", line)) as uploads:
+    job = hashlib.sha256(msgspec.json.encode(plan.job)).hexdigest()[:12]
+    with uploading(url, run_options.shard, lambda line: watch("note", line), job) as uploads:
 
         def watched(event: str, value: Any) -> None:
             watch(event, value)
