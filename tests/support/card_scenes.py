@@ -15,9 +15,7 @@ SIZE = (24, 48)
 
 def names_for_a_view_per_pixel():
     """The methods that render perspective. test_cards.py sees the others refuse it."""
-    return [
-        name for name in methods.NAMES if "orthographic" not in methods.load(name).CARD.needs
-    ]
+    return [name for name in methods.NAMES if "orthographic" not in methods.load(name).CARD.needs]
 
 
 def sphere(size=14, dtype=torch.float32):
