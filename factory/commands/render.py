@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -296,13 +295,11 @@ class Progress:
     def __enter__(self) -> Self:
         from manifests.progress import tqdm
 
-        interval = 0.1 if sys.stderr.isatty() else 10.0  # few lines in a log file
         self.bar = tqdm(
             total=0,
             unit=self.unit,
             desc="rendering",
             dynamic_ncols=True,
-            mininterval=interval,
             delay=0.5,
             smoothing=0.0,  # by recent pictures, the start of the workers would count for long
         )
