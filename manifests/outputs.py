@@ -20,14 +20,17 @@ def require_places(options: object) -> None:
     """Raise unless every result that a command's options name can be written.
 
     options  parsed arguments; their `result_folders` and `result_files` are names of options, whose
-             values are paths, URLs (which are not tried here) or None
+             values are paths or None, and `result_urls` those of them that may be URLs of an object
+             store, which is tried when the command opens it
     Raises   as `try_folder` and `try_file`
 
     A command computes for minutes or days before it writes, so this is called before its run.
     """
     for name in getattr(options, "result_folders", ()):
         folder = getattr(options, name)
-        if folder is not None and not is_url(folder):
+        if folder is not None and not (
+            is_url(folder) and name in getattr(options, "result_urls", ())
+        ):
             try_folder(folder)
     for name in getattr(options, "result_files", ()):
         path = getattr(options, name)
@@ -47,12 +50,25 @@ def try_folder(folder: str | os.PathLike) -> None:
 
 def try_file(path: str | os.PathLike) -> None:
     """Raise, as `try_folder`, unless a file can be made or replaced at a path."""
+    _refuse_url(path)
     require_place_for_file(Path(path))
     _try_place(Path(path).parent)
 
 
+def _refuse_url(path: str | os.PathLike) -> None:
+    """Raise InputError for a URL, which as a path would be a folder named after its scheme."""
+    if is_url(path):
+        raise InputError(
+            path,
+            "a place on this machine: `render` alone writes to object stores",
+            "a URL",
+            "write into a folder, and copy it there",
+        )
+
+
 def _require_place_for_folder(folder: Path) -> None:
-    """Raise InputError if something other than a folder lies there."""
+    """Raise InputError for a URL, and if something other than a folder lies there."""
+    _refuse_url(folder)
     if os.path.lexists(folder) and not folder.is_dir():
         found = "a file" if folder.exists() else "a link to nothing"
         raise InputError(folder, "a folder, or a name for a new one", found, "give another --out")

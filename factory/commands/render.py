@@ -98,7 +98,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     _add_job_without_file(parser)
-    parser.set_defaults(run=run, result_folders=("out",))
+    parser.set_defaults(run=run, result_folders=("out",), result_urls=("out",))
 
 
 # options that describe a job without a file, beside --mesh, --material and --light: their defaults

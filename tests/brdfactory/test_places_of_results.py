@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from pathlib import Path
 
 import pytest
 
@@ -110,6 +111,15 @@ def test_what_lies_in_the_way_of_a_folder_is_named(tmp_path):
         outputs.try_file(tmp_path)
 
 
-def test_a_place_that_is_a_url_or_was_not_given_is_not_tried():
+def test_a_url_is_a_place_for_the_command_that_writes_there_and_for_no_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     options = argparse.Namespace(out="s3://bucket/x", jobs=None, result_folders=("out", "jobs"))
+    for place in ("s3://bucket/x", Path("s3://bucket/x")):  # a path has lost a slash
+        options.out = place
+        with pytest.raises(InputError, match=r"^s3://bucket/x: .*found a URL "):
+            outputs.require_places(options)
+        with pytest.raises(InputError, match=r"^s3://bucket/x: .*found a URL "):
+            outputs.try_file(place)
+    options.result_urls = ("out",)
     outputs.require_places(options)
+    assert not os.listdir(tmp_path)
