@@ -70,8 +70,8 @@ def _require_place_for_folder(folder: Path) -> None:
     """Raise InputError for a URL, and if something other than a folder lies there."""
     _refuse_url(folder)
     if os.path.lexists(folder) and not folder.is_dir():
-        found = "a file" if folder.exists() else "a link to nothing"
-        raise InputError(folder, "a folder, or a name for a new one", found, "give another --out")
+        kind = "a file" if folder.exists() else "a link to nothing"
+        raise InputError(folder, "a folder, or a name for a new one", kind, "give another --out")
 
 
 def _try_place(folder: Path) -> None:

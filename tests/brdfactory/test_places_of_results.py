@@ -104,8 +104,8 @@ def test_a_trial_leaves_nothing_and_makes_no_folder(tmp_path):
 def test_what_lies_in_the_way_of_a_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "gone")
-    for name, found in (("file", "a file"), ("link", "a link to nothing")):
-        with pytest.raises(InputError, match=rf"found {found} "):
+    for name, what in (("file", "a file"), ("link", "a link to nothing")):
+        with pytest.raises(InputError, match=rf"found {what} "):
             outputs.try_folder(tmp_path / name)
     with pytest.raises(InputError, match="found a folder"):
         outputs.try_file(tmp_path)
