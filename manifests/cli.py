@@ -3,9 +3,10 @@
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a
 function of the parsed arguments. That function returns an exit status: 0 done, 1 failed, 2 wrong
 usage, or another one that the command's help explains; 141 if the output's reader has gone. A
-command sets `continues=False` if a second run does not continue the first. Only argparse and the
-standard library may be imported at its top: heavy libraries are imported inside `run`, so that
-`--help` is quick.
+command sets `continues=False` if a second run does not continue the first. It names the options
+for its results in `result_folders` and `result_files`, so that a place that cannot be written is
+found before anything is computed. Only argparse and the standard library may be imported at its
+top: heavy libraries are imported inside `run`, so that `--help` is quick.
 """
 
 import argparse
@@ -116,6 +117,9 @@ def _run(
         try:
             _refuse_empty(parser, words)
             options = parser.parse_args(words)
+            from manifests.outputs import require_places
+
+            require_places(options)
             if prepare:
                 prepare()
             return options.run(options) or 0

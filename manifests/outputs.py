@@ -1,16 +1,97 @@
 """A command's results in their folder: not written over, continued only under the same settings."""
 
+import errno
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from manifests.errors import InputError
-from manifests.files import write_json
+from manifests.files import require_place_for_file, write_json
 from manifests.inputs import require_file
+from manifests.object_store import is_url
 
 MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
+
+
+def require_places(options: object) -> None:
+    """Raise unless every result that a command's options name can be written.
+
+    options  parsed arguments; their `result_folders` and `result_files` are names of options, whose
+             values are paths or None, and `result_urls` those of them that may be URLs of an object
+             store, which is tried when the command opens it
+    Raises   as `try_folder` and `try_file`
+
+    A command computes for minutes or days before it writes, so this is called before its run.
+    """
+    for name in getattr(options, "result_folders", ()):
+        folder = getattr(options, name)
+        if folder is not None and not (
+            is_url(folder) and name in getattr(options, "result_urls", ())
+        ):
+            try_folder(folder)
+    for name in getattr(options, "result_files", ()):
+        path = getattr(options, name)
+        if path is not None:
+            try_file(path)
+
+
+def try_folder(folder: str | os.PathLike) -> None:
+    """Raise unless files can be made in a folder, or the folder can be made if it is missing.
+
+    Raises  InputError or OSError that name it. The cause may be a file in the way, a read-only
+            disk, no permission, or a file system that has files of its own only, such as /proc
+    """
+    _require_place_for_folder(Path(folder))
+    _try_place(Path(folder))
+
+
+def try_file(path: str | os.PathLike) -> None:
+    """Raise, as `try_folder`, unless a file can be made or replaced at a path."""
+    _refuse_url(path)
+    require_place_for_file(Path(path))
+    _try_place(Path(path).parent)
+
+
+def _refuse_url(path: str | os.PathLike) -> None:
+    """Raise InputError for a URL, which as a path would be a folder named after its scheme."""
+    if is_url(path):
+        raise InputError(
+            path,
+            "a place on this machine: `render` alone writes to object stores",
+            "a URL",
+            "write into a folder, and copy it there",
+        )
+
+
+def _require_place_for_folder(folder: Path) -> None:
+    """Raise InputError for a URL, and if something other than a folder lies there."""
+    _refuse_url(folder)
+    if os.path.lexists(folder) and not folder.is_dir():
+        kind = "a file" if folder.exists() else "a link to nothing"
+        raise InputError(folder, "a folder, or a name for a new one", kind, "give another --out")
+
+
+def _try_place(folder: Path) -> None:
+    """Make and remove a folder in `folder`, or in the nearest folder in which it would be made.
+
+    Permissions are not asked, because root has them where nothing can be made. The trial has a name
+    of its own, so that commands which begin at the same time do not meet.
+    """
+    there = folder
+    while not os.path.lexists(there) and there != there.parent:
+        there = there.parent
+    try:
+        os.rmdir(tempfile.mkdtemp(prefix=".", dir=there))
+    except OSError as error:
+        if error.errno != errno.ENOENT:
+            raise OSError(error.errno, error.strerror, str(folder)) from None
+        remedy = "name another"
+        raise InputError(
+            folder, "a place that can be written", f"that nothing can be made in {there}", remedy
+        ) from None
 
 
 def reserve_outputs(
@@ -26,10 +107,7 @@ def reserve_outputs(
     overwrite  whether existing files may be replaced; inputs never may
     inputs     files that the results are computed from
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(
-            folder, "a folder, or a name for a new one", "a file", "give another --out"
-        )
+    _require_place_for_folder(folder)
     there = [folder / name for name in names if (folder / name).exists()]
     read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
     for path in there:

@@ -2,10 +2,13 @@
 
 tqdm reads time.time. When the clock of a laptop or a cluster's node is set while a job runs, its
 bars show negative times, and rates of nothing per second.
+
+In a log file, where each state of a bar stays, it is written every ten seconds.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
 
@@ -18,6 +21,7 @@ class tqdm(_WallClock):
     monitor_interval = 0  # its thread would compare with time.time
 
     def __init__(self, *words: Any, **named: Any):
+        named.setdefault("mininterval", 0.1 if sys.stderr.isatty() else 10.0)
         super().__init__(*words, **named)
         if not self.disable:
             self._time = time.monotonic

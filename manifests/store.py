@@ -158,6 +158,11 @@ class Store:
         """Return dataset.json. Raises InputError: missing, damaged or of another schema version."""
         path = self.folder / "dataset.json"
         if not os.path.lexists(path):
+            from manifests.object_store import is_url
+
+            if is_url(self.folder):
+                remedy = "copy the data set to a disk: this command reads folders only"
+                raise InputError(self.folder, "the folder of a data set", "a URL", remedy)
             raise InputError(
                 self.name,
                 "a data set (dataset.json)",

@@ -43,7 +43,6 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"needs Linux's account of a process('s memory)?": "not every system has /proc",
     r"this system's allocator takes no advice": "not every C library has mallopt",
     r"torch sees no CUDA device here": "marker `gpu`: not every machine has one (docs/gpu.md)",
-    r"needs an orthographic camera": "a method for distant viewers has no perspective case",
 }
 
 

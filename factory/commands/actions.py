@@ -42,6 +42,7 @@ def add_action(
 def add_picture_output(parser: argparse.ArgumentParser) -> None:
     """Add the option `--out` of an action that writes one picture."""
     parser.add_argument("--out", required=True, type=Path, metavar="PNG", help="the file to write")
+    parser.set_defaults(result_files=("out",))
 
 
 def add_library(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +54,7 @@ def add_library(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="the folder to copy into; it is made if it does not exist",
     )
+    parser.set_defaults(result_folders=("library",))
     parser.add_argument(
         "--licence",
         default="unknown",

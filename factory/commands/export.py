@@ -77,9 +77,16 @@ def run(options: argparse.Namespace) -> int:
     """Write what the options name; return 0."""
     from manifests.errors import InputError
     from manifests.export import to_parquet, to_tars
+    from manifests.outputs import try_file, try_folder
     from manifests.progress import tqdm
     from manifests.store import Store
 
+    for path in (options.out if options.to == "records" else None, options.parquet):
+        if path is not None:
+            try_file(path)
+    for path in (options.out if options.to not in (None, "records") else None, options.tars):
+        if path is not None:
+            try_folder(path)
     store = Store(options.folder)
     store.dataset()
     if (options.to is None) != (options.out is None):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,6 +93,5 @@ def resolve_assets(job: Job, folder: str | Path | None, options: argparse.Namesp
     from manifests.progress import tqdm
     from manifests.subprocesses import processors
 
-    interval = 0.1 if sys.stderr.isatty() else 10.0
-    watch = partial(tqdm, leave=False, delay=1.0, mininterval=interval)
+    watch = partial(tqdm, leave=False, delay=1.0)
     return resolve(job, folder, options.lights, options.catalogue, watch, processors())

@@ -119,6 +119,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="the folder of the maps, created if it does not exist; maps it has are not made again",
     )
+    one.set_defaults(result_folders=("library",))
     one.add_argument(
         "--workers", type=positive, default=1, metavar="N", help="number of processes (default 1)"
     )

@@ -28,6 +28,7 @@ def add(actions: argparse._SubParsersAction) -> None:
         "python -m factory materials extension --out brdfactory-extension.zip",
     )
     one.add_argument("--out", required=True, type=Path, metavar="ZIP", help="the file to write")
+    one.set_defaults(result_files=("out",))
     _add_overwrite(one)
 
 
@@ -57,6 +58,7 @@ def _add_export(actions: argparse._SubParsersAction) -> None:
             " of the errors beside it; fitting one takes about one second"
         ),
     )
+    one.set_defaults(result_files=("blend", "materialx"))
     one.add_argument(
         "--material",
         action="append",

@@ -72,6 +72,7 @@ def add(actions: argparse._SubParsersAction, name: str, run: Run, help: str, exa
         metavar="FILE",
         help="the catalogue to write, a JSON file; single fits are kept in the folder FILE.fits",
     )
+    one.set_defaults(result_files=("out",))
 
 
 def _sources_and_recipe(options: argparse.Namespace) -> tuple[dict[str, Source], Recipe]:

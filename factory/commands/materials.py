@@ -139,6 +139,7 @@ def _add_report(actions: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="folder for the results: report.md, report.json and errors.png",
     )
+    one.set_defaults(result_folders=("out",))
 
 
 def _add_condition(actions: argparse._SubParsersAction) -> None:
@@ -211,7 +212,7 @@ def run_preview(options: argparse.Namespace) -> None:
     from factory.lights import load
     from factory.materials.preview import contact_sheet
     from manifests.errors import InputError
-    from manifests.files import require_place_for_file, write_image
+    from manifests.files import write_image
     from manifests.materials import find, load_catalogue
     from manifests.progress import tqdm
 
@@ -222,7 +223,6 @@ def run_preview(options: argparse.Namespace) -> None:
             f"{options.size}, {options.columns}",
             "96 pixels and 13 columns suit most",
         )
-    require_place_for_file(options.out)  # before the spheres are shaded
     materials = load_catalogue(*(options.catalogue or ()))
     chosen = [find(name, materials) for name in options.materials] or sorted(
         materials.values(), key=lambda m: (m.family, m.name)

@@ -56,7 +56,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace results that exist already"
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, result_folders=("out",))
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -87,7 +86,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     _add_job_without_file(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, result_folders=("out",), result_urls=("out",))
 
 
 def _add_several_machines(parser: argparse.ArgumentParser) -> None:
@@ -304,13 +303,11 @@ class Progress:
     def __enter__(self) -> Self:
         from manifests.progress import tqdm
 
-        interval = 0.1 if sys.stderr.isatty() else 10.0  # few lines in a log file
         self.bar = tqdm(
             total=0,
             unit=self.unit,
             desc="rendering",
             dynamic_ncols=True,
-            mininterval=interval,
             delay=0.5,
             smoothing=0.0,  # a rate of recent pictures would be distorted by the slow start
         )

@@ -61,6 +61,7 @@ def add_collect(actions: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="the folder to copy into; it is made if it does not exist",
     )
+    one.set_defaults(result_folders=("library",))
     one.add_argument(
         "--package",
         action="append",

@@ -29,15 +29,23 @@ PAUSE = 1.0  # seconds between two looks at another run's object
 
 
 class _Running(msgspec.Struct):
-    """The object of a run: part `part` of `parts` of its job, and how often it was written."""
+    """The object of a run: part `part` of `parts` of its job, and how often it was written.
+
+    job  a digest of the job
+    """
 
     part: int = 1
     parts: int = 1
     written: int = 0
+    job: str = ""
 
     def meets(self, other: _Running) -> bool:
-        """Return whether both may make the same shots: parts of one division never do."""
-        return self.parts != other.parts or self.part == other.part
+        """Return whether both may make the same shots, or write other entries into one file.
+
+        Parts of one division of one job do neither. Runs of different jobs would each write a
+        dataset.json and a materials.json without what the other one enters.
+        """
+        return self.job != other.job or self.parts != other.parts or self.part == other.part
 
 
 class Lease:
@@ -46,13 +54,18 @@ class Lease:
     remote  the data set
     shard   None, or (i, n): part i of n, 1 ≤ i ≤ n
     note    called with a line for the user before it waits
-    Raises  InputError if another run makes the same shots; Unreachable
+    job     a digest of the job, the same for all parts of it
+    Raises  InputError if another run makes the same shots, or makes another job; Unreachable
     """
 
     def __init__(
-        self, remote: ObjectFolder, shard: tuple[int, int] | None, note: Callable[[str], None]
+        self,
+        remote: ObjectFolder,
+        shard: tuple[int, int] | None,
+        note: Callable[[str], None],
+        job: str = "",
     ):
-        self._remote, self._running = remote, _Running(*(shard or ()))
+        self._remote, self._running = remote, _Running(*(shard or (1, 1)), job=job)
         self._name = f"{FOLDER}/{uuid.uuid4().hex[:12]}.json"
         self._ended = threading.Event()
         self._write()

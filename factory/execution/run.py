@@ -4,6 +4,7 @@ Shapes that have not been read yet are read at the same time, by other processes
 of the first shapes are made while the remaining shapes are read (factory.execution.parts).
 """
 
+import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -158,7 +159,8 @@ def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: 
             " with --shard"
         )
         raise InputError("render --ray", "a folder, not a URL, as --out", "a URL", remedy)
-    with uploading(url, run_options.shard, lambda line: watch("note", line)) as uploads:
+    job = hashlib.sha256(msgspec.json.encode(plan.job)).hexdigest()[:12]
+    with uploading(url, run_options.shard, lambda line: watch("note", line), job) as uploads:
 
         def watched(event: str, value: Any) -> None:
             watch(event, value)

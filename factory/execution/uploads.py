@@ -26,6 +26,7 @@ from typing import Any
 import msgspec
 
 from factory.execution.leases import Lease
+from factory.execution.registration import require_no_strangers
 from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
@@ -42,29 +43,27 @@ LINES_PER_PART = 1000
 
 @contextmanager
 def uploading(
-    url: str, shard: tuple[int, int] | None, note: Callable[[str], None]
+    url: str, shard: tuple[int, int] | None, note: Callable[[str], None], job: str = ""
 ) -> Iterator[Uploads]:
     """Yield the Uploads of a run. At the end of the block everything is sent.
 
-    shard, note  as factory.execution.leases.Lease takes them
-    Raises       InputError, Unreachable
+    shard, note, job  as factory.execution.leases.Lease takes them
+    Raises            InputError, Unreachable
     """
     remote = ObjectFolder(url)
-    lease = Lease(remote, shard, note)
+    lease = Lease(remote, shard, note, job)
     with contextlib.ExitStack() as stack:
         stack.callback(lease.release)
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="brdfactory-"))
-        uploads = Uploads(remote, Path(scratch))
         try:
-            yield uploads
+            uploads = Uploads(remote, Path(scratch))
+            try:
+                yield uploads
+            finally:
+                uploads.finish()
         except InputError as problem:
-            uploads.finish()
-            where = problem.where.replace(scratch, uploads.remote.url)
+            where = problem.where.replace(scratch, remote.url)
             raise InputError(where, problem.expected, problem.found, problem.remedy) from None
-        except BaseException:
-            uploads.finish()
-            raise
-        uploads.finish()
 
 
 class Uploads:
@@ -129,6 +128,7 @@ class Uploads:
             self._hashes[name] = hashlib.sha256(data).hexdigest()
             if name.endswith(".jsonl"):
                 self._offsets[path] = len(data)
+        require_no_strangers(Store(self.folder))  # before lines are read as records
         for kind in LINES:
             ids, hashes = Store(self.folder).known(kind)
             self._ids[kind] = ids

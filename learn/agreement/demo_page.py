@@ -16,6 +16,7 @@ from learn.agreement import uncertainty
 from learn.figures.html import image, page, paragraph, table
 from manifests.errors import InputError
 from manifests.files import write_text
+from manifests.outputs import try_file
 from manifests.provenance import in_one_line
 
 COLUMNS = {
@@ -229,6 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         sheets = (*options.sheet, *options.prediction, *options.edit)
+        try_file(options.out)
         absent = [picture for picture in sheets if not picture.is_file()]
         if absent:
             raise InputError(

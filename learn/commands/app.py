@@ -63,7 +63,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     options.add_weights(parser)
     options.add_device(parser)
     options.add_overwrite(parser)
-    parser.set_defaults(run=run, continues=False)
+    parser.set_defaults(run=run, continues=False, result_folders=("out",))
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -96,7 +96,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     options.add_ray(parser)
     options.add_allow_overlap(parser)
     options.add_device(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, result_folders=("out", "jobs"))
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -42,7 +42,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help="the new weights; a file of that name is replaced",
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, result_files=("out",))
 
 
 def run(arguments: argparse.Namespace) -> int:

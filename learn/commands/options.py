@@ -29,6 +29,7 @@ def add_out(
 ) -> None:
     """Add --out DIR, the folder that the command writes into."""
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help=what)
+    parser.set_defaults(result_folders=("out",))
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:

@@ -80,7 +80,9 @@ def register(name: str) -> Callable[[argparse._SubParsersAction], None]:
             metavar="FILE",
             help=f"measure nothing, but write {PAGE} again beside this {REPORT}, and print it",
         )
-        parser.set_defaults(run=lambda arguments: run(experiment, arguments))
+        parser.set_defaults(
+            run=lambda arguments: run(experiment, arguments), result_folders=("out",)
+        )
 
     return add
 

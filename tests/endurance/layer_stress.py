@@ -13,6 +13,7 @@ anywhere. tests/learn/methods/test_stress.py runs a few of them.
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -21,6 +22,7 @@ import torch
 
 from learn import methods
 from learn.layer import render
+from manifests.provenance import provenance, shortened
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
 
@@ -110,6 +112,8 @@ def main():
     )
     parser.add_argument("--view-per-pixel", action="store_true")
     options = parser.parse_args()
+    words = " ".join(map(shortened, sys.argv[1:]))
+    made_by = provenance(f"PYTHONPATH=. python tests/endurance/layer_stress.py {words}")
     for method in options.method:
         start = time.perf_counter()
         wrong = not_finite(
@@ -121,7 +125,7 @@ def main():
         )
         name = f"{method}, view per pixel" if options.view_per_pixel else method
         result = json.loads(options.out.read_text()) if options.out.exists() else {}
-        result[name] = {
+        result[name] = made_by | {
             "samples": options.samples,
             "seed": options.seed,
             "tolerance": options.tolerance,

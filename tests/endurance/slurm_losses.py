@@ -18,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from manifests.provenance import provenance, shortened
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.kill_and_resume import compared, recorded
@@ -100,6 +101,8 @@ def main():
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     out, job = options.out.resolve(), options.job.resolve()
+    words = " ".join(map(shortened, sys.argv[1:]))
+    made_by = provenance(f"PYTHONPATH=. python tests/endurance/slurm_losses.py {words}")
     out.mkdir(parents=True)
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     os.environ["PYTHON"] = sys.executable
@@ -109,7 +112,7 @@ def main():
         tempfile.TemporaryDirectory(prefix="slurm-") as folder,
         small_slurm.started(folder) as slurm,
     ):
-        report = {"slurm": small_slurm.said(slurm, "sbatch", "--version")}
+        report = made_by | {"slurm": small_slurm.said(slurm, "sbatch", "--version")}
         report["shots"] = recorded(out / "whole")
         for name, disturb in (("array", array_disturbed), ("ray", cluster_disturbed)):
             begun = time.monotonic()

@@ -373,6 +373,36 @@ def test_leases_of_parts_meet_where_their_shots_do(url, one, other, meet):
     assert remote.names(leases.FOLDER) == {}
 
 
+def test_a_part_of_another_job_waits_for_its_turn(url, stream, small_job):
+    """Each would write a dataset.json and a materials.json over the other's."""
+    other = msgspec.structs.replace(small_job, materials=("pink-felt",))
+    refused = []
+
+    def watch(event, value):
+        if event == "made" and not refused:
+            with pytest.raises(InputError, match="one in use") as problem:
+                stream(other, url, shard=(2, 2))
+            refused.append(problem)
+
+    stream(small_job, url, watch, shard=(1, 2))
+    stream(other, url, shard=(2, 2))
+    theirs = open_store(url, fresh=True)
+    assert refused and faults_of(theirs) == []
+    materials = theirs.dataset().materials
+    assert "pink-felt" in materials and len(materials) == 4
+
+
+def test_a_store_with_the_files_of_something_else_is_refused(url, render, small_job):
+    """As a folder is: nothing is overwritten."""
+    remote = object_store.ObjectFolder(url)
+    for name in ("materials.json", "records/own.jsonl"):
+        remote.write(name, b'{"a": 1}\n')
+        with pytest.raises(InputError, match=f"{name} of something else") as problem:
+            render(small_job, url)
+        assert problem.value.where == url and remote.read(name) == b'{"a": 1}\n'
+        remote.remove(name)
+
+
 def test_a_run_is_told_before_it_waits_for_a_claim(url, render, small_job):
     object_store.ObjectFolder(url).write(f"{leases.FOLDER}/killed.json", b"{}")
     seen = []

@@ -277,6 +277,8 @@ def test_pictures_are_scaled_for_lpips_as_its_package_scales_them():
     np.testing.assert_allclose(white, [1.03 / 0.458, 1.088 / 0.448, 1.188 / 0.450], rtol=1e-5)
 
 
+# the package names its network to torchvision as its earlier versions had it
+@pytest.mark.filterwarnings("ignore:.* deprecated since 0.13:UserWarning")
 def test_lpips_is_the_packages(rng):
     """With one set of drawn weights; the trained ones are the user's."""
     lpips = pytest.importorskip("lpips", reason="needs the package lpips, which brings torchvision")

@@ -224,9 +224,10 @@ def test_datasets_loads_the_hugging_face_layout(whole, tmp_path):
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # webdataset leaves its streams open
 def test_the_code_of_the_page_runs(root, whole, tmp_path, monkeypatch):
-    package("webdataset"), package("h5py")
+    package("webdataset"), package("h5py"), package("pyarrow")
     store = Store(whole())
     export(store, tmp_path / "demo-shards", "webdataset", each=2)
+    export(store, tmp_path / "demo-parquet", "parquet", each=3)
     export(store, tmp_path / "frames", "hdf5")
     (tmp_path / "frames" / "000000").rename(tmp_path / "output")
     monkeypatch.chdir(tmp_path)
@@ -236,6 +237,7 @@ def test_the_code_of_the_page_runs(root, whole, tmp_path, monkeypatch):
         exec(compile(block, "exporting.md", "exec"), names)
     assert names["sample"]["npz"]["radiance"].dtype == np.float16
     assert names["frame"].geometry.mask.any()
+    assert names["table"].num_rows == 8 and names["row"]["id"] in by_id(store)
     names.clear()
     gc.collect()
 

@@ -30,3 +30,14 @@ def test_a_clock_that_jumps_changes_neither_rate_nor_time_left(monkeypatch, by_h
     for line in shown:
         elapsed, left, rate = re.search(r"\[([^<]*)<([^,]*), *([\d.]+)it/s\]", line).groups()
         assert (elapsed, left) == ("00:00", "00:00") and 5 < float(rate) <= 110, line
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_log_file_is_not_filled_by_a_bar(monkeypatch, is_terminal):
+    out = io.StringIO()
+    out.isatty = lambda: is_terminal
+    monkeypatch.setattr("sys.stderr", out)
+    for _ in tqdm(range(30)):
+        time.sleep(0.02)
+    shown = out.getvalue().split("\r")[1:]
+    assert len(shown) > 3 if is_terminal else len(shown) == 2  # at its beginning and its end

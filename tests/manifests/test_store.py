@@ -48,6 +48,11 @@ def test_a_path_inside_is_given_back(tmp_path):
     assert inside(tmp_path, "images/ab/x.exr") == tmp_path / "images/ab/x.exr"
 
 
+def test_a_url_is_no_folder_and_its_message_says_what_to_do():
+    with pytest.raises(InputError, match=r"^s3://bucket/x: .*found a URL \(copy the data set"):
+        Store("s3://bucket/x").dataset()
+
+
 def test_a_file_that_the_disk_has_no_room_for_leaves_no_trace_and_keeps_the_old_one(
     tmp_path, small_files
 ):

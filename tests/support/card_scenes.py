@@ -5,11 +5,17 @@ import math
 import numpy as np
 import torch
 
+from learn import methods
 from shaders import envmap
 from shaders.frames import view_vectors
 
 UNIT = torch.nn.functional.normalize
 SIZE = (24, 48)
+
+
+def names_for_a_view_per_pixel():
+    """The methods that render perspective. test_cards.py sees the others refuse it."""
+    return [name for name in methods.NAMES if "orthographic" not in methods.load(name).CARD.needs]
 
 
 def sphere(size=14, dtype=torch.float32):

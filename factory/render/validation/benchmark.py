@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from manifests.outputs import try_file
 from manifests.provenance import provenance
 
 if TYPE_CHECKING:
@@ -305,6 +306,8 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--out", help="a JSON file to which the figures are also written")
     options = parser.parse_args(arguments)
+    if options.out:
+        try_file(options.out)
     result = {"figures": MEASURES[options.measure](options), **provenance()}
     text = json.dumps(result, indent=2, ensure_ascii=False)
     print(text)

@@ -9,6 +9,7 @@ from typing import Any
 
 from manifests.files import write_json, write_text
 from manifests.option_types import positive, whole
+from manifests.outputs import try_folder
 
 
 def parser(
@@ -59,7 +60,10 @@ def parse(given: argparse.ArgumentParser, out_required: bool = True) -> argparse
         metavar="DIR",
         help="of report.json and report.md",
     )
-    return given.parse_args()
+    options = given.parse_args()
+    if options.out is not None:
+        try_folder(options.out)  # before hours of rendering
+    return options
 
 
 def write_report(folder: Path, result: dict[str, Any], page: str | None) -> None:

@@ -13,6 +13,7 @@ from learn.engines import machine_code
 from learn.layer import render
 from learn.methods import directional, light_tables, planned, reflectance_map, split_sum
 from learn.methods.exact import texels
+from tests.support.card_scenes import names_for_a_view_per_pixel
 
 SAMPLED = {"monte_carlo", "monte_carlo_brdf"}
 CUT = {
@@ -149,7 +150,7 @@ def require_refusal(scene, method, constant):
 def cases():
     for name in methods.NAMES:
         for perspective in (False, True):
-            if perspective and "orthographic" in methods.load(name).CARD.needs:
+            if perspective and name not in names_for_a_view_per_pixel():
                 continue
             yield name, perspective, "broad", frozenset()
             if name == "quadrature":

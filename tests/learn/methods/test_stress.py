@@ -4,13 +4,20 @@ import pytest
 
 from learn import methods
 from tests.endurance.layer_stress import not_finite
+from tests.support.card_scenes import names_for_a_view_per_pixel
+
+CASES = [
+    *((name, False) for name in methods.NAMES),
+    *((name, True) for name in names_for_a_view_per_pixel()),
+]
 
 
-@pytest.mark.parametrize("view_per_pixel", [False, True], ids=["distant", "view per pixel"])
-@pytest.mark.parametrize("name", methods.NAMES)
+@pytest.mark.parametrize(
+    "name, view_per_pixel",
+    CASES,
+    ids=[f"{name}-{'view per pixel' if per_pixel else 'distant'}" for name, per_pixel in CASES],
+)
 def test_adversarial_pixels_have_finite_values_and_derivatives(name, view_per_pixel):
-    if view_per_pixel and "orthographic" in methods.load(name).CARD.needs:
-        pytest.skip("needs an orthographic camera")
     tolerance = 1e-1 if name.startswith("monte_carlo") else 1e-2  # 32 samples instead of 512
     assert (
         not_finite(
