@@ -26,7 +26,7 @@ from typing import Any
 import msgspec
 
 from factory.execution.leases import Lease
-from factory.execution.registration import require_no_strangers
+from factory.execution.registration import require_no_foreign_files
 from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
@@ -128,7 +128,7 @@ class Uploads:
             self._hashes[name] = hashlib.sha256(data).hexdigest()
             if name.endswith(".jsonl"):
                 self._offsets[path] = len(data)
-        require_no_strangers(Store(self.folder))  # before lines are read as records
+        require_no_foreign_files(Store(self.folder))  # before lines are read as records
         for kind in LINES:
             ids, hashes = Store(self.folder).known(kind)
             self._ids[kind] = ids

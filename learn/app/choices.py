@@ -219,4 +219,4 @@ def light_of_file(path: Path) -> LightChoice:
             other, "a light map FILE.exr, twice as wide as high", "another file", "convert it"
         )
 
-    return LightChoice(path.name, 0.0, desired_light.light_of(str(path), refuse))
+    return LightChoice(path.name, 0.0, desired_light.resolve_light(str(path), refuse))

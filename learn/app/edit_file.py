@@ -137,7 +137,7 @@ def read(path: Path) -> Edit:
             label = material_file.require_label(label, path)
             return Chosen(entry.text, label, named=False, read=entry.read)
         if material_expression.is_expression(entry.text):
-            label = np.asarray(material_expression.fitted(entry.text).label, np.float32)
+            label = np.asarray(material_expression.fit_expression(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))
         return catalogue_material(entry.text)
 
