@@ -548,6 +548,9 @@ REPORTS = {
     "relighting-general-compact": "relighting",
     "ladder-two-encoders": "compare-weights",
     "evaluation-regions-fine-tuned": "compare-weights",
+    "room-photographs-others": "room-photographs",
+    "room-photographs-two-encoders": "room-photographs",
+    "room-photographs-unrefined": "room-photographs",
 }
 NOT_PUBLISHED = {
     "compare-weights",  # its reports are named by what they compare
