@@ -568,7 +568,9 @@ def test_a_published_page_is_what_its_report_says(name, root):
 
 
 @pytest.mark.parametrize("program", [learn.__main__, learn.experiments.__main__])
-def test_memory_is_kept_when_a_command_runs_and_not_for_help(program, monkeypatch, capsys):
+def test_memory_is_kept_when_a_command_runs_and_not_for_help(
+    program, monkeypatch, capsys, tmp_path
+):
     made = []
     monkeypatch.setattr(allocator, "keep_freed", lambda: made.append(1))
     name = program.__name__.removesuffix(".__main__")
@@ -578,7 +580,7 @@ def test_memory_is_kept_when_a_command_runs_and_not_for_help(program, monkeypatc
     assert not made
     words = ["evaluate-network", "none", "--data", "none", "--out", "none"]
     if program is learn.experiments.__main__:
-        words = ["exposure", "--data", "none", "--out", str(Path(__file__))]
+        words = ["exposure", "--data", "none", "--out", str(tmp_path / "out")]
     assert main(name, "", program.COMMANDS, words, prepare=program.prepare) == 1
     assert made == [1]
     capsys.readouterr()

@@ -126,7 +126,7 @@ def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(
         copies=(),
     )
     monkeypatch.setattr(
-        making.sources, "data_splits", lambda data, *_: asked.append(data) or {"train": train}
+        making.sources, "load_data_splits", lambda data, *_: asked.append(data) or {"train": train}
     )
     making.make("lombardi", None, options)
     assert asked == [Data(validation_lights=("sky",), test_lights=("room",))]

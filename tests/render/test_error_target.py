@@ -91,7 +91,7 @@ def stage_of(monkeypatch, noise):
         samples, estimator, traced, predicted = 8, "ratio", "full", 1.0
         estimated, radiance = Estimate(1.0, 0.1), np.ones((2, 2, 3))
 
-    monkeypatch.setattr(error_target.choice, "picture", lambda *_: Picture())
+    monkeypatch.setattr(error_target.choice, "render_within_error", lambda *_: Picture())
     monkeypatch.setattr(
         error_target,
         "compared",
