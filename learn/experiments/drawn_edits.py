@@ -91,7 +91,7 @@ def refined_row(
 ) -> dict[str, Any]:
     """Return a scene's names, and {FIGURES: value} of "predicted" and "refined" on a rung.
 
-    bench       of learn.evaluation.ladder
+    bench       of learn.evaluation.ladder_bench
     true_light  whether the true light takes the place of the predicted one; settings say whether it
                 may move
     """

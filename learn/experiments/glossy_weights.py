@@ -114,7 +114,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names and {FIGURES: value}.
 
-    bench  of learn.evaluation.ladder
+    bench  of learn.evaluation.ladder_bench
     """
     from learn.editing.decomposition import require_parts
     from learn.evaluation import ladder_bench

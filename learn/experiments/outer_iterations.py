@@ -70,7 +70,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 def row_of(bench: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:
     """Return the row of a scene on a rung, as of `drawn_edits.refined_row`.
 
-    bench   of learn.evaluation.ladder
+    bench   of learn.evaluation.ladder_bench
     number  of outer iterations
     """
     from dataclasses import replace

@@ -157,7 +157,7 @@ def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
 def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict[str, Any]:
     """Return a row as of `drawn_edits.refined_row`, and the picture's material.
 
-    bench   of learn.evaluation.ladder
+    bench   of learn.evaluation.ladder_bench
     """
     from dataclasses import replace
 
@@ -177,7 +177,7 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
 
     "true" are those of the true parts, "predicted" those of the predicted ones.
 
-    bench   of learn.evaluation.ladder
+    bench   of learn.evaluation.ladder_bench
     """
     from learn.data.devices import to_numpy
     from learn.editing.decomposition import Parts, require_parts
