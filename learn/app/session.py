@@ -319,12 +319,15 @@ class Session:
     def decompose(self, refine: bool = True, goes_on: bool = False) -> Iterator[Progress]:
         """Decompose the photograph and yield the progress.
 
+        An earlier decomposition that still goes on is stopped: it may be of another mask.
+
         goes_on  whether the edit stays as it is, where the regions are as many as before
-        Raises  InputError; Stopped
+        Raises   InputError; Stopped
         """
         opened, selection = self.marked(), self.opened()
         soft_mask, _ = self._soft_mask(selection.labels())
         by_hand = bool(selection.marks) or selection.given is not self._example_mask
+        self.stop.set()
         self.stop = stop = threading.Event()
         self.number += 1
         decomposed = yield from background_decomposition.decompose(

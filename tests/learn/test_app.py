@@ -959,6 +959,22 @@ def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None
     assert session.viewer is None and session.marked().count == 1
 
 
+def test_a_refinement_does_not_replace_a_later_decomposition(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.click(45 * session.scale, 40 * session.scale, 1)
+    improving = session.decompose(refine=True, goes_on=True)
+    next(improving)
+    session.click(60 * session.scale, 40 * session.scale, 2)
+    decompose(session, refine=False)  # of the mask as it is now
+    later = session.viewer
+    with pytest.raises(Stopped):
+        list(improving)
+    assert session.viewer is later and not session.refined
+
+
 def test_a_transparent_photograph_has_its_mask(sessions: Sessions, tmp_path: Path) -> None:
     path = tmp_path / "cut.png"
     alpha = np.where(disk(), 255, 0).astype(np.uint8)
