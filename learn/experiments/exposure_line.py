@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from learn.experiments.photographed_fit import Edits
 
 LINES = ("with background", "cut out")
-IN_USE, TRUE = "in use", "the true exposure"
+ALL, INTERVALS, IN_USE, TRUE = "all", "intervals", "in use", "the true exposure"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,19 +59,21 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     slopes {"constant", "again", "background"}; "intervals" of those of all: [mean, low, high]
     set    {"name", "judged": whether nothing was fitted to it, "edits", "photographs",
            "unchanged": L2, line: {rule: {"brightness", "off", "l2": [mean, low, high]}}}
-    Raises InputError for a report of another command
+    Raises InputError for a report of another command, and for sets whose names cannot be told from
+    each other or from those of the rules
     """
     import numpy as np
 
     from learn.experiments import photographed_fit
     from learn.metrics import bootstrap
 
+    _require_names([name for name, _ in (*arguments.fit, *arguments.judge)])
     fit = {name: read_edits(path) for name, path in arguments.fit}
     judge = {name: read_edits(path) for name, path in arguments.judge}
     report: runner.Report = {"fitted": {}, "sets": []}
     stops: dict[str, dict[str, Any]] = {}
     for line in LINES:
-        of = {"all": _fitted(line, list(fit.values()))}
+        of = {ALL: _fitted(line, list(fit.values()))}
         of |= {name: _fitted(line, [edits]) for name, edits in fit.items()}
         report["fitted"][line] = {rule: _as_json(slopes) for rule, slopes in of.items()}
         stops[line] = of
@@ -82,14 +84,24 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
             for k in range(min(map(len, drawn)))
         ]
         low, high = np.percentile(several, bootstrap.LEVELS, axis=0)
-        intervals = zip(stops[line]["all"], low, high, strict=True)
+        intervals = zip(stops[line][ALL], low, high, strict=True)
         names = ("constant", "object", "again", "background", "narrow")
-        report["fitted"][line]["intervals"] = {
+        report["fitted"][line][INTERVALS] = {
             name: [float(x) for x in of] for name, of in zip(names, intervals, strict=True)
         }
     for name, edits in (fit | judge).items():
         report["sets"].append(_judged(name, edits, name in judge, stops))
     return report
+
+
+def _require_names(names: Sequence[str]) -> None:
+    from manifests.errors import InputError
+
+    reserved = {ALL, INTERVALS, IN_USE, TRUE}
+    wrong = [name for k, name in enumerate(names) if name in reserved or name in names[:k]]
+    if wrong:
+        rule = f"sets of different names, none of them {', '.join(sorted(reserved))}"
+        raise InputError("--fit and --judge", rule, wrong[0], "name it otherwise")
 
 
 def read_edits(path: Path) -> Edits:
@@ -193,11 +205,11 @@ def tables(report: runner.Report) -> str:
         of = report["fitted"][line]
         result.append(f"## {line.capitalize()}\n")
         lines: list[list[object]] = []
-        for rule in ("all", *fitted):
+        for rule in (ALL, *fitted):
             lines.append([rule, *(f"{of[rule][key]:+.2f}" for key in of[rule])])
-        within = [of["intervals"][key] for key in of["all"]]
+        within = [of[INTERVALS][key] for key in of[ALL]]
         lines.append(["all, intervals", *(runner.interval(each, 2) for each in within)])
-        result.append(runner.table(["fitted to", *of["all"]], lines))
+        result.append(runner.table(["fitted to", *of[ALL]], lines))
         head = ["set", "edits", "exposed by", "brightness", "off by", "L2"]
         lines = []
         for each in sets:

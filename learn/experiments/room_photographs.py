@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import msgspec
 
@@ -41,7 +41,7 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     category: str
     place: str
     seed: int
-    materials: tuple[str, ...]
+    materials: Annotated[tuple[str, ...], msgspec.Meta(min_length=2)]
     azimuth_deg: float
     elevation_deg: float
     distance: float

@@ -9,12 +9,17 @@ import pytest
 
 from learn.data.records import Records
 from learn.editing import brightness, exposure
-from learn.experiments import photographed_edits, photographed_fit, photographing
+from learn.experiments import (
+    photographed_edits,
+    photographed_fit,
+    photographing,
+    room_photographs,
+)
 from learn.experiments.photographed_fit import TERMS, Edits
 from manifests.errors import InputError
 from shaders import envmap, tone
 from shaders.frames import ELEVATION
-from tests.support import ladder_rungs
+from tests.support import ladder_rungs, room_scenes
 
 
 def test_a_frame_is_exposed_for_its_middle() -> None:
@@ -180,3 +185,13 @@ def test_a_data_set_without_two_materials_of_a_scene_is_refused(tmp_path) -> Non
     records.records[:] = [r for r in records.records if r.materials == first]
     with pytest.raises(InputError, match="two materials"):
         photographed_edits.cases_of(records, 9, 0)
+
+
+def test_a_scene_in_a_room_has_a_material_to_edit_and_another_one_to_edit_into(tmp_path):
+    room_scenes.written(tmp_path)
+    place = tmp_path / "0000"
+    scene = json.loads((place / "scene.json").read_text())
+    assert len(room_photographs.cases_of(tmp_path)) == len(scene["materials"]) == 2
+    (place / "scene.json").write_text(json.dumps(scene | {"materials": ["white-marble"]}))
+    with pytest.raises(InputError, match=r"scene\.json"):
+        room_photographs.cases_of(tmp_path)
