@@ -65,3 +65,28 @@ def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
     monkeypatch.setattr(interiors, "draw", lambda seed: walled)
     assert not objects_in_rooms.rendered(plan, tmp_path / "a", size=16, samples=1)
     assert not (tmp_path / "a").exists()
+
+
+def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
+    tmp_path, monkeypatch, capsys
+):
+    places = []
+
+    def rendered(plan, folder, size):
+        places.append(folder.name)
+        return folder.name != "0001"
+
+    monkeypatch.setattr(objects_in_rooms, "rendered", rendered)
+    monkeypatch.setattr("sys.argv", ["rooms", "--scenes", "3", "--out", str(tmp_path / "out")])
+    objects_in_rooms.main()
+    assert places == ["0000", *["0001"] * objects_in_rooms.PLACES, "0002"]
+    (line,) = [each for each in capsys.readouterr().err.splitlines() if "left out" in each]
+    assert str(tmp_path / "out" / "0001") in line
+
+
+def test_a_place_that_cannot_be_written_is_a_wrong_option(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr("sys.argv", ["rooms", "--out", str(tmp_path / "file" / "new")])
+    with pytest.raises(SystemExit, match="2"):
+        objects_in_rooms.main()
+    assert "found a file (check the path)" in capsys.readouterr().err.splitlines()[-1]

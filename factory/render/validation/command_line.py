@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from manifests.errors import InputError, of_system
 from manifests.files import write_json, write_text
 from manifests.option_types import positive, whole
 from manifests.outputs import try_folder
@@ -51,18 +52,30 @@ def parser(
     return result
 
 
-def parse(given: argparse.ArgumentParser, out_required: bool = True) -> argparse.Namespace:
-    """Add --out, the folder of the report, and return the options of the command line."""
+def parse(
+    given: argparse.ArgumentParser,
+    out_required: bool = True,
+    what: str = "of report.json and report.md",
+) -> argparse.Namespace:
+    """Add --out, the folder of the results, and return the options of the command line.
+
+    what  help of --out. A folder that cannot be written ends the program as a wrong option does
+    """
     given.add_argument(
         "--out",
         type=Path,
         required=out_required,
         metavar="DIR",
-        help="of report.json and report.md",
+        help=what,
     )
     options = given.parse_args()
     if options.out is not None:
-        try_folder(options.out)  # before hours of rendering
+        try:
+            try_folder(options.out)  # before hours of rendering
+        except InputError as problem:
+            given.error(str(problem))
+        except OSError as error:
+            given.error(str(of_system(error) or error))
     return options
 
 

@@ -45,6 +45,7 @@ from factory.shapes.mesh import Mesh
 from manifests import exr
 from manifests.files import write_image, write_json
 from manifests.materials import load_catalogue
+from manifests.notices import notice
 from manifests.progress import tqdm
 from shaders import envmap, nodes
 from shaders.tone import LUMINANCE
@@ -231,11 +232,11 @@ def _is_free(
 
 
 def main() -> None:
-    """Render the scenes that are missing."""
+    """Render the scenes that are missing; say which have no free view in any place."""
     parser = command_line.parser(
         __doc__, "scenes", 36, seed=41, size=SIZE, reference=None, meshes=True
     )
-    options = command_line.parse(parser)
+    options = command_line.parse(parser, what="of the scenes' folders")
     meshes = meshes_of(options.meshes)
     for number in tqdm(range(options.scenes), unit="scene"):
         folder = options.out / f"{number:04d}"
@@ -244,6 +245,8 @@ def main() -> None:
         for attempt in range(PLACES):
             if rendered(planned(number, attempt, options.seed, meshes), folder, options.size):
                 break
+        else:
+            notice(f"{folder}: left out, because no place of {PLACES} has a free view")
 
 
 if __name__ == "__main__":
