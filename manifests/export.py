@@ -52,6 +52,7 @@ def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) 
         raise InputError(
             store.folder, "records to export", "none", "render some, or choose another --split"
         )
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file, contextlib.ExitStack() as opened:
         schema = pyarrow.schema(list(_columns(Record)))
         writer = opened.enter_context(pyarrow.parquet.ParquetWriter(file, schema))

@@ -150,8 +150,9 @@ def test_the_table_s_columns_do_not_depend_on_the_first_record(
         a_record("f" * 24, accuracy=accuracy, camera=Camera(size=(8, 8), fov_deg=30.0))
     )  # the last by its id
     lines.close()
-    assert to_parquet(a_dataset, tmp_path / "records.parquet") == 4
-    table = parquet.read_table(tmp_path / "records.parquet")
+    # a folder that is missing is made, as for other results
+    assert to_parquet(a_dataset, tmp_path / "a" / "b" / "records.parquet") == 4
+    table = parquet.read_table(tmp_path / "a" / "b" / "records.parquet")
     rows = table.to_pylist()
     assert [row["accuracy.requested"] for row in rows] == [None, None, None, 5.0]
     assert [row["accuracy.estimator"] for row in rows] == [None, None, None, "denoised"]

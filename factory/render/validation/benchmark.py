@@ -314,6 +314,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.out:
         from manifests.files import write_text
 
+        Path(options.out).parent.mkdir(parents=True, exist_ok=True)
         write_text(options.out, text + "\n")
     return 0
 
