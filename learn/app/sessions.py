@@ -2,9 +2,10 @@
 
 A user is one open page, by the random name that the page has. A page that is loaded again has a
 new name; it shows the secret key of its session, which the browser keeps for this tab alone, and
-has the session back. A session ends, and its files are
-deleted, some seconds after the page is closed, after IDLE_SECONDS without a request, when
-MOST_SESSIONS newer ones are open, or when the server ends.
+has the session back.
+
+A session ends, and its files are deleted, some seconds after the page is closed, after IDLE_SECONDS
+without a request, when MOST_SESSIONS newer ones are open, or when the server ends.
 """
 
 import secrets

@@ -2,9 +2,9 @@
 
 
 def prepare() -> None:
-    """Keep freed memory for the next step, and linear algebra on one thread.
+    """Make the process keep freed memory for reuse, and run linear algebra on one thread.
 
-    It is called before a command runs, not for --help.
+    Called before a command runs, but not for --help.
     """
     from manifests.allocator import keep_freed
     from manifests.other_threads import use_one_blas_thread

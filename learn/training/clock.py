@@ -43,7 +43,7 @@ class Clock:
             self.used, self.passed = times.tolist()
 
     def share(self) -> float:
-        """Return how much of the time that the run may take is over; 0 where only steps count."""
+        """Return the share of the run's time limit that is used up; 0 without such a limit."""
         return max(
             0.0 if limit is None else spent / limit
             for spent, limit in zip((self.used, self.passed), self.limits, strict=True)

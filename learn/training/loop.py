@@ -118,7 +118,7 @@ class Training:
             )
 
     def train(self) -> dict[str, float]:
-        """Make all steps that are left; return the last validation's figures."""
+        """Make the remaining steps; return the figures of the last validation."""
         run, last = self.run, time.monotonic()
         self.clock.start()
         figures: dict[str, float] = {}

@@ -54,12 +54,12 @@ def validate(
 
 
 def is_finite(prediction: Any) -> bool:
-    """Return whether all parts of a Prediction that are there are finite."""
+    """Return whether all parts that a Prediction has are finite."""
     return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
 
 
 def saturation(prediction: Prediction) -> dict[str, float]:
-    """Return shares of outputs that no longer learn: codes at the ends of tanh, dark texels."""
+    """Return shares of outputs that have stopped learning: codes saturated in tanh, dark texels."""
     result = {}
     if prediction.code is not None:
         result["saturated"] = (prediction.code.detach().abs() > 0.99).float().mean().item()
