@@ -106,8 +106,14 @@ SCRIPT = """
 
 # The key of the page's session, by which a page that is loaded again goes on. The browser keeps it
 # for this tab, and shows it to no other page; in the address it would be passed on with a link.
-RECALL_KEY = "() => [sessionStorage.getItem('brdfactory-session') || '']"
-KEEP_KEY = "key => {sessionStorage.setItem('brdfactory-session', key)}"
+# A browser that may keep nothing throws an error at it; the page then works, but for being loaded
+# again.
+RECALL_KEY = """() => {
+  try { return [sessionStorage.getItem('brdfactory-session') || ''] } catch { return [''] }
+}"""
+KEEP_KEY = """key => {
+  try { sessionStorage.setItem('brdfactory-session', key) } catch {}
+}"""
 
 
 def serve(

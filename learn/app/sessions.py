@@ -37,7 +37,7 @@ class Sessions:
              belongs to one page: the one that it had is told that what it shows is lost
         """
         with self._lock:
-            shown = key.encode()
+            shown = key.encode(errors="replace")
             for old, session in self._sessions.items():
                 if secrets.compare_digest(session.key.encode(), shown):
                     del self._sessions[old]

@@ -877,7 +877,7 @@ def test_a_page_that_is_loaded_again_has_its_session_back_by_its_key_alone(
     time.sleep(0.5)
     assert sessions.of("again") is first and first.folder.exists()
     # neither no key, nor a part of one, nor the old page's name brings a session back
-    for number, key in enumerate(("", first.key[:-1], first.key + "x", "ü")):
+    for number, key in enumerate(("", first.key[:-1], first.key + "x", "ü", "\ud800")):
         assert sessions.begin(f"new {number}", key) not in (first, other)
     assert sessions.of("first") is not first and sessions.of("first").is_lost
     assert sessions.of("again") is first and sessions.of("other") is other

@@ -4,6 +4,8 @@ import gc
 import io
 import json
 import shlex
+import shutil
+import subprocess
 import time
 import urllib.error
 import urllib.request
@@ -78,7 +80,7 @@ class Walk:
         return self.window.run(f"return document.querySelector({selector!r}).innerText")
 
     def wait_for(self, selector: str, part: str) -> None:
-        self.window.wait(f"document.querySelector({selector!r}).innerText.includes({part!r})")
+        self.window.wait(f"document.querySelector({selector!r})?.innerText.includes({part!r})")
 
     def point(self, point: tuple[int, int]) -> None:
         """Click on a point of the photograph, in its pixels."""
@@ -610,3 +612,22 @@ def test_nothing_outside_this_computer_is_asked_for(served):
         asked = window.run("return performance.getEntriesByType('resource').map(e => e.name)")
     assert asked
     assert not [name for name in asked if not name.startswith((served, "data:", "blob:"))]
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+@pytest.mark.parametrize(
+    ("storage", "expected"),
+    [
+        ("{value: {getItem: name => kept[name], setItem(name, key) {kept[name] = key}}}", "k"),
+        ("{get() {throw new Error('The operation is insecure.')}}", ""),
+    ],
+)
+def test_a_browser_that_may_keep_nothing_opens_the_page_all_the_same(storage, expected):
+    from learn.app.page import KEEP_KEY, RECALL_KEY
+
+    script = (
+        f"const kept = {{}}; Object.defineProperty(globalThis, 'sessionStorage', {storage});"
+        f"({KEEP_KEY})('k'); console.log(JSON.stringify(({RECALL_KEY})()))"
+    )
+    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == [expected]
