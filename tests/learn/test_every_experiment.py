@@ -4,7 +4,6 @@ import importlib.util
 import json
 import math
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
