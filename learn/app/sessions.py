@@ -34,7 +34,7 @@ class Sessions:
         """Return the session of a page that was opened just now.
 
         key  of the session that the page had before it was loaded again; "": none. A session
-             belongs to one page: the one that it had is told that what it shows is lost
+             belongs to one page: its earlier page then says that what it shows is lost
         """
         with self._lock:
             shown = key.encode(errors="replace")

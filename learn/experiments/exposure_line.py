@@ -59,8 +59,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     slopes {"constant", "again", "background"}; "intervals" of those of all: [mean, low, high]
     set    {"name", "judged": whether nothing was fitted to it, "edits", "photographs",
            "unchanged": L2, line: {rule: {"brightness", "off", "l2": [mean, low, high]}}}
-    Raises InputError for a report of another command, and for sets whose names cannot be told from
-    each other or from those of the rules
+    Raises InputError for a report of another command, and for sets that are named like each other
+    or like a rule
     """
     import numpy as np
 
@@ -85,9 +85,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         ]
         low, high = np.percentile(several, bootstrap.LEVELS, axis=0)
         intervals = zip(stops[line][ALL], low, high, strict=True)
-        names = ("constant", "object", "again", "background", "narrow")
         report["fitted"][line][INTERVALS] = {
-            name: [float(x) for x in of] for name, of in zip(names, intervals, strict=True)
+            term: [float(x) for x in of]
+            for term, of in zip(photographed_fit.TERMS, intervals, strict=True)
         }
     for name, edits in (fit | judge).items():
         report["sets"].append(_judged(name, edits, name in judge, stops))
@@ -135,12 +135,12 @@ def _fitted(
 
     columns = [fit.TERMS.index(term) for term in _terms(line)]
     each = [np.ones(len(edits.rows)) for edits in sets] if weights is None else weights
-    scale = np.sqrt(np.concatenate([of / max(of.sum(), 1e-9) for of in each]))
+    alike = np.concatenate([of / max(of.sum(), 1e-9) for of in each])
     cues = np.concatenate([edits.cues[:, columns] for edits in sets])
     # mirror-like targets are darkened as the program does it
     rest = np.concatenate([edits.right - brightness.STOPS * edits.cues[:, 4] for edits in sets])
     slopes = np.zeros(len(fit.TERMS))
-    slopes[columns] = np.linalg.lstsq(cues * scale[:, None], rest * scale, rcond=None)[0]
+    slopes[columns] = fit.least_squares(cues, rest, alike)
     slopes[4] = brightness.STOPS
     return slopes
 

@@ -111,14 +111,15 @@ def fitted(edits: Edits, terms: Sequence[str], weights: np.ndarray | None = None
     rest = edits.right
     if "narrow" in terms:
         straight = edits.cues[:, [0, 4]]
-        slopes[4] = _least_squares(straight, edits.right - edits.true, weights)[1]
+        slopes[4] = least_squares(straight, edits.right - edits.true, weights)[1]
         rest = rest - slopes[4] * edits.cues[:, 4]
     columns = [TERMS.index(term) for term in terms if term != "narrow"]
-    slopes[columns] = _least_squares(edits.cues[:, columns], rest, weights)
+    slopes[columns] = least_squares(edits.cues[:, columns], rest, weights)
     return slopes
 
 
-def _least_squares(columns: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def least_squares(columns: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return slopes (T,) of columns (E, T) by which they are nearest to values (E,), weighted."""
     scale = np.sqrt(weights)
     return np.linalg.lstsq(columns * scale[:, None], values * scale, rcond=None)[0]
 

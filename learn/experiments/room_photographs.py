@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
+    from learn.evaluation import overlap
     from learn.experiments.photographing import Photographed
     from learn.refinement import RefinementSettings
+    from manifests.materials import Material
 
 ON_RAY = True
 SHOWN = 8  # edits of the sheet, of as many scenes
@@ -38,6 +40,7 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     """A scene.json of factory.render.validation.objects_in_rooms, which describes its keys."""
 
     shape: str
+    shape_hash: str
     category: str
     place: str
     seed: int
@@ -92,6 +95,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     import torch
 
+    from learn.evaluation import overlap
     from learn.networks import weights as checkpoint
     from learn.refinement import PHOTOGRAPHS
     from manifests import outputs
@@ -100,7 +104,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     torch.set_num_threads(1)
     cases = cases_of(arguments.data, arguments.scenes, arguments.after)
     settings = None if arguments.no_refine else PHOTOGRAPHS
+    seen = overlap.sentences([arguments.weights], tested(cases), arguments.data, True)
     about = {
+        # a larger --scenes keeps the first one
+        "data": file_hash(cases[0].folder / "scene.json"),
         "weights": file_hash(arguments.weights),
         "refinement": None if settings is None else asdict(settings),
     }
@@ -114,10 +121,27 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "photograph",
     )
     write_sheet(arguments.out, cases, network, metadata["size"], settings)
-    report: runner.Report = {"rows": rows, "weights": arguments.weights.name, "seen": []}
+    report: runner.Report = {"rows": rows, "weights": arguments.weights.name, "seen": seen}
     if arguments.beside:
         report["beside"] = compared(report, arguments.beside)
     return report
+
+
+def tested(cases: Sequence[Case]) -> overlap.Tested:
+    """Return the shapes and materials that photographs show, as learn.evaluation.overlap has them.
+
+    Their places are drawn for them alone, and no weights were trained on their light.
+    """
+    from learn.data.seen import DIGITS, label_hash
+    from manifests.materials import find
+
+    scenes = [case.scene for case in cases]
+    names = sorted({name for scene in scenes for name in scene.materials})
+    return {
+        "shapes": {scene.shape_hash[:DIGITS]: scene.shape for scene in scenes},
+        "materials": {label_hash(_label(find(name))): name for name in names},
+        "lights": {},
+    }
 
 
 def compared(report: runner.Report, path: Path) -> dict[str, Any]:
@@ -248,13 +272,18 @@ def _photograph(case: Case) -> Photographed:
 
 
 def _truth(case: Case, target: str) -> photographed_edits.Truth:
-    import numpy as np
-
     from manifests.materials import find
 
     material = find(target)
-    label = material.label.reshape(-1).astype(np.float32)
-    return photographed_edits.Truth(target, material.family, label, _frame(case, target))
+    frame = _frame(case, target)
+    return photographed_edits.Truth(target, material.family, _label(material), frame)
+
+
+def _label(material: Material) -> np.ndarray:
+    """Return a material's label (108,) float32 as data sets hold it."""
+    import numpy as np
+
+    return material.label.reshape(-1).astype(np.float32)
 
 
 def _frame(case: Case, material: str) -> np.ndarray:

@@ -24,6 +24,7 @@ def written(folder, size=64, scenes=1):
         Image.fromarray((255 * inside).astype(np.uint8)).save(place / "mask.png")
         scene = {
             "shape": "sphere",
+            "shape_hash": "5" * 64,
             "category": "sphere",
             "place": "room",
             "seed": number,

@@ -14,8 +14,8 @@ continues.
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
-  scene.json    shape, category, place ("room" or "sky"), seed of the place, materials, and the
-                camera: azimuth and elevation in degrees, distance in metres
+  scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place, materials,
+                and the camera: azimuth and elevation in degrees, distance in metres
 
 Shapes take turns: the program's families for development, families that no training has, and files
 of FOLDER. The camera looks at the object from where nothing stands between them.
@@ -67,7 +67,7 @@ OWN_FAMILIES, HELD_OUT_FAMILIES = (
 )
 OWN = tuple(f"{family}:{1000 + k}" for k in range(SEEDS) for family in OWN_FAMILIES)
 HELD_OUT = tuple(f"{family}:{k}" for k in range(SEEDS) for family in HELD_OUT_FAMILIES)
-# those of docs/jobs/photographed-edits, none of which the committed weights were trained on
+# those of docs/jobs/photographed-edits; the committed weights were trained on ten of the twelve
 MATERIALS = (
     "chrome-steel", "aluminium", "nickel", "silver-paint", "blue-metallic-paint2",
     "yellow-phenolic", "blue-acrylic", "acrylic_felt_yellow", "light-brown-fabric",
@@ -133,7 +133,6 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
     """Write a scene into a folder; return False, and write nothing, where no view is free."""
     mesh = load_shape(plan.shape)
     place = with_table(plan, mesh)
-    light = panorama.render(place, plan.place % 1000)
     stage, _ = panorama.build(place, FRAME)
     for path in ("render.resolution_x", "render.resolution_y"):
         assign(stage, path, size)
@@ -146,19 +145,23 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         return False
     camera.matrix_world = _looking(_direction(azimuth, plan.elevation) * distance)
     stage.view_layers[0].use_pass_object_index = True
-    mean = float(envmap.mean_radiance(light) @ LUMINANCE)
-    folder.mkdir(parents=True, exist_ok=True)
-    catalogue = load_catalogue()
+    catalogue, frames = load_catalogue(), {}
     for number, name in enumerate(plan.materials):
         materials.show(surface, materials.build(nodes.graph(catalogue[name].mixture)))
         apply(stage, (Setting("cycles.seed", number, "noise of its own"),))
         passes = render_result.render_passes(stage)
-        L = (passes["Combined"][..., :3] / mean).astype(np.float32)
+        frames[name] = passes["Combined"][..., :3]
+    light = panorama.render(place, plan.place % 1000)  # which empties Blender's scene
+    mean = float(envmap.mean_radiance(light) @ LUMINANCE)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, frame in frames.items():
+        L = (frame / mean).astype(np.float32)
         exr.write(folder / f"{name}.exr", {c: L[..., k] for k, c in enumerate("RGB")})
     mask = passes["IndexOB"][..., 0] > 0.5
     write_image(folder / "mask.png", 255 * mask.astype(np.uint8), "PNG")
     about = {
         "shape": Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape,
+        "shape_hash": mesh.hash,
         "category": mesh.category,
         "place": "room" if _has_ceiling(place) else "sky",
         "seed": plan.place,
