@@ -241,6 +241,7 @@ def _groups(edits: Edits, before: np.ndarray, now: np.ndarray) -> str:
     off = edits.brightness(in_use(edits))
     kinds: dict[str, Callable[[Mapping[str, Any]], str]] = {
         "shapes": lambda row: row["group"],
+        "photographs of": lambda row: row["source"],
         "edits into": lambda row: row["family"],
         "lights": lambda row: _kind_of_light(row["light"]),
     }
