@@ -35,6 +35,8 @@ VERSION = 1
 HASH_DIGITS = 16
 LARGEST_LABEL = 14.0  # log γ of the sharpest lobe that the layer is tested with is 11.5
 FOLDER = Path(__file__).parent
+# MERL's database is too dark: docs/materials.md has what this factor follows from
+CALIBRATIONS = {"MERL through Neural-BRDF": 2.7}
 BUILT_IN = (FOLDER / "materials.json", FOLDER / "materials-rgl.json")
 
 
@@ -146,6 +148,17 @@ class Material:
     def m(self) -> np.ndarray:
         """κ and γ control values (3, 3, 2, 6): exp(label), as shaders.dsbrdf takes them."""
         return np.exp(self.label)
+
+    @property
+    def calibration(self) -> float:
+        """How many times as much light the surface reflects as its source has measured."""
+        return CALIBRATIONS.get(self.source, 1.0)
+
+    @property
+    def calibrated_label(self) -> np.ndarray:
+        """The label (3, 3, 2, 6) of the surface itself: as measured, times `calibration`."""
+        factor = self.calibration
+        return self.label if factor == 1 else dsbrdf.scaled_label(self.label, factor)
 
 
 def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:

@@ -15,13 +15,14 @@ paper, κ ≥ 0.
 
 import numpy as np
 
-from shaders.arrays import Array, namespace
+from shaders.arrays import Array, like, namespace
 from shaders.spline import CONTROL_VALUES, basis
 
 SHAPE = (3, 3, 2, CONTROL_VALUES)
 SIZE = int(np.prod(SHAPE))  # 108
 # expm1(88.7) is the last finite float32; a BRDF of e^50 is far beyond any measured one
 MAX_EXPONENT = 50.0
+DARK = 1e-4  # κ below which expm1(κ) counts as κ
 
 
 def coefficients(m: Array, theta_d: Array) -> tuple[Array, Array]:
@@ -53,7 +54,7 @@ def evaluate(m: Array, cos_h: Array, theta_d: Array) -> Array:
     return xp.expm1(xp.clip(kappa * power, 0.0, MAX_EXPONENT)).sum(-1)
 
 
-def lobe_sharpness(kappa: Array, gamma: Array) -> Array:
+def lobe_sharpness(kappa: Array, gamma: Array | float) -> Array:
     """Return the exponent g of a lobe: it falls as c^g about its peak.
 
     For a lobe expm1(κ c^γ), g = γ κ / (1 − e^−κ). Near the peak the lobe is a Gaussian of the
@@ -62,6 +63,31 @@ def lobe_sharpness(kappa: Array, gamma: Array) -> Array:
     xp = namespace(kappa, gamma)
     steepening = xp.where(kappa > 1e-4, kappa / -xp.expm1(-xp.clip(kappa, 1e-4, None)), 1.0)
     return gamma * steepening
+
+
+def scaled_label(label: Array, factor: Array | float) -> Array:
+    """Return a label whose BRDF is `factor` times as large, in good approximation.
+
+    The height of each lobe is exact at each control value, and its sharpness stays. What lies
+    between is exact for matte lobes; for the measured materials times 2.7 the relative L1 of f·cos
+    is 1.7 % in the mean.
+
+    label   (..., 108) or (..., 3, 3, 2, 6): natural logarithms
+    factor  a number, or one for each channel (3,); above 0
+    """
+    xp = namespace(label)
+    lobes = label.reshape(*label.shape[:-1], *SHAPE) if label.shape[-1] == SIZE else label
+    by = like(factor, label)[..., None, None]  # for all lobes and control values
+    log_kappa, log_gamma = lobes[..., 0, :], lobes[..., 1, :]
+    kappa = xp.clip(xp.exp(log_kappa), None, MAX_EXPONENT)
+    # expm1(κ) is κ where κ is small
+    log_scaled = xp.where(
+        kappa < DARK,
+        log_kappa + xp.log(by),
+        xp.log(xp.log1p(by * xp.expm1(xp.clip(kappa, DARK, None)))),
+    )
+    log_steeper = xp.log(lobe_sharpness(xp.exp(log_scaled), 1.0) / lobe_sharpness(kappa, 1.0))
+    return xp.stack([log_scaled, log_gamma - log_steeper], -2).reshape(label.shape)
 
 
 def half_angles(w_i: Array, w_o: Array) -> tuple[Array, Array]:

@@ -162,7 +162,7 @@ class Edit:
 
 def catalogue_material(name: str) -> Chosen:
     """Return a material of the catalogue. Raises InputError for an unknown name."""
-    return Chosen(name, np.asarray(find(name).label, np.float32).reshape(SIZE))
+    return Chosen(name, np.asarray(find(name).calibrated_label, np.float32).reshape(SIZE))
 
 
 def principled_material(

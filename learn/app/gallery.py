@@ -136,7 +136,7 @@ def draw() -> Path:
     disk = (spheres.sphere_normals(2 * TILE) != 0).any(-1).reshape(TILE, 2, TILE, 2).mean((1, 3))
     for number, material in enumerate(catalogue.values()):
         row, column = divmod(number, COLUMNS)
-        label = np.asarray(material.label, np.float32).reshape(-1)
+        label = np.asarray(material.calibrated_label, np.float32).reshape(-1)
         sphere = spheres.preview_sphere(label, 2 * TILE, float(ELEVATION))
         small = sphere.reshape(TILE, 2, TILE, 2, 3).mean((1, 3))
         place = picture[row * TILE :, column * TILE :][:TILE, :TILE]

@@ -288,7 +288,7 @@ def list_materials(result: "EditResult") -> list[dict]:
     for name, material in catalogue.items():
         alike = " ".join(word for word, names_ in ALIKE.items() if name in names_)
         words = f"{FAMILY_WORDS.get(material.family, '')} {alike}".strip()
-        family, label = material.family, material.label.reshape(-1)
+        family, label = material.family, material.calibrated_label.reshape(-1)
         materials.append({"name": name, "family": family, "words": words, "label": label})
     return materials
 

@@ -13,13 +13,12 @@ import torch
 
 from learn.data.devices import to_numpy
 from shaders import envmap
-from shaders.dsbrdf import MAX_EXPONENT, SHAPE
+from shaders.dsbrdf import scaled_label
 from shaders.tone import LUMINANCE
 
 if TYPE_CHECKING:
     from learn.editing.decomposition import Parts
 
-SMALL = 1e-4  # of κ
 MOST = 1.0  # stops of green that are taken back at most: a coloured lamp keeps the rest
 
 
@@ -32,8 +31,7 @@ def green_of(colour: np.ndarray) -> float:
 def remove_green(parts: "Parts") -> "Parts":
     """Return parts of a batch of one whose light is neither green nor magenta on the whole.
 
-    The mean luminance of the light stays, and the material takes on what the light loses: matte
-    ones exactly, of a highlight its height.
+    The mean luminance of the light stays, and the material takes on what the light loses.
     """
     mean = envmap.mean_radiance(to_numpy(parts.light[0].movedim(0, -1)))
     if not (mean > 0).all():
@@ -42,16 +40,5 @@ def remove_green(parts: "Parts") -> "Parts":
     factor *= (mean @ LUMINANCE) / (mean * factor @ LUMINANCE)
     scale = torch.as_tensor(factor, dtype=parts.light.dtype, device=parts.light.device)
     return parts._replace(
-        light=parts.light * scale[:, None, None], label=_scaled(parts.label, 1 / scale)
+        light=parts.light * scale[:, None, None], label=scaled_label(parts.label, 1 / scale)
     )
-
-
-def _scaled(label: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:
-    """Return labels (1, S, 108) whose lobes are higher by a factor for each channel (3,)."""
-    lobes = label.reshape(*label.shape[:-1], *SHAPE)
-    low, by = lobes[..., 0, :], factor.to(label)[:, None, None]
-    kappa = low.exp().clamp(max=MAX_EXPONENT)
-    # expm1(κ) is κ where κ is small
-    high = torch.log1p(by * torch.expm1(kappa)).clamp_min(SMALL).log()
-    changed = torch.where(kappa < SMALL, low + by.log(), high)
-    return torch.stack([changed, lobes[..., 1, :]], -2).reshape(label.shape)

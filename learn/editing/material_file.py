@@ -124,7 +124,9 @@ def nearest(label: np.ndarray, ranges: Ranges) -> list[str]:
     catalogue = load_catalogue()
     names = sorted(catalogue)
     codes = ranges.code(
-        torch.from_numpy(np.stack([catalogue[name].label.reshape(-1) for name in names])).float()
+        torch.from_numpy(
+            np.stack([catalogue[name].calibrated_label.reshape(-1) for name in names])
+        ).float()
     )
     order = ((codes - ranges.code(torch.from_numpy(label))) ** 2).mean(-1).argsort()[:NEAREST]
     return [names[i] for i in order]

@@ -2,6 +2,9 @@
 
 A text is a name of the catalogue, an expression such as principled(roughness=.35), a material.json,
 another picture, or "keep". Labels are (S, 108) natural logarithms.
+
+A name of the catalogue stands for the surface, whose reflectance is the measured one times the
+calibration of its source (manifests.materials): in measured(brass), brass is as it was measured.
 """
 
 import re
@@ -15,6 +18,7 @@ from manifests.materials import find
 from shaders.dsbrdf import SIZE
 
 KEEP = "keep"
+MEASURED = re.compile(r"measured\(\s*([^()]+?)\s*\)")
 LONGEST_STEM = 60  # characters of an expression that a file's name shows
 
 
@@ -42,7 +46,9 @@ def resolve_labels(
         return material_file.read(path)
     if is_file(text) or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
         return of_picture(path)
-    return find(text).label.reshape(1, SIZE).astype(np.float32)
+    as_measured = MEASURED.fullmatch(text)
+    label = find(as_measured[1]).label if as_measured else find(text).calibrated_label
+    return label.reshape(1, SIZE).astype(np.float32)
 
 
 def is_from_picture(text: str, region: int = 0) -> bool:
@@ -59,7 +65,9 @@ def is_from_picture(text: str, region: int = 0) -> bool:
 
 
 def is_expression(text: str) -> bool:
-    """Return whether a text is an expression, and no file of that name."""
+    """Return whether a text describes a material by numbers, and no file has that name."""
+    if MEASURED.fullmatch(text):
+        return False
     return material_expression.is_expression(text) and not is_file(text)
 
 

@@ -99,7 +99,7 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
 @pytest.mark.parametrize("opacity_beside", [0.0, 1.0])
 def test_nothing_is_mixed_in_from_where_the_photograph_is_transparent(opacity_beside):
     """A cut-out with a mask of its own: what is behind its edge has a colour that no one sees."""
-    label = label_of("blue-rubber")
+    label = load_catalogue()["blue-rubber"].label.reshape(1, 108).astype(np.float32)
     coverage = np.zeros((SIZE, SIZE), np.float32)
     coverage[20:70, 20:70], coverage[20:70, 70] = 1, 0.5
     hidden = np.where(coverage[..., None] > 0, 0.3, np.array([0, 9.0, 0])).astype(np.float32)

@@ -13,7 +13,8 @@ SIZE, NETWORK = 96, 64
 
 
 def label_of(name):
-    return load_catalogue()[name].label.reshape(1, 108).astype(np.float32)
+    """The label (1, 108) float32 that an edit into a material of the catalogue uses."""
+    return load_catalogue()[name].calibrated_label.reshape(1, 108).astype(np.float32)
 
 
 def ball(side, radius):

@@ -1,0 +1,67 @@
+"""How bright the catalogue's materials are: MERL's were measured too dark (docs/materials.md)."""
+
+import numpy as np
+import pytest
+import torch
+
+from learn.editing import targets
+from learn.layer.albedo import lobe_albedos
+from manifests.errors import InputError
+from manifests.materials import CALIBRATIONS, find, load_catalogue
+from shaders.tone import LUMINANCE
+
+(MERL,) = CALIBRATIONS
+
+
+def albedo(label):
+    """The share (3,) of light that a surface reflects, seen along its normal."""
+    return lobe_albedos(torch.as_tensor(np.asarray(label, np.float64).reshape(-1))).sum(-1).numpy()
+
+
+def test_merls_white_materials_were_measured_at_a_third_of_others():
+    whitest = {
+        merl: max(
+            albedo(material.label) @ LUMINANCE
+            for material in load_catalogue().values()
+            if (material.source == MERL) == merl
+        )
+        for merl in (True, False)
+    }
+    assert whitest[True] == pytest.approx(0.348, abs=0.001)
+    assert whitest[False] == pytest.approx(0.960, abs=0.001)
+
+
+def test_calibrated_materials_of_merl_are_as_bright_as_such_materials_are():
+    whitest = max(
+        (albedo(material.calibrated_label) @ LUMINANCE, material.name)
+        for material in load_catalogue().values()
+        if material.source == MERL
+    )
+    assert whitest == (pytest.approx(0.94, abs=0.01), "white-paint")
+    # both are PTFE
+    teflon, spectralon = (albedo(find(name).calibrated_label) for name in ("teflon", "spectralon"))
+    assert teflon == pytest.approx(spectralon, abs=0.08)
+    # its refractive index says 0.71, 0.64, 0.52
+    assert albedo(find("nickel").calibrated_label) == pytest.approx([0.60, 0.53, 0.47], abs=0.01)
+
+
+def test_a_material_of_another_source_is_as_it_was_measured():
+    paper = find("paper_blue")
+    assert paper.calibration == 1
+    np.testing.assert_array_equal(paper.calibrated_label, paper.label)
+
+
+def test_edits_name_the_surface_or_what_was_measured_of_it():
+    brass = find("brass")
+    for text, label in (
+        ("brass", brass.calibrated_label),
+        ("measured(brass)", brass.label),
+        ("measured( brass )", brass.label),
+    ):
+        (resolved,) = targets.resolve_labels(text, lambda path: pytest.fail("no picture"))
+        np.testing.assert_array_equal(resolved, label.reshape(-1).astype(np.float32))
+    assert targets.split_by_region("measured(brass)+keep") == ["measured(brass)", "keep"]
+    assert targets.file_name("measured(brass)") == "measured-brass"
+    assert targets.fit_errors(["measured(brass)"]) == {}
+    with pytest.raises(InputError, match=r"material 'bras'.*brass"):
+        targets.resolve_labels("measured(bras)", lambda path: pytest.fail("no picture"))
