@@ -174,6 +174,7 @@ def run_list(options: argparse.Namespace) -> None:
     """Print one line for each material."""
     import numpy as np
 
+    from manifests.described_materials import DESCRIBED
     from manifests.materials import load_catalogue
 
     materials = load_catalogue(*(options.catalogue or ()))
@@ -205,6 +206,8 @@ def run_list(options: argparse.Namespace) -> None:
         "display L2: mean squared difference, of values in [0, 255], between pictures of a sphere"
         " rendered from label and nodes"
     )
+    if not options.catalogue:
+        print(f"Described, not measured; for edits only: {', '.join(DESCRIBED)}")
 
 
 def run_preview(options: argparse.Namespace) -> None:

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.editing import desired_light, material_expression
+from learn.editing import desired_light, material_expression, targets
 from manifests import measured_lights
 from manifests.errors import InputError, closest
-from manifests.materials import find
 from shaders import envmap
 from shaders.dsbrdf import SIZE
 
@@ -160,9 +159,9 @@ class Edit:
         return "; ".join(each) + lit + brightness
 
 
-def catalogue_material(name: str) -> Chosen:
-    """Return a material of the catalogue. Raises InputError for an unknown name."""
-    return Chosen(name, np.asarray(find(name).calibrated_label, np.float32).reshape(SIZE))
+def named_material(name: str) -> Chosen:
+    """Return a material by its name, described or measured. Raises InputError if it has none."""
+    return Chosen(name, targets.label_of(name))
 
 
 def principled_material(

@@ -17,10 +17,10 @@ from learn.app.choices import (
     Chosen,
     Edit,
     Painted,
-    catalogue_material,
     light_names,
     light_of,
     light_of_file,
+    named_material,
 )
 from learn.data import photographs
 from learn.editing import material_expression, material_file
@@ -139,7 +139,7 @@ def read(path: Path) -> Edit:
         if material_expression.is_expression(entry.text):
             label = np.asarray(material_expression.fit_expression(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))
-        return catalogue_material(entry.text)
+        return named_material(entry.text)
 
     light = light_of(recipe.light if recipe.map is None else OWN_LIGHT, recipe.rotation_deg)
     if recipe.map is not None:

@@ -1,7 +1,7 @@
 """Pictures of all materials, and their search by everyday words.
 
-The pictures come with the program as one picture of tiles, materials.jpg, in the catalogue's order:
-each is a sphere in the material, in preview lighting. Drawing them takes 20 seconds:
+The pictures come with the program as one picture of tiles, materials.jpg, in the order of
+`families`: each is a sphere in the material, in preview lighting. Drawing them takes 20 seconds:
 
     python -m learn.app.gallery
 """
@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from learn.editing import targets
 from learn.editing.interactive import FAMILY_WORDS
 from manifests import files
+from manifests.described_materials import DESCRIBED
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
 
@@ -25,12 +27,19 @@ QUALITY = 88
 
 
 @functools.cache
+def families() -> dict[str, str]:
+    """Return {name: family} of all materials by name: the described, then the catalogue's."""
+    described = {name: material.family for name, material in DESCRIBED.items()}
+    return described | {name: material.family for name, material in load_catalogue().items()}
+
+
+@functools.cache
 def tiles() -> dict[str, np.ndarray]:
-    """Return {name: picture (TILE, TILE, 3) uint8} of all materials of the catalogue."""
+    """Return {name: picture (TILE, TILE, 3) uint8} of all materials."""
     with Image.open(PICTURES) as opened:
         picture = np.asarray(opened.convert("RGB"))
     result = {}
-    for number, name in enumerate(load_catalogue()):
+    for number, name in enumerate(families()):
         row, column = divmod(number, COLUMNS)
         result[name] = picture[row * TILE :, column * TILE :][:TILE, :TILE]
     return result
@@ -40,9 +49,9 @@ def tiles() -> dict[str, np.ndarray]:
 def words() -> dict[str, str]:
     """Return {name: the words by which a material is looked for, in lower case}."""
     result = {}
-    for name, material in load_catalogue().items():
+    for name, family in families().items():
         alike = " ".join(word for word, names in ALIKE.items() if name in names)
-        family = f"{material.family} {FAMILY_WORDS.get(material.family, '')}"
+        family = f"{family} {FAMILY_WORDS.get(family, '')}"
         result[name] = re.sub(r"[-_]", " ", f"{name} {family} {alike}").lower()
     return result
 
@@ -55,14 +64,14 @@ def page_tiles(names: list[str], address: str, text: str = "") -> str:
              place of the family
     """
     like = {name: word for word in asked_words(text) for name in ALIKE.get(word, ())}
-    places = {name: number for number, name in enumerate(load_catalogue())}
+    places = {name: number for number, name in enumerate(families())}
     buttons = []
     for name in names:
         row, column = divmod(places[name], COLUMNS)
         place = f"{-TILE * column}px {-TILE * row}px"
         style = f"background: url('{address}') {place}"
         shown = html.escape(name)
-        note = f"looks like {like[name]}" if name in like else load_catalogue()[name].family
+        note = f"looks like {like[name]}" if name in like else families()[name]
         buttons.append(
             f'<button data-name="{shown}"><span class="picture" style="{html.escape(style)}">'
             f'</span><span class="caption">{shown}</span>'
@@ -89,12 +98,10 @@ def close_to(text: str) -> list[str]:
     come first.
     """
     asked = asked_words(text)
-    families = {
-        word: {load_catalogue()[name].family for name in ALIKE.get(word, ())} for word in asked
-    }
+    alike = {word: {families()[name] for name in ALIKE.get(word, ())} for word in asked}
 
     def matches(name: str, word: str) -> bool:
-        return begins_word(name, word) or load_catalogue()[name].family in families[word]
+        return begins_word(name, word) or families()[name] in alike[word]
 
     all_of_them = [name for name in words() if all(matches(name, word) for word in asked)]
     if all_of_them:
@@ -130,13 +137,13 @@ def draw() -> Path:
     from learn.figures import spheres
     from shaders.frames import ELEVATION
 
-    catalogue = load_catalogue()
-    rows = -(-len(catalogue) // COLUMNS)
+    names = families()
+    rows = -(-len(names) // COLUMNS)
     picture = np.full((rows * TILE, COLUMNS * TILE, 3), 255.0)
     disk = (spheres.sphere_normals(2 * TILE) != 0).any(-1).reshape(TILE, 2, TILE, 2).mean((1, 3))
-    for number, material in enumerate(catalogue.values()):
+    for number, name in enumerate(names):
         row, column = divmod(number, COLUMNS)
-        label = np.asarray(material.calibrated_label, np.float32).reshape(-1)
+        label = targets.label_of(name)
         sphere = spheres.preview_sphere(label, 2 * TILE, float(ELEVATION))
         small = sphere.reshape(TILE, 2, TILE, 2, 3).mean((1, 3))
         place = picture[row * TILE :, column * TILE :][:TILE, :TILE]

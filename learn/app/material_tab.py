@@ -347,7 +347,7 @@ class MaterialTab:
         self, number: int, place: str, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         """Give a region the material whose picture was clicked on."""
-        chosen = choices.catalogue_material(str(event.name))
+        chosen = choices.named_material(str(event.name))
         session = self.session_of(request)
         result = self._quick(session, painting(int(number), place, chosen))
         return (*result, share_of(session, number))

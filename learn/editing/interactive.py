@@ -38,6 +38,7 @@ from learn.editing.chunks import Chunks, differences, split_bytes
 from learn.editing.compositor import LARGEST_DETAIL, Compositor, fill_from_nearest
 from learn.editing.photograph import CLEAR
 from learn.figures import html, montage, spheres
+from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
@@ -72,6 +73,7 @@ FAMILY_WORDS = {
     "plastic": "synthetic toy",
     "phenolic": "plastic bakelite billiard glossy",
     "rubber": "soft elastic",
+    "leather": "hide cowhide soft",
     "wood": "wooden timber furniture varnish",
     "stone and ceramic": "ceramic mineral rock porcelain",
     "paper": "card matte",
@@ -268,8 +270,8 @@ def lights_of(own: torch.Tensor) -> dict[str, torch.Tensor]:
 def list_materials(result: "EditResult") -> list[dict]:
     """Return name, family, search words and label of each material.
 
-    The materials read from the photograph are first, then those that the user named and that are
-    not in the catalogue, then the catalogue's.
+    The materials read from the photograph are first, then those that the user named and that have
+    no name of their own, then the described ones, then the catalogue's.
     """
     own = result.decomposition.label
     names = (
@@ -279,16 +281,18 @@ def list_materials(result: "EditResult") -> list[dict]:
     catalogue = load_catalogue()
     for edit in result.edits:
         for text, label in targets.of_regions(edit.text, edit.labels):
-            if label is not None and text not in catalogue:
+            if label is not None and text not in catalogue and text not in DESCRIBED:
                 here[targets.caption_of(text)] = label
     materials = [
         {"name": name, "family": "this photograph", "words": "own original", "label": label}
         for name, label in here.items()
     ]
-    for name, material in catalogue.items():
+    labels = {name: targets.label_of(name) for name in DESCRIBED}
+    labels |= {name: each.calibrated_label.reshape(-1) for name, each in catalogue.items()}
+    for name, label in labels.items():
+        family = DESCRIBED[name].family if name in DESCRIBED else catalogue[name].family
         alike = " ".join(word for word, names_ in ALIKE.items() if name in names_)
-        words = f"{FAMILY_WORDS.get(material.family, '')} {alike}".strip()
-        family, label = material.family, material.calibrated_label.reshape(-1)
+        words = f"{FAMILY_WORDS.get(family, '')} {alike}".strip()
         materials.append({"name": name, "family": family, "words": words, "label": label})
     return materials
 

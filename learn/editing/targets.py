@@ -1,7 +1,8 @@
 """Target materials as a user names them.
 
-A text is a name of the catalogue, an expression such as principled(roughness=.35), a material.json,
-another picture, or "keep". Labels are (S, 108) natural logarithms.
+A text is a name of the catalogue, an everyday name such as copper, an expression such as
+principled(roughness=.35), a material.json, another picture, or "keep". Labels are (S, 108) natural
+logarithms.
 
 A name of the catalogue stands for the surface, whose reflectance is the measured one times the
 calibration of its source (manifests.materials): in measured(brass), brass is as it was measured.
@@ -14,8 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from learn.editing import material_expression, material_file
-from manifests.materials import find
+from manifests.described_materials import DESCRIBED
+from manifests.errors import InputError
+from manifests.material_words import suggestion
+from manifests.materials import Material, load_catalogue
 from shaders.dsbrdf import SIZE
+from shaders.principled_fit import LabelFit
 
 KEEP = "keep"
 MEASURED = re.compile(r"measured\(\s*([^()]+?)\s*\)")
@@ -40,15 +45,35 @@ def resolve_labels(
     if known and text in known:
         return known[text][None]
     if is_expression(text):
-        return material_expression.fit_expression(text).label.reshape(1, SIZE).astype(np.float32)
+        return _fit(text).label.reshape(1, SIZE).astype(np.float32)
     path = Path(text)
     if path.suffix.lower() == ".json":
         return material_file.read(path)
     if is_file(text) or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
         return of_picture(path)
     as_measured = MEASURED.fullmatch(text)
-    label = find(as_measured[1]).label if as_measured else find(text).calibrated_label
+    named = find_material(as_measured[1] if as_measured else text)
+    label = named.label if as_measured else named.calibrated_label
     return label.reshape(1, SIZE).astype(np.float32)
+
+
+def label_of(name: str) -> np.ndarray:
+    """Return the label (108,) float32 of a described material or one of the catalogue.
+
+    Raises  InputError for an unknown name
+    """
+    if name in DESCRIBED:
+        return _fit(name).label.reshape(SIZE).astype(np.float32)
+    return find_material(name).calibrated_label.reshape(SIZE).astype(np.float32)
+
+
+def find_material(name: str) -> Material:
+    """Return the material of the catalogue. Raises InputError, with close names of all kinds."""
+    catalogue = load_catalogue()
+    if name not in catalogue:
+        remedy = suggestion(name, [*DESCRIBED, *catalogue])
+        raise InputError(f"material {name!r}", "a material's name", "none of that name", remedy)
+    return catalogue[name]
 
 
 def is_from_picture(text: str, region: int = 0) -> bool:
@@ -65,20 +90,21 @@ def is_from_picture(text: str, region: int = 0) -> bool:
 
 
 def is_expression(text: str) -> bool:
-    """Return whether a text describes a material by numbers, and no file has that name."""
-    if MEASURED.fullmatch(text):
+    """Return whether a text describes a material, or names a described one, and is no file."""
+    if MEASURED.fullmatch(text) or is_file(text):
         return False
-    return material_expression.is_expression(text) and not is_file(text)
+    return text in DESCRIBED or material_expression.is_expression(text)
+
+
+def _fit(text: str) -> LabelFit:
+    """Return the label and its error of a text for which `is_expression` is true."""
+    return material_expression.fit_expression(DESCRIBED[text].text if text in DESCRIBED else text)
 
 
 def fit_errors(texts: Iterable[str]) -> dict[str, float]:
     """Return {expression: relative L1 of its label} of all expressions in the users' texts."""
     parts = (part for text in texts for part in split_by_region(text))
-    return {
-        part: round(material_expression.fit_expression(part).error, 4)
-        for part in parts
-        if is_expression(part)
-    }
+    return {part: round(_fit(part).error, 4) for part in parts if is_expression(part)}
 
 
 def is_file(text: str) -> bool:

@@ -107,7 +107,7 @@ def first_edits(count: int = 2) -> None:
                 start = time.perf_counter(), time.process_time()
                 for _ in session.decompose(refine):
                     pass
-                brass = Painted(choices.catalogue_material("brass"))
+                brass = Painted(choices.named_material("brass"))
                 session.choose(lambda edit, brass=brass: edit.with_region(0, brass))
                 viewer, edit = session.decomposed()
                 viewer.view(edit, exact=True)

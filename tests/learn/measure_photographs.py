@@ -41,7 +41,7 @@ from manifests.provenance import provenance, shortened
 from shaders import tone
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "photographs"
-MATERIALS = ("brass", "green-latex", "red-fabric")
+MATERIALS = ("gold", "leather", "brass", "green-latex", "red-fabric")
 TILE = 150
 
 
@@ -141,7 +141,9 @@ def page(rows, credits, judged, about):
     ]
     for name, path in rows.items():
         source = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
-        picture = html.image(source, f"{name}: photograph, rendered again, shape, light, 3 edits")
+        picture = html.image(
+            source, f"{name}: photograph, rendered again, shape, light, {len(MATERIALS)} edits"
+        )
         body += [
             f"<h2>{name}</h2>",
             f"<div class=scroll tabindex=0 role=region aria-label='{name}'>{picture}</div>",

@@ -86,6 +86,7 @@ def made(tmp_path_factory):
     catalogue = load_catalogue()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(interactive, "load_catalogue", lambda: {k: catalogue[k] for k in CHOSEN})
+        patch.setattr(interactive, "DESCRIBED", {})
         patch.setattr(interactive, "MEASURED", {})
         result = result_of()
         options = SimpleNamespace(tolerance=1e-2, detail=0.25)
@@ -175,6 +176,7 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     file.write_text(json.dumps({"label": [float(x) for x in label]}))
     catalogue = load_catalogue()
     monkeypatch.setattr(interactive, "load_catalogue", lambda: {"nickel": catalogue["nickel"]})
+    monkeypatch.setattr(interactive, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     monkeypatch.setattr(interactive.spheres, "preview_lighting", lambda: np.ones((64, 128, 3)))
     result = result_of()
@@ -214,6 +216,7 @@ def test_the_page_asks_for_nothing_outside_itself(made):
 def test_a_page_that_would_be_too_large_is_refused(made, monkeypatch):
     monkeypatch.setattr(interactive, "LARGEST_FILE", 1000)
     monkeypatch.setattr(interactive, "load_catalogue", dict)
+    monkeypatch.setattr(interactive, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     with pytest.raises(InputError, match=r"at most 0\.001 MB"):
         interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
@@ -295,6 +298,7 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
 def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
     catalogue = load_catalogue()
     monkeypatch.setattr(interactive, "load_catalogue", lambda: {"chrome": catalogue["chrome"]})
+    monkeypatch.setattr(interactive, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
     monkeypatch.setattr(store, "LIMIT", 0.0)
     monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
@@ -338,6 +342,7 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
 ):
     """Without WebGL the same: drawn twice, once each."""
     monkeypatch.setattr(interactive, "load_catalogue", dict)
+    monkeypatch.setattr(interactive, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     result = result_of(cut_out=True)
     path = tmp_path / interactive.NAME
@@ -371,6 +376,7 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
 def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp_path):
     """The mask's soft edge lies before colours that the photograph hides by its transparency."""
     monkeypatch.setattr(interactive, "load_catalogue", dict)
+    monkeypatch.setattr(interactive, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     alpha = ball(SIDE, RADIUS + 3)[1].astype(np.float32)
     alpha[SIDE // 2 :] = 1

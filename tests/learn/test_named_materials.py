@@ -1,11 +1,13 @@
-"""How bright the catalogue's materials are: MERL's were measured too dark (docs/materials.md)."""
+"""Materials by name: how bright those of the catalogue are, and those that are described."""
 
 import numpy as np
 import pytest
 import torch
 
 from learn.editing import targets
+from learn.editing.material_expression import fit_expression
 from learn.layer.albedo import lobe_albedos
+from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
 from manifests.materials import CALIBRATIONS, find, load_catalogue
 from shaders.tone import LUMINANCE
@@ -65,3 +67,26 @@ def test_edits_name_the_surface_or_what_was_measured_of_it():
     assert targets.fit_errors(["measured(brass)"]) == {}
     with pytest.raises(InputError, match=r"material 'bras'.*brass"):
         targets.resolve_labels("measured(bras)", lambda path: pytest.fail("no picture"))
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_a_described_material_is_its_description(name):
+    described = DESCRIBED[name]
+    (label,) = targets.resolve_labels(name, lambda path: pytest.fail("no picture"))
+    (same,) = targets.resolve_labels(described.text, lambda path: pytest.fail("no picture"))
+    np.testing.assert_array_equal(label, same)
+    assert targets.is_expression(name) and not targets.is_from_picture(name)
+    assert targets.fit_errors([name]) == {name: round(fit_expression(described.text).error, 4)}
+    assert fit_expression(described.text).error < 0.06
+
+
+def test_described_materials_have_names_and_families_that_no_measured_one_contradicts():
+    assert not set(DESCRIBED) & set(load_catalogue())
+    families = {material.family for material in load_catalogue().values()} | {"leather"}
+    assert {material.family for material in DESCRIBED.values()} <= families
+
+
+def test_a_misspelt_name_is_answered_with_described_and_measured_materials():
+    for name, close in (("terracota", "terracotta"), ("Leather", "black-leather")):
+        with pytest.raises(InputError, match=f"material '{name}'.*{close}"):
+            targets.resolve_labels(name, lambda path: pytest.fail("no picture"))
