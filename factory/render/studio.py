@@ -304,7 +304,7 @@ class Studio:
         alpha = np.ascontiguousarray(rgba[..., 3])
         return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides)
 
-    def denoised(self, portion: Portion, effort: Effort) -> np.ndarray:
+    def denoise(self, portion: Portion, effort: Effort) -> np.ndarray:
         """Return a portion's radiance, or that of the mean of several, without most of its noise.
 
         Shape, view and camera must be those with which it was rendered.
@@ -313,11 +313,11 @@ class Studio:
         visible = window.around(self._vertices, self._azimuth, lens)
         top, bottom, left, right = visible
         noisy, alpha, guides = (each[top:bottom, left:right] for each in portion)
-        smooth = denoiser.denoised(self._scene, noisy, alpha, guides, effort)
+        smooth = denoiser.denoise(self._scene, noisy, alpha, guides, effort)
         return window.paste(smooth, visible, lens.size)
 
     @contextlib.contextmanager
-    def sampled_by(self, pattern: str) -> Iterator[None]:
+    def sample_by(self, pattern: str) -> Iterator[None]:
         """Render pictures inside the block by another cycles.sampling_pattern, for measurements."""
         usual = self._scene.cycles.sampling_pattern
         assign(self._scene, "cycles.sampling_pattern", pattern)

@@ -65,7 +65,7 @@ def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
     assert errors[0] > errors[1] > errors[2]
     halves = Halves(scene[1])
     halves.grow(16)
-    pair = halves.denoised()
+    pair = halves.denoised_pictures()
     truth = error((pair[0] + pair[1]) / 2, scene[1].renderer)
     assert errors[0] == pytest.approx(truth, rel=0.02)
     for row in (*figures["equal"], *figures["adaptive"]):

@@ -71,7 +71,7 @@ def measured_scene(
     thresholds  of adaptive sampling, falling
     """
     halves, seconds, equal = Halves(shown), 0.0, []
-    shown.renderer.denoised(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
+    shown.renderer.denoise(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
     for samples in counts:
         start = time.process_time()
         halves.grow(samples - halves.samples)
@@ -95,7 +95,7 @@ def measured_scene(
 def _judged(halves: Halves, seconds: float, reference: Halves) -> dict[str, float]:
     """Return what denoised halves are worth, and what they cost with their samples' seconds."""
     start = time.process_time()
-    pair = halves.denoised()
+    pair = halves.denoised_pictures()
     seconds += time.process_time() - start
     picture = (pair[0] + pair[1]) / 2
     estimate, bias = halves.error_and_bias(pair, halves.pictures, halves.slope(pair))

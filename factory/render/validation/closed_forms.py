@@ -169,7 +169,7 @@ def closed_form(
     studio.set_materials([mixture])
     spots, width = reference.pixel_spots(size, 1.02), 2 * 1.02 / size
     inside = np.linalg.norm(np.abs(spots) + width / 2, axis=-1) < 0.9
-    with studio.sampled_by(pattern):
+    with studio.sample_by(pattern):
         mean, variance, pictures = _takes(studio, samples, seeds)
     seen = light.as_seen(L, rotation)
     a, b = (

@@ -47,9 +47,9 @@ def _tried(shown: Shown, samples: int) -> dict[str, Any]:
     start = time.process_time()
     halves.grow(samples)
     rendered = time.process_time()
-    smooth = halves.denoised()
+    smooth = halves.denoised_pictures()
     seconds, denoiser = rendered - start, time.process_time() - rendered
-    blend = blends.best(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
+    blend = blends.choose_blend(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
     return {
         "pixels": shown.mask.size,
         "samples": samples,

@@ -35,7 +35,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import light as worlds
 from factory.render.estimators import ratio
-from factory.render.estimators.relighting import summed
+from factory.render.estimators.relighting import sum_basis_pictures
 from factory.render.estimators.renderer import Shown
 from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
@@ -84,7 +84,7 @@ def by_basis(
     for number, L in enumerate(shown):
         clock = _Clock()
         weights = basis.weights(L)
-        full = summed(pairs[:, 0], weights)
+        full = sum_basis_pictures(pairs[:, 0], weights)
         # without the unblocked pictures the basis takes half as long, or a little more
         yield f"{basis.name}, sum", number, full, once / 2, clock.seconds
         studio._direct.clear()
@@ -92,7 +92,9 @@ def by_basis(
         studio.set_light(L, 0)
         exact = studio.direct_light()
         assert exact is not None
-        picture = ratio.combined(exact.radiance, full, summed(pairs[:, 1], weights))
+        picture = ratio.multiply_by_ratio(
+            exact.radiance, full, sum_basis_pictures(pairs[:, 1], weights)
+        )
         yield f"{basis.name}, ratio", number, picture, once, clock.seconds
 
 

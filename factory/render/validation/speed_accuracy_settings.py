@@ -99,12 +99,12 @@ def methods(
         def render(at: Shown) -> np.ndarray:
             with stopping_at(studio._scene, threshold):
                 portion = studio.portion(0, MOST_ADAPTIVE, at.seed, at.tier)
-            return studio.denoised(portion, effort(MOST_ADAPTIVE))
+            return studio.denoise(portion, effort(MOST_ADAPTIVE))
 
         return render
 
     def smooth(samples: int) -> Method:
-        return lambda at: studio.denoised(
+        return lambda at: studio.denoise(
             studio.portion(0, samples, at.seed, at.tier), effort(samples)
         )
 
@@ -114,7 +114,7 @@ def methods(
             shown = smooth(samples)(at)
             if exact is None:
                 return shown
-            return ratio.combined(
+            return ratio.multiply_by_ratio(
                 exact.radiance, shown, smooth(samples)(replace(at, tier="direct"))
             )
 
