@@ -156,7 +156,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     def places(
         n: torch.Tensor, view: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
-        w, weight, _ = half_vectors.place(
+        w, weight, _ = half_vectors.place_samples(
             n, view, half, solid_angle, rotation, (sample.light.shape[0], sample.light.shape[1])
         )
         texel, share = half_vectors.footprint(w @ rotation, weight, *sample.light.shape[:2])

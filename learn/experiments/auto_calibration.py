@@ -57,13 +57,13 @@ def map_error(size: int) -> dict[str, float]:
     n = n[(n != 0).any(-1)]
     points = []
     for L in chart_cases.computed_lights().values():
-        lights, E = light_tables.of_map(torch.as_tensor(L).float(), torch.eye(3))
+        lights, E = light_tables.lights_and_energy(torch.as_tensor(L).float(), torch.eye(3))
         for g in SHARPNESS:
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
             for nodes in SIZES:
                 render = functools.partial(_radiance, m=m, E=E, lights=lights)
-                seen = reflectance_map.with_nodes(n, nodes, render)
+                seen = reflectance_map.radiance_by_nodes(n, nodes, render)
                 points.append(
                     (
                         2 * np.sqrt(2) / (nodes - 5),
@@ -101,9 +101,9 @@ def light_error(size: int) -> dict[str, float]:
             chart_cases.computed_lights()["one texel"].astype(np.float32),
             tuple(np.eye(3).ravel()),
         )
-        truth = scene.at(n, (0,)).radiance
+        truth = scene.list_lobes(n, (0,)).radiance
         for level in (1, 2):
-            error = np.abs(scene.at(n, (0,), level).radiance - truth).mean() / truth.mean()
+            error = np.abs(scene.list_lobes(n, (0,), level).radiance - truth).mean() / truth.mean()
             points.append((np.pi / 2 * 2**level / chart_cases.SIZE[0], g, error))
     h, g, error = np.array(points).T
     of_horizon = float(np.median((error / h**2)[g == min(SHARPNESS)]))
@@ -117,10 +117,10 @@ def seconds(size: int) -> dict[str, float]:
     """Return seconds of each kind of work, on one thread."""
     n = chart_cases.sphere(size)
     n = n[(n != 0).any(-1)]
-    lights, E = light_tables.of_map(
+    lights, E = light_tables.lights_and_energy(
         torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3)
     )
-    allowed = 0.1 * directional.scale(n, None, one_lobe(4.0), E, lights)
+    allowed = 0.1 * directional.mean_radiance(n, None, one_lobe(4.0), E, lights)
     took = [
         timed(functools.partial(summed, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n)
         for g in SUMMED

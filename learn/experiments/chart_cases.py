@@ -60,16 +60,18 @@ def settings() -> list[Setting]:
     return [
         *by_tolerance("exact", 1e-2),
         *by_tolerance("culled", 1e-1, 1e-2, 1e-4),
-        *by_count("reflectance_map", reflectance_map.with_size, 16, 32, 64, 96),
-        *by_count("median_cut", median_cut.with_lights, 64, 256, 1024, 4096),
-        *by_count("hybrid", lambda b, c: hybrid.with_lights(b, c, 1.0 / c), 64, 256, 1024),
+        *by_count("reflectance_map", reflectance_map.radiance_by_size, 16, 32, 64, 96),
+        *by_count("median_cut", median_cut.radiance_by_lights, 64, 256, 1024, 4096),
+        *by_count("hybrid", lambda b, c: hybrid.radiance_by_lights(b, c, 1.0 / c), 64, 256, 1024),
         *by_tolerance("quadrature", 1e-2),
         *by_tolerance("spherical_harmonics", 1e-2),
         *by_tolerance("split_sum", 1e-2),
-        *by_count("spherical_gaussians", spherical_gaussians.with_lights, 64),
-        *by_count("monte_carlo", lambda b, c: sampling.sampled(b, c // 2, c // 2), 16, 64),
-        *by_count("monte_carlo_light", lambda b, c: sampling.sampled(b, c, 0), 16),
-        *by_count("monte_carlo_brdf", lambda b, c: sampling.sampled(b, 0, c), 16),
+        *by_count("spherical_gaussians", spherical_gaussians.radiance_by_lights, 64),
+        *by_count(
+            "monte_carlo", lambda b, c: sampling.radiance_by_samples(b, c // 2, c // 2), 16, 64
+        ),
+        *by_count("monte_carlo_light", lambda b, c: sampling.radiance_by_samples(b, c, 0), 16),
+        *by_count("monte_carlo_brdf", lambda b, c: sampling.radiance_by_samples(b, 0, c), 16),
         *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4, 1e-5),
     ]
 

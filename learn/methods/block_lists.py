@@ -115,13 +115,13 @@ class Listing:
     """
 
     def __init__(self, n: np.ndarray, tables: Tables, left_out: float, stored_bytes: int = 0):
-        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.tables, self.left_out, self.order = tables, left_out, order_by_place(n)
         self.n, self.list_bytes = n.take(self.order, 0), 0
         self.lists: dict[int, Lists] = {}
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = self.n[start : start + PASS]
-            lists = select(part, tables, tables.cones, left_out)
+            lists = select_lists(part, tables, tables.cones, left_out)
             run_forward(part, tables, lists, out[start : start + PASS])
             if stored_bytes + self.list_bytes < CACHE_BYTES and (
                 tables.backward_cones is tables.cones
@@ -139,7 +139,7 @@ class Listing:
         by_E = np.zeros((3, len(self.tables.lights.w)), np.float32)
         for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
-            lists = self.lists.get(start) or select(
+            lists = self.lists.get(start) or select_lists(
                 self.n[part], self.tables, self.tables.backward_cones, self.left_out
             )
             energy_sums, lobe_sums = run_backward(
@@ -152,7 +152,7 @@ class Listing:
         return put_back(by_sorted_n, self.order), by_m, by_E
 
 
-def by_place(n: np.ndarray) -> np.ndarray:
+def order_by_place(n: np.ndarray) -> np.ndarray:
     """An order (P,) of pixels in which neighbours have similar unit normals (P, 3).
 
     It follows a Morton curve over the normals' x and y.
@@ -176,7 +176,7 @@ def tile_size(pixels: int) -> int:
     return 16 if pixels < 12288 else 32 if pixels < 24576 else CULLED_TILE
 
 
-def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) -> Lists:
+def select_lists(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) -> Lists:
     """Each tile's list; cones: the tables' own, or those of their backward pass."""
     size, capacity = tile_size(len(n)), tables.lights.blocks
     tiles = -(-len(n) // size)
@@ -245,10 +245,10 @@ def run_backward(
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
-    return added(energy_sums), lobe_sums
+    return sum_first_axis(energy_sums), lobe_sums
 
 
-def added(parts: np.ndarray) -> np.ndarray:
+def sum_first_axis(parts: np.ndarray) -> np.ndarray:
     """The sum over the first axis, in its order, into the first part."""
     for part in parts[1:]:
         parts[0] += part

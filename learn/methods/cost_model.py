@@ -36,19 +36,19 @@ def calibration() -> dict[str, dict[str, float]]:
     return json.loads((Path(__file__).parent / "calibration.json").read_text())
 
 
-def samples(pixels: int, texels: int) -> list[np.ndarray]:
+def choose_samples(pixels: int, texels: int) -> list[np.ndarray]:
     """Pixels (S,) to plan by and to check; then more to check, where the map is small.
 
     There they cost little.
     """
     few, many = (
-        directional.spread_over(pixels, count)
+        directional.spread_indices(pixels, count)
         for count in (SAMPLE, max(SAMPLE, SAMPLE_PAIRS // texels))
     )
     return [few] if len(many) == len(few) else [few, many]
 
 
-def good(error: np.ndarray, level: float, tolerance: float) -> bool:
+def keeps_tolerance(error: np.ndarray, level: float, tolerance: float) -> bool:
     """Whether errors (S, 3) on a sample keep the tolerance, with a margin by their spread."""
     by_pixel = error.mean(-1)
     uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
@@ -69,13 +69,13 @@ def excess(error: np.ndarray, level: float, tolerance: float) -> float:
     return mean - mean * AIM * tolerance * level / max(mean + uncertainty, 1e-30)
 
 
-def grown(size: int, pixels: int, growth: float = GROWTH) -> int:
+def next_larger_map(size: int, pixels: int, growth: float = GROWTH) -> int:
     """The next larger map; 0 where it would have more nodes than there are pixels."""
     larger = math.ceil(growth * size)
     return 0 if larger > reflectance_map.LARGEST or node_count(larger) > pixels else larger
 
 
-def coarsest(sharp: float, error: float, light_size: tuple[int, int]) -> int:
+def coarsest_level(sharp: float, error: float, light_size: tuple[int, int]) -> int:
     """The coarsest level of the light whose predicted error for a lobe is within `error`."""
     level = 0
     while (

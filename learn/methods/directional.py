@@ -59,7 +59,7 @@ def radiance(
     if has_kernels(n) and view is None:
         return ListedSum.apply(n, m, E, lights, float(left_out), lobes, method)
     if lobes != ALL_LOBES:
-        m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
+        m = lobe_shapes.keep_lobes(m, np.isin(ALL_LOBES, lobes))
     if has_kernels(n) and view is not None:
         clamped = torch.minimum(m, m.new_tensor(LARGEST_CONTROL))
         return ViewedSum.apply(n, view.expand_as(n), clamped, E, lights, method, negligible)
@@ -75,7 +75,7 @@ def is_small(pixels: int, lights: int, with_gradients: bool = False) -> bool:
     return pixels * lights <= WHOLE or (with_gradients and lights <= FEW_TEXELS)
 
 
-def near(
+def approximate_radiance(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -85,10 +85,12 @@ def near(
     method: str = "directional",
 ) -> torch.Tensor:
     """Radiance (P, 3); each pixel may lack the part `error` of the picture's mean radiance."""
-    return radiance(n, view, m, E, lights, error * scale(n, view, m, E, lights), method=method)
+    return radiance(
+        n, view, m, E, lights, error * mean_radiance(n, view, m, E, lights), method=method
+    )
 
 
-def scale(
+def mean_radiance(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -104,11 +106,11 @@ def scale(
 
 def sample(count: int, pixels: int, device: torch.device | None = None) -> torch.Tensor:
     """Indices (pixels,) spread evenly over range(count), the same every time."""
-    return torch.from_numpy(spread_over(count, pixels)).to(device)
+    return torch.from_numpy(spread_indices(count, pixels)).to(device)
 
 
 @functools.lru_cache(maxsize=64)
-def spread_over(count: int, pixels: int) -> np.ndarray:
+def spread_indices(count: int, pixels: int) -> np.ndarray:
     """As `sample`, in numpy; steps of the golden ratio fall into no pattern."""
     places = (np.arange(min(pixels, count)) * ((math.sqrt(5) - 1) / 2) + 0.5) % 1.0
     return np.unique((places * count).astype(np.int64))

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import torch
 
 from learn.engines.derivatives import THIRD, Context, Step, require_one_gradient
-from learn.methods import Batch, Card, by_group
+from learn.methods import Batch, Card, radiance_by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
 from shaders.spline import basis, basis_slope
@@ -74,7 +74,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         w, E = texels(light, batch.camera_from_light)
         return ExactSum.apply(n, view, m, E, w)
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
 class Half(NamedTuple):

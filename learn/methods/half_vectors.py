@@ -10,8 +10,8 @@ sum then does not jump where a sample crosses a texel's border, and the error fa
 of N^−¾.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
-differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk` in plain
-torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
+differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk_radiance`
+in plain torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
 samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
@@ -74,7 +74,7 @@ def spiral(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def place(
+def place_samples(
     n: torch.Tensor,
     view: torch.Tensor,
     around: torch.Tensor,
@@ -100,7 +100,7 @@ def place(
     )
 
 
-def chunk(
+def chunk_radiance(
     n: torch.Tensor,
     view: torch.Tensor,
     m: torch.Tensor,
@@ -109,9 +109,9 @@ def chunk(
     solid_angle: torch.Tensor,
     camera_from_light: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of a chunk of pixels by the samples of `place`."""
+    """Radiance (p, 3) of a chunk of pixels by the samples of `place_samples`."""
     with torch.no_grad():
-        w, weight, _ = place(
+        w, weight, _ = place_samples(
             n, view, around, solid_angle, camera_from_light, (light.shape[0], light.shape[1])
         )
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])

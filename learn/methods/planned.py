@@ -65,13 +65,13 @@ class Scene:
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
         """The sum over all lights (S, 3) at pixels pick (S,)."""
-        return self.at(self.n[pick], lobes).radiance
+        return self.list_lobes(self.n[pick], lobes).radiance
 
     def sums(self, strategies: "Sequence[Strategy]", known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
         return Sums(self, strategies, known)
 
-    def at(
+    def list_lobes(
         self, normals: np.ndarray, lobes: tuple[int, ...], level: int = 0, left_out: float = 0.0
     ) -> Listing:
         """The `Listing` of some lobes at normals (N, 3)."""
@@ -95,20 +95,20 @@ class Sum:
         if strategy.size:
             self.nodes = reflectance_map.nodes_for(within, strategy.size)
             self.normals = reflectance_map.normals(self.nodes, strategy.size).astype(np.float32)
-        self.listing = scene.at(
+        self.listing = scene.list_lobes(
             self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget
         )
         self.values = self.listing.radiance
 
     def table(self) -> np.ndarray:
         """The map's table for the kernels."""
-        return reflectance_map.table(self.values, self.nodes, self.strategy.size)
+        return reflectance_map.kernel_table(self.values, self.nodes, self.strategy.size)
 
     def at_sample(self, pick: np.ndarray) -> np.ndarray:
         """Radiance (S, 3) at pixels pick (S,)."""
         if not self.strategy.size:
             return self.values[pick]
-        return reflectance_map.read(self.scene.n[pick], self.table(), self.strategy.size)
+        return reflectance_map.read_values(self.scene.n[pick], self.table(), self.strategy.size)
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
         """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
@@ -140,9 +140,11 @@ class Sums:
                 total = total + (
                     part.values
                     if same
-                    else reflectance_map.read(self.largest.normals, part.table(), strategy.size)
+                    else reflectance_map.read_values(
+                        self.largest.normals, part.table(), strategy.size
+                    )
                 )
-            self.table = reflectance_map.table(total, self.largest.nodes, self.size)
+            self.table = reflectance_map.kernel_table(total, self.largest.nodes, self.size)
 
     def parts(self) -> list[Sum]:
         """The sum of each strategy."""
@@ -152,12 +154,16 @@ class Sums:
         """Radiance (S, 3) at pixels pick (S,)."""
         results = [part.values[pick] for part in self.at_pixels]
         if self.largest:
-            results.append(reflectance_map.read(self.scene.n[pick], self.table, self.size))
+            results.append(reflectance_map.read_values(self.scene.n[pick], self.table, self.size))
         return functools.reduce(np.add, results)
 
     def radiance(self) -> np.ndarray:
         """Radiance (P, 3)."""
-        result = [reflectance_map.read(self.scene.n, self.table, self.size)] if self.largest else []
+        result = (
+            [reflectance_map.read_values(self.scene.n, self.table, self.size)]
+            if self.largest
+            else []
+        )
         result += [part.values for part in self.at_pixels]
         return functools.reduce(np.add, result) if result else 0 * self.scene.n
 

@@ -21,7 +21,7 @@ from learn.engines.lights import Rotation
 from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
 from learn.methods.cost_model import light_error
 from learn.methods.planned import Strategy
-from learn.methods.view_maps import Maps, beside_size
+from learn.methods.view_maps import Maps, slope_map_size
 from learn.methods.view_places import Chart, Places, Views
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
@@ -84,17 +84,17 @@ class Scene:
     @functools.cached_property
     def node_share(self) -> float:
         """The part of a map's square that has nodes."""
-        _, chart = self.where(False)
+        _, chart = self.map_places(False)
         return len(reflectance_map.nodes_for(chart.drawn, COUNTED)) / COUNTED**2
 
-    def where(self, mirrored: bool) -> tuple[Places, Chart]:
+    def map_places(self, mirrored: bool) -> tuple[Places, Chart]:
         """Where maps are read."""
         if mirrored not in self.places:
             self.places[mirrored] = Places(self.n, self.view, self.views, mirrored)
             self.charts[mirrored] = Chart(self.places[mirrored].n, self.views.frame)
         return self.places[mirrored], self.charts[mirrored]
 
-    def at(
+    def list_lobes(
         self,
         normals: np.ndarray,
         view: np.ndarray,
@@ -117,10 +117,10 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """What `compared` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
-        return self.compared(self.n[pick], self.view[pick], lobes, len(pick))
+        """What `sum_to_compare` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        return self.sum_to_compare(self.n[pick], self.view[pick], lobes, len(pick))
 
-    def compared(
+    def sum_to_compare(
         self, n: np.ndarray, view: np.ndarray, lobes: tuple[int, ...], known_as: int | None = None
     ) -> np.ndarray:
         """The sum of some lobes (S, 3) with which parts of a picture are compared.
@@ -135,7 +135,7 @@ class Scene:
             some = tuple(s for s in lobes if self.nearly_smooth[s] == (level == 1))
             if some and (known_as, some) not in self.truths:
                 left_out = CLOSE * max(self.budget, self.tolerance * float(result.mean()))
-                sums = self.at(n, view, some, level, left_out).radiance
+                sums = self.list_lobes(n, view, some, level, left_out).radiance
                 if known_as is None:
                     result = result + sums
                     continue
@@ -146,7 +146,7 @@ class Scene:
 
     @functools.cached_property
     def nearly_smooth(self) -> np.ndarray:
-        """Whether each lobe is as broad as `compared` asks for, (3,) bool."""
+        """Whether each lobe is as broad as `sum_to_compare` asks for, (3,) bool."""
         height, width = self.light.size
         allowed = COMPARED * self.tolerance / np.maximum(self.shares, 1e-9)
         return np.array(
@@ -164,7 +164,9 @@ class Scene:
         truth  (S, 3) the sum of the lobes there
         """
         n, view, left_out = self.n[pick], self.view[pick], CLOSE * self.budget
-        return float(np.abs(self.at(n, view, lobes, level, left_out).radiance - truth).mean())
+        return float(
+            np.abs(self.list_lobes(n, view, lobes, level, left_out).radiance - truth).mean()
+        )
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
         """The `Sums` of strategies; known: sums that have been made before."""
@@ -183,7 +185,7 @@ class Sum:
         if not strategy.size:
             budget = strategy.culled * scene.budget
             lobes, level, gap = strategy.lobes, strategy.level, scene.view_gap
-            self.listing = scene.at(scene.n, scene.view, lobes, level, budget, gap)
+            self.listing = scene.list_lobes(scene.n, scene.view, lobes, level, budget, gap)
             self.values = self.listing.radiance
             return
         size, views = strategy.size, strategy.views
@@ -193,7 +195,7 @@ class Sum:
             before = (known or {}).get(replace(strategy, views=1))
             self.maps.append(before.maps[0] if before else Maps(scene, strategy, size, 1))
             if views > 1:
-                self.maps.append(Maps(scene, strategy, beside_size(size), views, slopes=True))
+                self.maps.append(Maps(scene, strategy, slope_map_size(size), views, slopes=True))
         self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
@@ -205,10 +207,10 @@ class Sum:
 
         truth  (S, 3) the sum of the strategy's lobes there
         """
-        scene, (places, _) = self.scene, self.scene.where(self.strategy.mirrored)
+        scene, (places, _) = self.scene, self.scene.map_places(self.strategy.mirrored)
         normals = np.ascontiguousarray(places.n[pick])
         views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
-        at = scene.compared(normals, views, self.strategy.lobes)
+        at = scene.sum_to_compare(normals, views, self.strategy.lobes)
         off = self.maps[0].read[0][pick] - at
         by_view = self.values[pick] - off - truth
         return float(np.abs(by_view).mean()), float(np.abs(off).mean())
@@ -265,7 +267,7 @@ class Sums:
                 by_m += by_part_m
                 by_light += self.scene.light.gradient(by_E, level)
         for mirrored, (drawn, offsets) in by_place.items():
-            places, chart = self.scene.where(mirrored)
+            places, chart = self.scene.map_places(mirrored)
             by_part_n, by_part_view = places.backward(chart.backward(drawn), offsets)
             by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))

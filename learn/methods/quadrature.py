@@ -29,10 +29,10 @@ from learn.methods import (
     Batch,
     Card,
     directional,
-    first_only,
+    forbid_second_derivatives,
     lamps,
     load,
-    per_group,
+    radiance_by_numbered_group,
     sampled_sum,
     split_texels,
     wants_gradient,
@@ -85,12 +85,12 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     # short, they stay the sum that can be differentiated twice.
     derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
     by_texels = tolerance < LOOSE or (
-        derivatives and (is_short(batch, SPLITS[-1]) or not has_kernels(batch))
+        derivatives and (may_sum_whole(batch, SPLITS[-1]) or not has_kernels(batch))
     )
     rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
     limits, limit = [], -1.0  # sharpness up to which texels of each of SPLITS serve
     for split in SPLITS:
-        limit = broadest(split * rows, tolerance, limit)
+        limit = sharpness_limit(split * rows, tolerance, limit)
         limits.append(limit)
     splits = SPLITS if by_texels else tuple(split for split in SPLITS if split <= ALWAYS_SPLIT)
     sharpest = limits[len(splits) - 1]  # for texels
@@ -109,21 +109,23 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     out = 0 * batch.n
     lit = whole & lamps.are_split(batch, whole, tolerance)[:, None, None]
     if lit.any():
-        out = out + over_texels(batch, lit, 1, limits, tolerance)
+        out = out + sum_over_texels(batch, lit, 1, limits, tolerance)
     if (whole & ~lit).any():
-        out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole & ~lit)), tolerance)
+        out = out + load("exact").radiance(
+            replace(batch, m=keep_lobes(batch.m, whole & ~lit)), tolerance
+        )
     for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
         groups = (of_group > lower) & (of_group <= upper)
         if groups.any():
             lobes = in_texels & groups[:, None, None]
-            out = out + over_texels(batch, lobes, split, limits, tolerance)
+            out = out + sum_over_texels(batch, lobes, split, limits, tolerance)
     narrow = sharp > sharpest
     if narrow.any():
-        out = out + over_samples(batch, narrow, limits, tolerance)
+        out = out + sum_over_samples(batch, narrow, limits, tolerance)
     return out
 
 
-def is_short(batch: Batch, split: int) -> bool:
+def may_sum_whole(batch: Batch, split: int) -> bool:
     """Whether a sum over a map whose texels are all split may be made whole."""
     texels = batch.light.shape[1] * batch.light.shape[2]
     return len(batch.n) * split**2 * texels <= SHORT
@@ -136,7 +138,7 @@ def has_kernels(batch: Batch) -> bool:
     )
 
 
-def over_texels(
+def sum_over_texels(
     batch: Batch, lobes: torch.Tensor, split: int, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (P, 3) of some lobes of a batch by sums over texels, some or all of which are split.
@@ -147,14 +149,14 @@ def over_texels(
     split   parts of a texel's side that the sharpest of them needs
     limits  sharpness up to which texels of each of SPLITS serve
     """
-    chosen = replace(batch, m=keep(batch.m, lobes))
-    if is_short(batch, split) or not has_kernels(batch):
+    chosen = replace(batch, m=keep_lobes(batch.m, lobes))
+    if may_sum_whole(batch, split) or not has_kernels(batch):
         light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
         return load("exact").radiance(replace(chosen, light=light), tolerance)
-    return per_group(
-        first_only(chosen, CARD.name, CULLED),
+    return radiance_by_numbered_group(
+        forbid_second_derivatives(chosen, CARD.name, CULLED),
         functools.partial(
-            over_split_texels,
+            sum_over_split_texels,
             lobes=lobes,
             camera_from_light=batch.camera_from_light,
             limits=limits[: SPLITS.index(split) + 1],
@@ -163,7 +165,7 @@ def over_texels(
     )
 
 
-def over_split_texels(
+def sum_over_split_texels(
     group: int,
     n: torch.Tensor,
     view: torch.Tensor | None,
@@ -199,11 +201,11 @@ def over_split_texels(
     for each, parts in sums:
         parts = np.maximum(parts, lamps.parts_of(light, m, each, view, rotation, tolerance))
         share = LEFT_OUT * tolerance / len(sums)
-        out = out + over_parts(n, view, m, light, each, parts, camera_from_light, share)
+        out = out + sum_over_parts(n, view, m, light, each, parts, camera_from_light, share)
     return out
 
 
-def over_parts(
+def sum_over_parts(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -218,11 +220,11 @@ def over_parts(
     parts     (H, W) of each texel's side
     left_out  part of the mean radiance that a pixel may lack
     """
-    kept = keep(m, lobes)
+    kept = keep_lobes(m, lobes)
     lights, energy = split_texels.lights_of(light, camera_from_light, parts)
     lacking = 0.0
     if view is None:
-        lacking = left_out * directional.scale(n, None, kept, energy, lights)
+        lacking = left_out * directional.mean_radiance(n, None, kept, energy, lights)
     return directional.radiance(
         n,
         view,
@@ -236,7 +238,7 @@ def over_parts(
     )
 
 
-def over_samples(
+def sum_over_samples(
     batch: Batch, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (P, 3) of narrow lobes by samples, and by texels at angles where they are broad.
@@ -244,10 +246,12 @@ def over_samples(
     lobes   (G, 3, 3) bool, channels and lobes of each group
     limits  sharpness up to which texels of each of SPLITS serve
     """
-    return per_group(
-        first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
+    return radiance_by_numbered_group(
+        forbid_second_derivatives(
+            replace(batch, m=keep_lobes(batch.m, lobes)), CARD.name, HELD_SAMPLES
+        ),
         functools.partial(
-            over_samples_and_texels,
+            sum_over_samples_and_texels,
             lobes=lobes,
             camera_from_light=batch.camera_from_light,
             limits=limits,
@@ -256,7 +260,7 @@ def over_samples(
     )
 
 
-def over_samples_and_texels(
+def sum_over_samples_and_texels(
     group: int,
     n: torch.Tensor,
     view: torch.Tensor | None,
@@ -267,7 +271,7 @@ def over_samples_and_texels(
     limits: Sequence[float],
     tolerance: float,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of the narrow lobes of one group; arguments as `over_samples`.
+    """Radiance (p, 3) of the narrow lobes of one group; arguments as `sum_over_samples`.
 
     Samples that follow a lobe where it is narrow are too far apart to see a lamp of one texel at a
     θ_d where it is broad. Texels at such a θ_d are summed, lamps too, and black for the samples.
@@ -284,15 +288,15 @@ def over_samples_and_texels(
         sampled = light
         if parts.any():
             left_out = LEFT_OUT * tolerance
-            out = out + over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
+            out = out + sum_over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
             sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light
         out = out + sampled_sum.radiance(
-            n, view, keep(m, one), sampled, camera_from_light, sample_count_for(tolerance)
+            n, view, keep_lobes(m, one), sampled, camera_from_light, sample_count_for(tolerance)
         )
     return out
 
 
-def broadest(rows: float, tolerance: float, otherwise: float) -> float:
+def sharpness_limit(rows: float, tolerance: float, otherwise: float) -> float:
     """Largest sharpness for which a sum over so many rows serves; `otherwise` if for none."""
     return BROAD * (rows / 64) ** 2 if rows >= least_rows(tolerance) else otherwise
 
@@ -324,7 +328,7 @@ def sharpness(m: torch.Tensor) -> torch.Tensor:
     return split_texels.sharpness_along(m).amax(-1)
 
 
-def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
+def keep_lobes(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
     """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3).
 
     The others' γ is set high, so that engines skip them.

@@ -79,7 +79,7 @@ def radiance(
     return torch.cat(
         [
             checkpoint(
-                half_vectors.chunk,
+                half_vectors.chunk_radiance,
                 a,
                 b,
                 m,

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import Batch, by_group, lobe_shapes
+from learn.methods import Batch, lobe_shapes, radiance_by_group
 from learn.methods.half_vectors import frame_about, reflectance, texel_of
 from shaders.dsbrdf import differentiable_half_angles
 from shaders.envmap import directions
@@ -27,12 +27,12 @@ from shaders.tone import LUMINANCE
 PAIRS = 32768  # samples of one chunk of pixels
 
 
-def count(tolerance: float) -> int:
+def sample_count(tolerance: float) -> int:
     """Samples per pixel for a tolerance, between 16 and 1024."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
-def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
+def radiance_by_samples(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
     """Radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
 
     def one_group(
@@ -50,13 +50,23 @@ def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
         return torch.cat(
             [
                 checkpoint(
-                    chunk, a, b, m, light, lobes, table, by_light, by_brdf, s, use_reentrant=False
+                    chunk_radiance,
+                    a,
+                    b,
+                    m,
+                    light,
+                    lobes,
+                    table,
+                    by_light,
+                    by_brdf,
+                    s,
+                    use_reentrant=False,
                 )
                 for a, b, s in parts
             ]
         )
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
 class Lobes:
@@ -144,7 +154,7 @@ def pattern(first: int, pixels: int, samples: int) -> np.ndarray:
     return (turn[:, None] + i * steps) % 1.0
 
 
-def chunk(
+def chunk_radiance(
     n: torch.Tensor,
     view: torch.Tensor,
     m: torch.Tensor,
@@ -161,8 +171,8 @@ def chunk(
             [
                 part
                 for part in (
-                    from_light(n, table, by_light, first),
-                    from_brdf(n, view, lobes, by_brdf, first),
+                    draw_by_light(n, table, by_light, first),
+                    draw_by_lobes(n, view, lobes, by_brdf, first),
                 )
                 if part is not None
             ],
@@ -186,7 +196,7 @@ def chunk(
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
-def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
+def draw_by_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
     """Directions (p, samples, 3) drawn by the light; None for no samples."""
     if samples == 0:
         return None
@@ -196,7 +206,7 @@ def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torc
     )
 
 
-def from_brdf(
+def draw_by_lobes(
     n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
 ) -> torch.Tensor | None:
     """Directions (p, samples, 3) drawn by the lobes; None for no samples."""

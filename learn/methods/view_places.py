@@ -66,7 +66,7 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a[:, :1] * b[:, :1] + a[:, 1:2] * b[:, 1:2]) + a[:, 2:] * b[:, 2:]
 
 
-def along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def component_along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
     return vectors[:, 0] * axis[0] + vectors[:, 1] * axis[1] + vectors[:, 2] * axis[2]
 
@@ -95,11 +95,11 @@ class Views:
         e1 = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0], axis)
         e1 /= np.linalg.norm(e1)
         self.frame = np.stack([e1, np.cross(axis, e1), axis]).astype(np.float32)
-        a, b, depth = (along(view, row) for row in self.frame)
+        a, b, depth = (component_along(view, row) for row in self.frame)
         self.depth = np.maximum(depth, np.float32(LEAST_DEPTH))
         self.slopes = np.stack([a / self.depth, b / self.depth])
-        pick = directional.spread_over(len(n), FITTED)
-        self.fit = np.ascontiguousarray(fitted(n[pick], self.slopes[:, pick]))
+        pick = directional.spread_indices(len(n), FITTED)
+        self.fit = np.ascontiguousarray(fit_views(n[pick], self.slopes[:, pick]))
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         wide = np.sqrt(3 * np.square(offsets).mean(1))
         self.half = np.maximum(wide, np.float32(LEAST_HALF))
@@ -147,7 +147,7 @@ class Views:
         radial = dot(by_vectors, self.vectors(slopes))[:, 0] / length
         return np.stack(
             [
-                (along(by_vectors, e) - radial * slope) / length
+                (component_along(by_vectors, e) - radial * slope) / length
                 for e, slope in zip((e1, e2), slopes, strict=True)
             ]
         )
@@ -169,11 +169,11 @@ class Views:
             for o in OFFSETS[count]
         ]
         least = self.least_cosine
-        normals = [moved(n, view, other, least)[0] if mirrored else n for other in views]
+        normals = [move_normals(n, view, other, least)[0] if mirrored else n for other in views]
         return np.stack(normals), np.stack(views)
 
 
-def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def fit_views(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Coefficients (2, 6) float32 of V by least squares."""
     terms = np.stack(features(n.astype(np.float64)))
     # einsum, for BLAS has threads that spin
@@ -183,7 +183,7 @@ def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     return np.linalg.solve(gram, right.T).T.astype(np.float32)
 
 
-def moved(
+def move_normals(
     n: np.ndarray, view: np.ndarray, other: np.ndarray, least_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
@@ -215,7 +215,7 @@ class Places:
             for _ in range(STEPS):  # V belongs to the place that is sought
                 before, self.middle = self.n, views.middle(self.n)
                 other = views.vectors(self.middle)
-                self.n, self.length, self.cosine = moved(n, view, other, views.least_cosine)
+                self.n, self.length, self.cosine = move_normals(n, view, other, views.least_cosine)
                 if np.abs(self.n - before).mean() < SETTLED:
                     break
         self.middle = views.middle(self.n)
@@ -242,7 +242,7 @@ class Places:
         views = self.views
         limits = np.array([views.least_cosine, limit, *views.half], np.float32)
         given = self.given, self.view, views.frame, views.fit, limits
-        reflectance_map.sliced(
+        reflectance_map.run_in_slices(
             len(self.given),
             PLACED,
             lambda first, last: machine_code.call(
@@ -299,7 +299,7 @@ class Chart:
     """
 
     def __init__(self, n: np.ndarray, frame: np.ndarray):
-        self.frame, self.n = frame, turned(n, frame)
+        self.frame, self.n = frame, rotate(n, frame)
         least = min(float(self.n[:, 2].min()), 0.0)
         self.scale = np.float32(1 / math.sqrt(1 - least))
         self.drawn = self.n
@@ -318,7 +318,7 @@ class Chart:
         stretch = np.sqrt(ratio) / float(self.scale)
         inside = np.stack([drawn[:, 0] * stretch, drawn[:, 1] * stretch, z], -1)
         inside /= np.sqrt(dot(inside, inside))
-        return turned(inside, self.frame.T).astype(np.float32)
+        return rotate(inside, self.frame.T).astype(np.float32)
 
     def backward(self, by_drawn: np.ndarray) -> np.ndarray:
         """The derivative by n (P, 3), from the one by what is drawn."""
@@ -327,9 +327,9 @@ class Chart:
             x, y, z = self.n[:, 0], self.n[:, 1], self.n[:, 2]
             by_z = -0.5 * (by_x * x + by_y * y) / np.maximum(1 + z, 1e-6)
             by_drawn = np.stack([by_x, by_y, by_z], -1)
-        return turned(by_drawn, self.frame.T)
+        return rotate(by_drawn, self.frame.T)
 
 
-def turned(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def rotate(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Vectors (P, 3) rotated, without BLAS, whose threads spin."""
-    return np.stack([along(vectors, row) for row in rotation], -1)
+    return np.stack([component_along(vectors, row) for row in rotation], -1)

@@ -31,9 +31,9 @@ from learn.methods.block_lists import (
     PASS,
     TESTED,
     Lists,
-    added,
-    by_place,
+    order_by_place,
     put_back,
+    sum_first_axis,
     tile_size,
 )
 from learn.methods.light_tables import Lights
@@ -156,13 +156,13 @@ class ViewedListing:
         view_gap: float = 0.0,
     ):
         self.limit = np.array([view_gap], np.float32)
-        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.tables, self.left_out, self.order = tables, left_out, order_by_place(n)
         self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
         self.list_bytes, self.lists = 0, dict[int, Lists]()
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = slice(start, start + PASS)
-            lists = select(self.n[part], self.view[part], tables, left_out)
+            lists = select_lists(self.n[part], self.view[part], tables, left_out)
             run_forward(self.n[part], self.view[part], tables, lists, self.limit, out[part])
             if stored_bytes + self.list_bytes < CACHE_BYTES and not tables.dims_lobes:
                 self.lists[start] = lists
@@ -183,7 +183,7 @@ class ViewedListing:
         for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
             n, view = self.n[part], self.view[part]
-            lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
+            lists = self.lists.get(start) or select_lists(n, view, self.tables, self.left_out, True)
             energy_sums, m_sums = run_backward(
                 n,
                 view,
@@ -202,7 +202,7 @@ class ViewedListing:
         return placed_n, placed_view, by_m, by_E
 
 
-def select(
+def select_lists(
     n: np.ndarray,
     view: np.ndarray,
     tables: ViewedTables,
@@ -290,4 +290,4 @@ def run_backward(
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
-    return added(energy_sums), m_sums
+    return sum_first_axis(energy_sums), m_sums

@@ -91,7 +91,7 @@ def test_each_texel_counts_once_in_the_derivative_by_light():
 def sums_of(batch, monkeypatch):
     """Numbers of texels of each sum over some of them, and samples of each sum over these."""
     texels, samples = [], []
-    over_parts, radiance = quadrature.over_parts, sampled_sum.radiance
+    over_parts, radiance = quadrature.sum_over_parts, sampled_sum.radiance
 
     def texels_noted(n, view, m, light, lobes, parts, *others):
         texels.append(int((parts > 0).sum()))
@@ -101,7 +101,7 @@ def sums_of(batch, monkeypatch):
         samples.append(arguments[-1])
         return radiance(*arguments)
 
-    monkeypatch.setattr(quadrature, "over_parts", texels_noted)
+    monkeypatch.setattr(quadrature, "sum_over_parts", texels_noted)
     monkeypatch.setattr(sampled_sum, "radiance", samples_noted)
     quadrature.radiance(batch, 1e-2)
     return texels, samples
