@@ -82,7 +82,7 @@ class Bench:
     def __init__(self, records: Records, weights: Path, device: str = "cpu"):
         network, metadata = checkpoint.load_parts(weights, device)
         self.records, self.size, self.device = records, metadata["size"], torch.device(device)
-        self.predict = methods.network(network)
+        self.predict = methods.make_predictor(network)
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
         self.commit = provenance()["commit"]
 
@@ -147,12 +147,12 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
 def rendered_again(prediction: Prediction, picture: Shown) -> float:
     """Return the display L2 of the picture's re-rendering by the integral against the picture."""
     parts, batch = require_parts(prediction), picture.batch
-    again = methods.rendered(parts.n, parts.label, parts.light, batch)
+    again = methods.render_by_layer(parts.n, parts.label, parts.light, batch)
     return display_l2(again, to_numpy((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 
 
 def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:
-    return methods.rendered(parts.n, torch.from_numpy(picture.label), parts.light, batch)
+    return methods.render_by_layer(parts.n, torch.from_numpy(picture.label), parts.light, batch)
 
 
 def angles(n: torch.Tensor, batch: ExampleBatch) -> tuple[float, float]:

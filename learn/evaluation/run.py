@@ -192,7 +192,7 @@ def settings(options: Options) -> dict:
         "materials": file_hash(open_store(options.data).fetch("materials.json")),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(RefinementSettings().rendered_by(method)) if options.refine else False,
+        "refine": asdict(RefinementSettings().with_method(method)) if options.refine else False,
         "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),

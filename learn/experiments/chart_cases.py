@@ -16,7 +16,7 @@ import torch
 
 from learn import methods
 from learn.experiments import chart_shapes
-from learn.layer.inputs import checked, compact
+from learn.layer.inputs import check_inputs, compact_pixels
 from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr, light_files
 from manifests.errors import InputError, closest
@@ -182,4 +182,4 @@ def batch_of(
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
     leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
     mask = (n != 0).any(-1).detach()
-    return compact(checked(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves
+    return compact_pixels(check_inputs(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves

@@ -59,7 +59,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.settings import Data
     from learn.data.sources import load_data_splits
-    from learn.evaluation.methods import network
+    from learn.evaluation.methods import make_predictor
     from learn.networks import weights as checkpoint
     from learn.refinement import RefinementSettings, refine
     from manifests import outputs
@@ -72,7 +72,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}
     outputs.pin_settings(arguments.out / "settings.json", about)
     split = load_data_splits(Data(), arguments.data)["test"]
-    predict = network(net)
+    predict = make_predictor(net)
     cases = {
         k: case_of(split, k, arguments.seed, metadata["size"]) for k in range(arguments.pictures)
     }

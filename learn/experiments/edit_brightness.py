@@ -94,11 +94,11 @@ def figures(parts: Parts, picture: Shown) -> dict[str, Any]:
     import numpy as np
     import torch
 
-    from learn.evaluation.methods import rendered
+    from learn.evaluation.methods import render_by_layer
     from learn.metrics.pictures import aligned, display_l2
     from shaders.tone import LUMINANCE
 
-    edited = rendered(parts.n, torch.from_numpy(picture.label), parts.light, picture.batch)
+    edited = render_by_layer(parts.n, torch.from_numpy(picture.label), parts.light, picture.batch)
     mine, its = (
         float((each[picture.mask] @ np.asarray(LUMINANCE)).mean())
         for each in (edited, picture.target)

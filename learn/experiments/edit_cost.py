@@ -154,7 +154,7 @@ def methods_of(
         # a run's folder names its weights, which are all called weights.safetensors
         name = path.parent.name if path.stem == "weights" else path.stem
         sizes[name] = metadata["size"]
-        predicted = functools.partial(methods.Layered, name, methods.network(network))
+        predicted = functools.partial(methods.Layered, name, methods.make_predictor(network))
         result[f"{name}, predicted"] = predicted
         known = getattr(network, "training_labels", None)
         for caption, settings in amounts().items():

@@ -90,7 +90,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import ladder, overlap
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import shown
-    from learn.evaluation.methods import network
+    from learn.evaluation.methods import make_predictor
     from learn.experiments import ladder_scenes
     from learn.networks import weights as checkpoint
     from manifests import outputs
@@ -111,7 +111,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "seed": arguments.seed,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    predict, labels = network(net), getattr(net, "training_labels", None)
+    predict, labels = make_predictor(net), getattr(net, "training_labels", None)
 
     def row(scene: Scene) -> dict[str, Any]:
         picture = shown(records, scene, rung, metadata["size"])
@@ -157,7 +157,7 @@ def compared(
     image = batch.image[0].movedim(0, -1).numpy()
     result: dict[str, Any] = {}
     for name, each in parts.items():
-        again = methods.rendered(each.n, each.label, each.light, batch)
+        again = methods.render_by_layer(each.n, each.label, each.light, batch)
         result[name] = edit_figures(each.n, each.light, picture) | {
             "image": display_l2(again, image, picture.mask),
             "seconds": seconds[name],
@@ -186,7 +186,7 @@ def edit_figures(n: Any, light: Any, picture: Any) -> dict[str, float]:
     from learn.metrics.pictures import aligned, display_l2
     from learn.metrics.radiometry import irradiance_error
 
-    edited = methods.rendered(n, torch.from_numpy(picture.label), light, picture.batch)
+    edited = methods.render_by_layer(n, torch.from_numpy(picture.label), light, picture.batch)
     return {
         "edit": display_l2(edited, picture.target, picture.mask),
         "aligned": aligned(edited, picture.target, picture.mask)["l2_one_factor"],

@@ -67,7 +67,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from learn.evaluation.methods import network
+    from learn.evaluation.methods import make_predictor
     from learn.experiments import refinement_sweep
     from learn.networks import weights as checkpoint
     from manifests.store import file_hash
@@ -83,7 +83,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     records = Records(arguments.data)
     refinement_sweep.pin_settings(arguments.out, about)
-    return _measure(arguments, network(net), records) | {"about": about}
+    return _measure(arguments, make_predictor(net), records) | {"about": about}
 
 
 def _measure(

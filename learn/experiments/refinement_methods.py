@@ -137,7 +137,7 @@ def settings_of(rung: str, method: str) -> RefinementSettings:
 
     (known,) = (each for each in RUNGS if each.name == rung)
     settings = PHOTOGRAPHS if known.eight_bit else RefinementSettings()
-    return replace(settings, outer_iterations=1).rendered_by(method)
+    return replace(settings, outer_iterations=1).with_method(method)
 
 
 def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:

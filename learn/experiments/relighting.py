@@ -72,7 +72,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.records import Records
     from learn.evaluation import ladder, overlap
-    from learn.evaluation.methods import network, training_labels
+    from learn.evaluation.methods import make_predictor, training_labels
     from learn.networks import weights as checkpoint
     from manifests import outputs
     from manifests.store import file_hash
@@ -93,7 +93,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     mean = torch.from_numpy(np.mean(training_labels(None, "built-in"), 0)).float()[None]
-    bench = Bench(records, pictures, network(net), metadata["size"], mean)
+    bench = Bench(records, pictures, make_predictor(net), metadata["size"], mean)
     todo = [
         ({"task": case.task, "rung": rung, "of": _name(case)}, (case, rung))
         for rung in pictures
@@ -218,7 +218,7 @@ class Bench:
         import torch
 
         from learn.data.devices import to_numpy
-        from learn.evaluation.methods import rendered
+        from learn.evaluation.methods import render_by_layer
         from learn.networks.prediction import require_part
         from shaders.envmap import roll
 
@@ -241,7 +241,7 @@ class Bench:
             "true": (batch.n, true_label),
         }
         made = {"unchanged": to_numpy((batch.image * batch.mask)[0].movedim(0, -1))}
-        made |= {key: rendered(*each, light, batch) for key, each in parts.items()}
+        made |= {key: render_by_layer(*each, light, batch) for key, each in parts.items()}
         return shown, made
 
     def decomposed(self, source: Key, truth: Key, name: str) -> tuple[Shown, Prediction]:

@@ -24,7 +24,7 @@ import torch
 from learn import methods
 from learn.engines import pixel_selection
 from learn.layer import transforms
-from learn.layer.inputs import checked, checked_settings, compact
+from learn.layer.inputs import check_inputs, check_settings, compact_pixels
 from shaders.frames import ELEVATION
 
 
@@ -57,8 +57,8 @@ def render(
         return transforms.render(
             (n, material, light, view, segments, mask), (method, tolerance, elevation)
         )
-    inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
-    batch, index = compact(inputs)
+    inputs = check_inputs(n, material, light, view, segments, mask, tolerance, elevation)
+    batch, index = compact_pixels(inputs)
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
         work = chosen.radiance
@@ -100,7 +100,7 @@ class RenderLayer(torch.nn.Module):
     ):
         super().__init__()
         methods.load(method)
-        checked_settings(tolerance, elevation)
+        check_settings(tolerance, elevation)
         self.method, self.tolerance, self.elevation = method, tolerance, elevation
 
     def forward(

@@ -96,14 +96,14 @@ def refine(
             " 0, found others (check the network's weights)"
         )
     energy = Energy(batch, current, settings)
-    before = after = energy.finest(current)
+    before = after = energy.terms_of_all_pixels(current)
     history: list[dict[str, Any]] = []
-    counted = None if watch is None else _counted(watch, settings)
+    counted = None if watch is None else _make_counter(watch, settings)
     for number in range(settings.outer_iterations):
         start = current if number else predicted
-        state, steps = outer_iteration(batch, start, inside, settings, directions, counted)
+        state, steps = run_outer_iteration(batch, start, inside, settings, directions, counted)
         state = replace(state, z={"material": current.z["material"] + state.z["material"]})
-        terms = energy.finest(state)
+        terms = energy.terms_of_all_pixels(state)
         if not terms["total"] < before["total"]:
             break
         current, after = state, terms
@@ -114,7 +114,7 @@ def refine(
     return RefinementResult(refined, before, after, history, time.perf_counter() - began)
 
 
-def _counted(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
+def _make_counter(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
     """Return a function to call before each evaluation; L-BFGS makes about one per iteration."""
     steps = [step for level in settings.levels for step in steps_of(level, settings.order)]
     expected = settings.outer_iterations * sum(iterations for *_, iterations in steps)
@@ -122,7 +122,7 @@ def _counted(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
     return lambda: watch(next(numbers), expected)
 
 
-def outer_iteration(
+def run_outer_iteration(
     batch: ExampleBatch,
     start: State,
     inside: torch.Tensor,
@@ -138,14 +138,14 @@ def outer_iteration(
     maps = coordinates(start, inside, settings, directions)
     z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
     energy = Energy(batch, starting_state(maps), settings)
-    best, history = energy.finest(starting_state(maps)), []
+    best, history = energy.terms_of_all_pixels(starting_state(maps)), []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for turn, names, iterations in steps_of(level, settings.order):
-            moved = z | minimised(
+            moved = z | minimise(
                 energy, maps, z, names, level, where, iterations, before_evaluation
             )
-            terms = energy.finest(state_of(maps, moved))
+            terms = energy.terms_of_all_pixels(state_of(maps, moved))
             accepted = math.isfinite(terms["total"]) and terms["total"] < best["total"]
             if accepted:
                 z, best = moved, terms
@@ -205,7 +205,7 @@ def state_of(
     return State(**fields) if known is None else replace(known, **fields)
 
 
-def minimised(
+def minimise(
     energy: Energy,
     maps: Coordinates,
     z: Vectors,

@@ -31,7 +31,7 @@ import torch
 
 from learn.data.batch import ExampleBatch
 from learn.data.settings import Losses
-from learn.layer.light_maps import reduced, solid_angles
+from learn.layer.light_maps import reduce_maps, solid_angles
 from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compressed
 from learn.networks.features import Features, difference
@@ -130,7 +130,7 @@ def light_terms(
         mine, its = (torch.log1p(scaled(light)) for light in lights)
         result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
-        mine, its = (log_rendered(reduced(scaled(light), RENDERED_LIGHT)) for light in lights)
+        mine, its = (log_rendered(reduce_maps(scaled(light), RENDERED_LIGHT)) for light in lights)
         result["light_rendered"] = ((mine - its) ** 2).mean()
     return result
 
@@ -146,9 +146,11 @@ def layer_terms(
 
     Parts that are not predicted are replaced by the truth.
     """
-    true_light = reduced(batch.light, losses.layer_light)
+    true_light = reduce_maps(batch.light, losses.layer_light)
     light = (
-        true_light if prediction.light is None else reduced(prediction.light, losses.layer_light)
+        true_light
+        if prediction.light is None
+        else reduce_maps(prediction.light, losses.layer_light)
     )
     label = batch.label if prediction.label is None else prediction.label
     n = batch.n if prediction.n is None else prediction.n

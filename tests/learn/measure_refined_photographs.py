@@ -39,7 +39,7 @@ def by_method(path, mask, network, size):
     figures, tiles, edits = {}, {}, {}
     for method in LAYER_METHODS:
         began = time.process_time()
-        result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.rendered_by(method))
+        result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.with_method(method))
         seconds = time.process_time() - began
         compositor = Compositor(result, detail=0.25)
         again = compositor.rendered_again()

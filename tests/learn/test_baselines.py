@@ -16,7 +16,7 @@ from learn.data.geometry import Geometry
 from learn.data.relit import DataSplit, RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.evaluation import baseline_methods as methods
-from learn.evaluation.methods import rendered
+from learn.evaluation.methods import render_by_layer
 from learn.layer import render
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges, compressed
@@ -160,7 +160,7 @@ def test_the_three_networks_share_nothing():
 def test_the_true_target_is_the_layers_picture_in_the_target_material(data_splits):
     pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
-        expected = rendered(
+        expected = render_by_layer(
             pair.n[i : i + 1],
             pair.target_label[i],
             pair.light[i : i + 1],
@@ -217,9 +217,9 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
     dark = replace(batch, image=picture, label=label)
     result = posterior.estimate(dark, known)
     assert result.after < 0.2 * result.before
-    again = rendered(dark.n, result.label[0], result.light, dark)
+    again = render_by_layer(dark.n, result.label[0], result.light, dark)
     start = posterior.Posterior(dark, known).start()
-    first = rendered(
+    first = render_by_layer(
         dark.n, known.label(start[0]).float(), known.light(start[1], 64, 128).float(), dark
     )
     seen, inside = picture[0].movedim(0, -1).numpy(), dark.mask[0, 0].numpy() > 0
@@ -263,7 +263,7 @@ def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_spli
         name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2)
         for name in ("image", "mask", "n", "segments")
     }
-    result = methods.predicting(net, SIZE)(replace(batch, **double))
+    result = methods.make_predictor_at_size(net, SIZE)(replace(batch, **double))
     torch.testing.assert_close(result.light, method.parts(batch).light)
     assert result.n.shape == (1, 3, 2 * SIZE, 2 * SIZE)
     torch.testing.assert_close(result.n.norm(dim=1), torch.ones(1, 2 * SIZE, 2 * SIZE))

@@ -175,7 +175,7 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     batch, truth = scene
     start = perturbed(truth, 1)
     once = refine(batch, start, replace(QUICK, outer_iterations=1))
-    plain, calls = descent.outer_iteration, []
+    plain, calls = descent.run_outer_iteration, []
 
     def lost(batch, state, *rest):
         calls.append(state)
@@ -186,7 +186,7 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
             else (result, report)
         )
 
-    monkeypatch.setattr(descent, "outer_iteration", lost)
+    monkeypatch.setattr(descent, "run_outer_iteration", lost)
     result = refine(batch, start, replace(QUICK, outer_iterations=2))
     assert len(calls) == 2
     assert (

@@ -277,7 +277,7 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
 
 def test_a_light_reduced_keeps_its_energy(rng):
     L = torch.from_numpy(rng.random((1, 3, 64, 128)))
-    small = light_maps.reduced(L, (8, 16))
+    small = light_maps.reduce_maps(L, (8, 16))
     torch.testing.assert_close(
         (small * light_maps.solid_angles(small)).sum((2, 3)),
         (L * light_maps.solid_angles(L)).sum((2, 3)),
