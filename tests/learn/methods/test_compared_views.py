@@ -33,8 +33,8 @@ def test_what_parts_are_compared_with_is_nearly_exact(kind, tolerance):
 
 def test_broad_lobes_are_compared_under_larger_texels_and_sums_are_kept():
     s, made = scene("satin", "lamps of 64 rows"), []
-    original = s.at
-    s.at = lambda n, v, lobes, level=0, *rest: (
+    original = s.list_lobes
+    s.list_lobes = lambda n, v, lobes, level=0, *rest: (
         made.append((lobes, level)) or original(n, v, lobes, level, *rest)
     )
     pick = sample(s)
