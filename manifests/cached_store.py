@@ -94,7 +94,7 @@ class CachedStore(Store):
         self._write(path, data)
         return True
 
-    def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
+    def unnamed_objects(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield the objects in folders of files that nothing names; see Store."""
         for kind, known in named.items():
             yield from sorted(self.remote.names(kind, deep=True).keys() - set(known))

@@ -35,7 +35,7 @@ from manifests import lock
 from manifests.errors import InputError
 from manifests.files import replacing
 from manifests.inputs import require_file
-from manifests.line_files import REPAIR, Lines, encoded, lines_of
+from manifests.line_files import REPAIR, Lines, encode, lines_of
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
 
@@ -147,7 +147,7 @@ class Store:
         """Replace the copy of a file that has become another one since; return whether it has."""
         return False
 
-    def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
+    def unnamed_objects(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield objects that nothing names and that have no copy in the folder: none here.
 
         named   {folder: paths of the files that may lie there}
@@ -210,20 +210,24 @@ class Store:
         Raises  InputError for a line that no writer leaves
         """
         return (
-            filter(keep, self._decoded(Record, "records"))
+            filter(keep, self._decode_lines(Record, "records"))
             if keep
-            else self._decoded(Record, "records")
+            else self._decode_lines(Record, "records")
         )
 
     def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
         """Yield each View, as `records` yields each Record."""
-        return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
+        return (
+            filter(keep, self._decode_lines(View, "views"))
+            if keep
+            else self._decode_lines(View, "views")
+        )
 
     def ids(self, kind: str = "records") -> set[str]:
         """Return the ids of all lines of a kind, without decoding the rest of a line."""
-        return {line.id for *_, line in self._placed(_Id, kind)}
+        return {line.id for *_, line in self._lines_with_places(_Id, kind)}
 
-    def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
+    def known_ids(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
         """Return (ids, hashes): the ids of all lines of a kind, and the hashes of geometry files.
 
         hashes  {path: hash} of each file that a record or a view names; the first where lines
@@ -232,7 +236,7 @@ class Store:
         ids: set[str] = set()
         hashes: dict[str, str] = {}
         for each in LINES:
-            for *_, line in self._placed(_Known, each):
+            for *_, line in self._lines_with_places(_Known, each):
                 hashes.setdefault(line.geometry, line.geometry_hash)
                 if each == kind:
                     ids.add(line.id)
@@ -250,17 +254,19 @@ class Store:
                         "delete this file: it only says what went wrong",
                     )
 
-    def placed(self, kind: str = "records") -> Iterator[tuple[Path, int, bytes, Any]]:
+    def placed_lines(self, kind: str = "records") -> Iterator[tuple[Path, int, bytes, Any]]:
         """Yield (file, number of its byte with which the line begins, line, what it says) of lines.
 
         Raises  InputError for a line that no writer leaves
         """
-        return self._placed(LINES[kind], kind)
+        return self._lines_with_places(LINES[kind], kind)
 
-    def _decoded(self, type_, kind):
-        return (line for *_, line in self._placed(type_, kind))
+    def _decode_lines(self, type_, kind):
+        """Yield each line of a kind as a `type_`."""
+        return (line for *_, line in self._lines_with_places(type_, kind))
 
-    def _placed(self, type_, kind):
+    def _lines_with_places(self, type_, kind):
+        """Yield (file, byte at which the line begins, line, the line as a `type_`) of lines."""
         decoder = msgspec.json.Decoder(type_)
         for path in self.record_files(kind):
             start = 0
@@ -280,7 +286,7 @@ class Store:
 
     def write_json(self, name: str, value: Any, worker: str = "main") -> None:
         """Write a small JSON file through partial/."""
-        text = msgspec.json.format(encoded(value, order="deterministic"), indent=1)
+        text = msgspec.json.format(encode(value, order="deterministic"), indent=1)
         self.place(name, text + b"\n", worker)
 
     def place(self, relative: str, data: bytes, worker: str, keep_first: bool = False) -> str:

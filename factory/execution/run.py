@@ -186,7 +186,7 @@ def _made(
     prefix       what the workers' names start with
     descriptors  file descriptors of the folder's locks, which the workers hold as well
     """
-    known = store.known("records" if plan.job.pictures else "views")
+    known = store.known_ids("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
     missing = _missing(parts, known, sources, counts, run_options.limit, watch)

@@ -31,7 +31,7 @@ from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
 from manifests.files import write_bytes
-from manifests.line_files import encoded
+from manifests.line_files import encode
 from manifests.object_store import THREADS, ObjectFolder
 from manifests.schema import Record, View
 from manifests.store import LINES, Store
@@ -130,7 +130,7 @@ class Uploads:
                 self._offsets[path] = len(data)
         require_no_foreign_files(Store(self.folder))  # before lines are read as records
         for kind in LINES:
-            ids, hashes = Store(self.folder).known(kind)
+            ids, hashes = Store(self.folder).known_ids(kind)
             self._ids[kind] = ids
             self._hashes |= hashes
 
@@ -243,7 +243,7 @@ class Uploads:
         """Return a line as bytes, with the hash of the geometry file that the store holds."""
         if (there := self._hashes[line.geometry]) != line.geometry_hash:
             line = msgspec.structs.replace(line, geometry_hash=there)
-        return encoded(line) + b"\n"
+        return encode(line) + b"\n"
 
     def _remove_pictures(self) -> None:
         """Remove pictures from the scratch folder that were sent and are not read again."""

@@ -43,7 +43,7 @@ def read_maps(path: str | Path) -> dict[str, np.ndarray]:
         return _library(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
-    with archives.opened_zip(path, rule, remedy) as archive:
+    with archives.open_zip(path, rule, remedy) as archive:
         members = archive.infolist()
         if len(members) > MOST_MAPS:
             raise InputError(

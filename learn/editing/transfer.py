@@ -144,7 +144,7 @@ def run(
             rows = transfer_grids.edited_rows(out, pictures, decompositions, edit_options, progress)
             save(out / name, montage.contact_sheet(rows, drawing.TILE))
         about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
-        written = earlier_results.written()
+        written = earlier_results.written_hashes()
         files.write_json(
             out / "transfer.json",
             {"pictures": report} | about | edit_options.as_metadata() | {"files": written},

@@ -30,7 +30,7 @@ from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction, require_part
 from learn.training import validation
 from manifests import ray_tasks
-from manifests.line_files import encoded
+from manifests.line_files import encode
 
 BATCH, SEED = 16, 77
 PATTERNS = {"plain": 0.0, "printed": 1.0}  # share of the pictures that have one
@@ -172,7 +172,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     bench = Bench(networks, run, data_splits["test"], validation.mean_albedo(data_splits["train"]))
 
     def work(piece: bytes) -> bytes:
-        return encoded([_packed(each) for each in bench.measured(*msgspec.json.decode(piece))])
+        return encode([_packed(each) for each in bench.measured(*msgspec.json.decode(piece))])
 
     return work
 

@@ -31,7 +31,7 @@ from learn.refinement import RefinementSettings
 from manifests import lock, outputs, ray_tasks, subprocesses
 from manifests.cached_store import open_store
 from manifests.errors import InputError
-from manifests.line_files import Lines, encoded
+from manifests.line_files import Lines, encode
 from manifests.progress import tqdm
 from manifests.schema import Record
 from manifests.store import file_hash
@@ -306,7 +306,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     bench = Bench(**msgspec.json.decode(settings))
 
     def work(piece: bytes) -> bytes:
-        return encoded(bench.work(*msgspec.json.decode(piece, type=Unit)))
+        return encode(bench.work(*msgspec.json.decode(piece, type=Unit)))
 
     return work
 

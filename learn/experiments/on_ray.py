@@ -23,7 +23,7 @@ import msgspec
 
 from manifests import ray_tasks
 from manifests.errors import InputError
-from manifests.line_files import encoded
+from manifests.line_files import encode
 
 Identity = dict[str, Any]  # what identifies a row
 
@@ -114,7 +114,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
         _wanted = before
 
     def work(piece: bytes) -> bytes:
-        return encoded([measure(cases[tuple(each)]) for each in msgspec.json.decode(piece)])
+        return encode([measure(cases[tuple(each)]) for each in msgspec.json.decode(piece)])
 
     return work
 

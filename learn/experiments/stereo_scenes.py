@@ -102,7 +102,7 @@ def _disparity(path: Path) -> np.ndarray:
         shown = 255 * photographs.tone.srgb(values[..., 0].astype(np.float64))
         return np.where(np.rint(shown) > 0, np.rint(shown), np.nan)
     rule, remedy = "an .npz of one map of disparities", "write it by numpy.savez"
-    with archives.opened_zip(path, rule, remedy) as archive:
+    with archives.open_zip(path, rule, remedy) as archive:
         (name, *rest) = archive.namelist()
         if rest:
             raise InputError(path, rule, f"{1 + len(rest)} arrays", remedy)
