@@ -16,7 +16,8 @@ import torch
 
 from learn import methods
 from learn.experiments import chart_shapes
-from learn.layer.inputs import check_inputs, compact_pixels
+from learn.layer.compaction import compact_pixels
+from learn.layer.inputs import check_inputs
 from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr, light_files
 from manifests.errors import InputError, closest

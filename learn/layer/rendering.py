@@ -24,7 +24,8 @@ import torch
 from learn import methods
 from learn.engines import pixel_selection
 from learn.layer import transforms
-from learn.layer.inputs import check_inputs, check_settings, compact_pixels
+from learn.layer.compaction import compact_pixels
+from learn.layer.inputs import check_inputs, check_settings
 from shaders.frames import ELEVATION
 
 
