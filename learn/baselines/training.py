@@ -9,7 +9,7 @@ import torch
 from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
 from learn.data import seen, settings, sources
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.networks import tensor_file
 from learn.training import loop, processes
 from manifests.files import write_bytes

@@ -31,7 +31,7 @@ from manifests.errors import InputError
 from manifests.reading import decode
 
 if TYPE_CHECKING:
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
 
 DIGITS = 16
 MOST = 20_000  # hashes of a kind in a file's metadata: 400 KB

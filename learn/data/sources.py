@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from learn.data import preflight
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry, PackedView
 from learn.data.light_copies import KnownLights, Maps, join_maps, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
-from learn.data.relit import SIDES, DataSplit, RelitDataset
+from learn.data.relit import SIDES, RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.seen import map_hash
 from learn.data.settings import Data, Run

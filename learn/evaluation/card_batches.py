@@ -23,7 +23,8 @@ import torch
 
 from learn.data import devices, sources
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.rendered import RenderedDataset
 from learn.data.settings import Run, decode_run
 from learn.networks import weights as checkpoint

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.settings import decode_run
 from learn.evaluation import card_batches
 from learn.metrics import bootstrap

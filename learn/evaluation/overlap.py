@@ -10,9 +10,9 @@ from pathlib import Path
 from msgspec import UNSET
 
 from learn.baselines import FILES
+from learn.data.data_split import DataSplit
 from learn.data.pairs import EditPair
 from learn.data.records import Records
-from learn.data.relit import DataSplit
 from learn.data.seen import DIGITS, KINDS, Seen, label_hash, map_hash, names_in_pictures
 from learn.networks import weights as checkpoint
 from manifests.errors import InputError

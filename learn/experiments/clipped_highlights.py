@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from learn.data.batch import ExampleBatch
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
 
 ON_RAY = True
 TREATMENTS = ("at its value", "one-sided")
@@ -105,7 +105,8 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
 
     from learn.data import framing, photographs
     from learn.data.batch import collate
-    from learn.data.relit import RelitDataset, gloss
+    from learn.data.data_split import gloss
+    from learn.data.relit import RelitDataset
     from learn.data.settings import Data
     from shaders import tone
 

@@ -26,7 +26,7 @@ from manifests.option_types import above_zero, whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
     from learn.data.settings import Data, Run
 
 VARIANTS: dict[str, dict[str, Any]] = {

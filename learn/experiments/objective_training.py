@@ -12,7 +12,7 @@ import msgspec
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.settings import Losses, Run
 from learn.experiments import variants
 from learn.layer import predictions

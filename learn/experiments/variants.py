@@ -18,7 +18,8 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim

@@ -19,7 +19,7 @@ import torch
 
 from learn.data import devices
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.seen import seen_in_splits
 from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import make_batch_source

@@ -12,8 +12,9 @@ import torch
 from learn import baselines
 from learn.baselines import material_swap, posterior, priors
 from learn.data import lights
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.evaluation import baseline_methods as methods
 from learn.evaluation.methods import render_by_layer

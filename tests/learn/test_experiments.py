@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset, gloss
+from learn.data.data_split import DataSplit, gloss
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run, Schedule
 from learn.evaluation import model_card
 from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants

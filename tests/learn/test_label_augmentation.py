@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from learn.data import lights, patterns, settings, shadows
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation, in_order, principled_label
-from learn.data.relit import BRIGHTEST, DataSplit, RelitDataset
+from learn.data.relit import BRIGHTEST, RelitDataset
 from learn.data.settings import Data, Run
 from learn.layer import render
 from manifests.errors import InputError

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, decode_run
 from learn.layer import render
 from learn.networks.prediction import Prediction

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule, read_run
 from learn.experiments import light_repairs, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches

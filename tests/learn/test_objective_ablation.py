@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.experiments import objective_ablation, objective_report, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from learn.data import lights
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.layer import render
 from learn.training import repetition

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from learn.data import lights, settings, sources
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
 from learn.training import loop, processes
 from learn.training.loop import Training

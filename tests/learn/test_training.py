@@ -15,9 +15,10 @@ import pytest
 import torch
 
 from learn.data import augmentation, lights, sources
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
 from learn.data.light_copies import KnownLights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.layer import light_maps
 from learn.metrics import radiometry
