@@ -21,7 +21,8 @@ from pathlib import Path
 from manifests.errors import InputError
 from manifests.files import replacing
 from manifests.object_store import ObjectFolder, is_url
-from manifests.store import LINES, Store, inside
+from manifests.store import LINES, Store
+from manifests.store_paths import inside
 
 FOLDER_VARIABLE = "BRDFACTORY_STORE_CACHE"  # where the copies lie, instead of the user's cache
 LIMIT_VARIABLE = "BRDFACTORY_STORE_CACHE_GIB"  # of pictures and geometry of one data set

@@ -22,7 +22,8 @@ from manifests.inputs import require_file
 from manifests.line_files import encode
 from manifests.placed_lines import PlacedLines
 from manifests.schema import Record
-from manifests.store import Store, geometry_path, image_path, inside, light_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 

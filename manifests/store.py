@@ -1,4 +1,4 @@
-"""A data set's folder: where files lie in it, and how they are written whole.
+"""A data set's folder: what lies in it, and how its files and lines are read and written whole.
 
     dataset.json  materials.json   the jobs with their assets; the labels of the materials used
     images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
@@ -23,10 +23,9 @@ and readers ignore an unfinished last line, which the next writer cuts off.
 
 import hashlib
 import os
-import re
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -34,13 +33,16 @@ import msgspec
 from manifests import lock
 from manifests.errors import InputError
 from manifests.files import replacing
-from manifests.inputs import require_file
 from manifests.line_files import REPAIR, Lines, encode, lines_of
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
+from manifests.store_paths import (
+    file_hash,
+    inside,
+    readable_hash,
+)
 
 LINES = {"records": Record, "views": View}  # folder: what its lines are
-NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 class _Id(msgspec.Struct, gc=False):
@@ -55,67 +57,6 @@ class _Known(msgspec.Struct, gc=False):
 
 class _Version(msgspec.Struct):
     version: int
-
-
-def image_path(id_: str) -> str:
-    """Return where a record's picture lies in the folder: below the id's first two digits."""
-    return f"images/{id_[:2]}/{id_}.exr"
-
-
-def geometry_path(id_: str) -> str:
-    """Return where a shape's normals, depth and segments from one view lie."""
-    return f"geometry/{id_[:2]}/{id_}.exr"
-
-
-def light_path(name: str, hash_: str) -> str:
-    """Return where a light's stored 64×128 map lies."""
-    return f"lights/{NAME.sub('-', name).strip('-.')[:60] or 'light'}-{hash_[:12]}.npz"
-
-
-def file_hash(path: str | os.PathLike) -> str:
-    """Return the sha256 (hex) of a file's bytes.
-
-    Raises  FileNotFoundError; InputError for a folder, a pipe or a device
-    """
-    if os.path.exists(path):
-        require_file(path, "a file")  # opening a pipe would wait for its writer
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def inside(folder: str | os.PathLike, relative: str) -> Path:
-    """Return the path of a file that a manifest names.
-
-    Raises  InputError if it is absolute, has "..", or leads out of the folder through a link
-    """
-    pure = PurePosixPath(relative)
-    target = Path(folder) / pure
-    escapes = (
-        pure.is_absolute()
-        or ".." in pure.parts
-        or "\\" in relative
-        or "\0" in relative
-        or not pure.parts
-    )
-    if escapes or not _leads_inside(target, folder):
-        raise InputError(
-            f"{folder}: '{relative}'",
-            "a path inside the data set's folder",
-            "one that leaves it",
-            "do not trust this manifest",
-        )
-    return target
-
-
-def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
-    """Return whether a path, with links followed, ends inside a folder.
-
-    Links in a circle and names that no file can have do not.
-    """
-    try:
-        return target.resolve().is_relative_to(Path(folder).resolve())
-    except (OSError, RuntimeError, ValueError):
-        return False
 
 
 class Store:
@@ -353,14 +294,6 @@ class Store:
                     if time.monotonic() >= end:
                         raise
                     time.sleep(0.1)
-
-
-def readable_hash(path: str | os.PathLike) -> str | None:
-    """Return the sha256 (hex) of a file's bytes; None if there is nothing that can be read."""
-    try:
-        return file_hash(path)
-    except (OSError, InputError):
-        return None
 
 
 def _line(line, type_, where, remedy):

@@ -37,7 +37,8 @@ from manifests.picture_files import (
     read_geometry,
 )
 from manifests.schema import Accuracy, Camera, Record, Statistics, View
-from manifests.store import Store, geometry_path, image_path, readable_hash
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
 from shaders.mixture import Mixture

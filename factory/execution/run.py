@@ -39,7 +39,8 @@ from manifests.errors import InputError
 from manifests.line_files import Lines
 from manifests.object_store import is_url
 from manifests.schema import Failure, Job
-from manifests.store import Store, geometry_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path
 from manifests.subprocesses import processors
 
 # seconds to wait for the workers of a stopped run on a Ray cluster to end

@@ -17,7 +17,7 @@ from manifests.errors import InputError
 from manifests.exr import parts_of
 from manifests.inputs import require_file
 from manifests.quiet import silenced
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from shaders import envmap
 
 SUFFIXES = (".hdr", ".exr", ".npz")

@@ -20,7 +20,8 @@ from manifests.light_files import read_light
 from manifests.materials import Material
 from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera, Dataset, Record
-from manifests.store import Store, inside
+from manifests.store import Store
+from manifests.store_paths import inside
 from manifests.wording import number_of
 from shaders import frames, tone
 from shaders.envmap import roll

@@ -19,7 +19,7 @@ from manifests.files import write_text
 from manifests.inputs import require_file
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import inside
+from manifests.store_paths import inside
 from manifests.wording import number_of
 
 LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture

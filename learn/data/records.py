@@ -28,7 +28,7 @@ from manifests.errors import InputError
 from manifests.facets import Facets
 from manifests.materials import Material, material, read_catalogue
 from manifests.schema import Record, View
-from manifests.store import inside
+from manifests.store_paths import inside
 from manifests.verification.contents import count_turned_away
 from manifests.verification.lines import Judge
 from shaders.dsbrdf import SIZE

@@ -28,7 +28,7 @@ from manifests.cached_store import open_store
 from manifests.line_files import Lines
 from manifests.progress import tqdm
 from manifests.provenance import provenance
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 # a scene, the name of a rung, and whether it is refined too
 Piece = tuple[Scene, str, bool]

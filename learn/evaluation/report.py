@@ -16,7 +16,7 @@ from learn.metrics.pictures import Perceptual
 from manifests import files
 from manifests.provenance import provenance
 from manifests.schema import Record
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from manifests.wording import number_of
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from manifests.errors import InputError
 from manifests.line_files import Lines, encode
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from manifests.wording import number_of
 
 # counts up when lines gain figures, so that no table mixes lines with and without them

@@ -58,7 +58,7 @@ def opened(
     from learn.evaluation import ladder, overlap
     from learn.experiments import ladder_scenes
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)

@@ -109,7 +109,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments.kept_batches import KeptBatches
     from manifests import outputs
     from manifests.progress import tqdm
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
     run = read_run(arguments.run_name)

@@ -209,7 +209,7 @@ def _pinned(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what determines the rows of a folder, and so may not change."""
     import msgspec
 
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     pinned = {
         "run": msgspec.to_builtins(run),

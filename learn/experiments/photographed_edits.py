@@ -105,7 +105,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
     from learn.evaluation.ladder_design import Scene
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)

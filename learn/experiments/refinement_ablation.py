@@ -70,7 +70,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation.methods import make_predictor
     from learn.experiments import refinement_sweep
     from learn.networks import weights as checkpoint
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)  # times are reported for one thread
     weights = arguments.weights

@@ -21,7 +21,7 @@ from learn.data import photographs
 from manifests import archives
 from manifests.errors import InputError
 from manifests.reading import read
-from manifests.store import inside
+from manifests.store_paths import inside
 from shaders import frames
 
 LARGEST_ARRAY = 256 << 20  # bytes of a disparity map

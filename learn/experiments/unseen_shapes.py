@@ -66,7 +66,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import overlap
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     about = {

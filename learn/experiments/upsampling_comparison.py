@@ -25,7 +25,7 @@ from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings
 from manifests import outputs
 from manifests.errors import InputError
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 
 def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str, Any]:

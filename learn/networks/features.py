@@ -22,7 +22,7 @@ from torch.nn import functional as F
 from learn.data import devices
 from learn.networks import tensor_file
 from manifests.errors import InputError
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 # three of the picture and zeros: oneDNN's backward pass for three takes twenty times as long

@@ -17,7 +17,8 @@ from manifests.materials import load_catalogue
 from manifests.picture_files import Geometry, read_geometry, read_picture
 from manifests.placed_lines import PlacedLines
 from manifests.schema import Dataset, Record, View
-from manifests.store import Store, inside
+from manifests.store import Store
+from manifests.store_paths import inside
 from shaders import tone
 
 

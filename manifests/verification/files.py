@@ -14,7 +14,7 @@ from manifests.inputs import require_file
 from manifests.materials import Entry
 from manifests.object_store import Unreachable
 from manifests.schema import Dataset, Record, View
-from manifests.store import image_path, light_path
+from manifests.store_paths import image_path, light_path
 from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of

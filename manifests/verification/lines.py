@@ -14,7 +14,7 @@ from manifests import ids
 from manifests.materials import Entry, material_hash
 from manifests.schema import Dataset, MaterialEntry, Record, View
 from manifests.splits import split_of
-from manifests.store import geometry_path, image_path
+from manifests.store_paths import geometry_path, image_path
 from manifests.verification.faults import Fault, Line
 from manifests.viewpoints import azimuths_deg
 from manifests.wording import number_of

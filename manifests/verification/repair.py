@@ -14,7 +14,8 @@ from manifests import materials
 from manifests.errors import InputError
 from manifests.files import write_lines
 from manifests.line_files import bounded_lines
-from manifests.store import LINES, Store, geometry_path, image_path, light_path
+from manifests.store import LINES, Store
+from manifests.store_paths import geometry_path, image_path, light_path
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 

@@ -40,7 +40,8 @@ from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests.files import write_json
 from manifests.provenance import provenance, shorten
-from manifests.store import Store, geometry_path, image_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path
 from tests.support.tetrahedron import FAKE, ROOT
 
 WORKERS, MISSING = 8, 3

@@ -22,7 +22,7 @@ from manifests import light_files, measured_lights
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import LightEntry
-from manifests.store import light_path
+from manifests.store_paths import light_path
 from shaders import envmap
 from tests.support import synthetic
 from tests.support.synthetic import matte

@@ -12,7 +12,8 @@ import pytest
 from manifests.errors import InputError
 from manifests.line_files import Lines, encode
 from manifests.schema import Record
-from manifests.store import Store, file_hash, geometry_path, image_path, inside, light_path
+from manifests.store import Store
+from manifests.store_paths import file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
 from tests.support.work_count import calls
 
