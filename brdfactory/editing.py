@@ -27,7 +27,7 @@ from manifests.errors import InputError
 from manifests.wording import number_of
 from shaders import tone
 
-Drawn = str | Path | np.ndarray | Material
+MaterialSource = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
 KEPT = 0.25  # share of the fine shading that edits keep, the default of `edit --detail`
 
@@ -93,7 +93,7 @@ class Decomposition:
         """Display L2 between the photograph and `rendering`, over the object."""
         return display_l2(self.rendering.linear, self.photograph.radiance, self.photograph.mask)
 
-    def paint(self, *materials: Drawn | None) -> EditedPicture:
+    def paint(self, *materials: MaterialSource | None) -> EditedPicture:
         """Return the photograph with its object in another material.
 
         materials  one for all regions, or one for each; None leaves a region as it is. Each is a
@@ -105,15 +105,15 @@ class Decomposition:
             rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
             raise InputError("paint", rule, f"{len(materials)}", "None leaves a region as it is")
         chosen = [None if m is None else material(m) for m in materials]
-        read = _read(chosen)
+        read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
-        for weight, labels in _weighted(chosen):
+        for weight, labels in _weighted_labels(chosen):
             linear = linear + weight * self._compositor.edited(labels, read)
         shown = self._picture(np.asarray(linear, np.float32))
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
 
-    def relight(self, light: str | Path | np.ndarray, *materials: Drawn | None) -> Picture:
+    def relight(self, light: str | Path | np.ndarray, *materials: MaterialSource | None) -> Picture:
         """Return the object alone, on a transparent background, under another light.
 
         light      a name or file that `brdfactory.light` takes, or an array that it returns
@@ -139,9 +139,9 @@ class Decomposition:
                 "relight", number_of(len(own), "material"), f"{len(requested)}", "one a region"
             )
         chosen = [None if m is None else material(m) for m in requested]
-        read = _read(chosen)
+        read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
-        for weight, labels in _weighted(chosen):
+        for weight, labels in _weighted_labels(chosen):
             label = np.stack(
                 [mine if new is None else new for mine, new in zip(own, labels, strict=True)]
             )
@@ -209,7 +209,7 @@ def decompose(
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
     chosen = _device(device)
-    opened = _opened(photo, mask, regions, balance_of(white_balance), exposure)
+    opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure)
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))
@@ -219,7 +219,7 @@ def decompose(
 def edit(
     photo: PictureSource,
     mask: PictureSource | None = None,
-    material: Drawn | Sequence[Drawn | None] | None = "brass",
+    material: MaterialSource | Sequence[MaterialSource | None] | None = "brass",
     **options: Unpack[Options],
 ) -> EditedPicture:
     """Return a photograph with its object in another material.
@@ -233,11 +233,11 @@ def edit(
     Raises                InputError: a file or a name that does not exist, a mask of another size
     """
     one = material is None or isinstance(material, str | Path | np.ndarray | Material)
-    drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]
+    drawn: Sequence[MaterialSource | None] = (material,) if one else material  # type: ignore[assignment]
     return decompose(photo, mask, **options).paint(*drawn)
 
 
-def _opened(
+def _open_photograph(
     photo: PictureSource,
     mask: PictureSource | None,
     regions: PictureSource | None,
@@ -286,12 +286,12 @@ def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
     return network, metadata["size"]
 
 
-def _read(chosen: Sequence[Material | None]) -> list[np.ndarray]:
+def _labels_read_from_pictures(chosen: Sequence[Material | None]) -> list[np.ndarray]:
     """Return those labels of the materials that were read from pictures."""
     return [label for each in chosen if each is not None for label in each.read]
 
 
-def _weighted(
+def _weighted_labels(
     chosen: Sequence[Material | None],
 ) -> list[tuple[float, list[np.ndarray | None]]]:
     """Return [(weight, label or None of each region)]: pictures whose weighted sum is the edit.
