@@ -10,9 +10,9 @@ sum then does not jump where a sample crosses a texel's border, and the error fa
 of N^−¾.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
-differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk_radiance`
-in plain torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
-samples with n instead would lose the jumps of L between texels.
+differentiated with w_i and dω_i held (learn.engines.sample_derivatives does so, and
+`chunk_radiance` in plain torch is its reference), which estimates the true derivative
+∫ ∂(f μ) L dω; moving the samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
 """

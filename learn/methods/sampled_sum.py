@@ -174,7 +174,7 @@ class Kernels:
                 sizes: tuple[int, ...] = sizes,
                 arrays: tuple[np.ndarray, ...] = (*inputs, scratch, g_here, *outputs),
             ) -> None:
-                machine_code.call("sample_directions.backward", first, last, *sizes, *arrays)
+                machine_code.call("sample_derivatives.backward", first, last, *sizes, *arrays)
 
             threads.run(run, threads.split(SAMPLE_CHUNKS, SAMPLE_CHUNKS), self.workers)
             if with_light:

@@ -286,7 +286,7 @@ def run_backward(
         inputs = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, g
         outputs = by_n, by_view, energy_sums, m_sums
         arrays = *inputs, *outputs, *lists
-        machine_code.call("viewed_sums.backward", first, last, *sizes, *flags, *arrays)
+        machine_code.call("viewed_derivatives.backward", first, last, *sizes, *flags, *arrays)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
