@@ -191,7 +191,7 @@ def test_direct_light_is_made_finer_where_it_is_asked_for(chair):
 
 
 def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypatch):
-    from factory.render import studio as module
+    from factory.render import view_light as module
 
     surface, seen = chair._surface, []
 
@@ -219,12 +219,12 @@ def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypa
     seen.clear()
     assert (chair.direct_light(64).radiance == other).all()
     assert (chair.direct_light(64).radiance == other).all()
-    assert len(seen) == 8 and not chair._grids
+    assert len(seen) == 8 and not chair._direct_light.grids
 
 
 def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
     def kept():
-        return [weakref.ref(grid.depth) for grid in chair._grids.values()]
+        return [weakref.ref(grid.depth) for grid in chair._direct_light.grids.values()]
 
     def alive(references):
         gc.collect()
@@ -238,7 +238,7 @@ def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
     second = kept()
     assert (alive(first), alive(second)) == (0, len(first))
     chair.set_shape(assets()[0])
-    assert alive(second) == 0 and not chair._grids
+    assert alive(second) == 0 and not chair._direct_light.grids
 
 
 def test_the_share_of_leaning_points_is_known_before_direct_light_is_computed(chair):
@@ -300,7 +300,9 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
         assert (chair.direct_light() is None) == (not grids)
         assert scales == grids
         if grids:  # as many directions per pixel, whatever the points
-            at = direct_light.points_of(chair._direct_lights(lens), lens, 64)
+            at = direct_light.points_of(
+                chair._direct_light.closed_forms(chair._shown_view()), lens, 64
+            )
             assert at.per_pixel * at.samples == 256
     monkeypatch.undo()
     # few points of a mirror-like material mean nothing
@@ -312,7 +314,12 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
     assert chair.direct_light_work().maps == pytest.approx(1 / 0.05**2)
     glossy(0.02)
     chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
-    assert direct_light.points_of(chair._direct_lights(lens), chair._lens, 64).samples == 256
+    assert (
+        direct_light.points_of(
+            chair._direct_light.closed_forms(chair._shown_view()), chair._lens, 64
+        ).samples
+        == 256
+    )
 
 
 @pytest.mark.parametrize("tier", ["direct", "full"])

@@ -87,7 +87,7 @@ def by_basis(
         full = sum_basis_pictures(pairs[:, 0], weights)
         # without the unblocked pictures the basis takes half as long, or a little more
         yield f"{basis.name}, sum", number, full, once / 2, clock.seconds
-        studio._direct.clear()
+        studio._direct_light.forget_closed_forms()
         clock = _Clock()
         studio.set_light(L, 0)
         exact = studio.direct_light()
@@ -105,7 +105,7 @@ def light_by_light(studio: Studio, shown: Shown, L: np.ndarray) -> Iterator[tupl
         for samples in counts:
             method = known[family, f"{samples} samples"]
             method(replace(shown, seed=shown.seed ^ 2))  # as speed_accuracy.warm does
-            studio._direct.clear()
+            studio._direct_light.forget_closed_forms()
             clock = _Clock()
             studio.set_light(L, 0)
             yield family, samples, (method(shown), clock.seconds)
