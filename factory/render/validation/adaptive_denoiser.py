@@ -39,7 +39,7 @@ from factory.render.estimators.adaptive_sampling import stopping_at
 from factory.render.estimators.halves import Halves, half_seed
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.validation import command_line
-from factory.render.validation.adaptive_sampling import best_gain, display_variance, over_tiles
+from factory.render.validation.sample_division import best_gain, display_variance, over_tiles
 from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
 from factory.render.validation.speed_accuracy import doubt
 from factory.render.validation.speed_accuracy_report import (
