@@ -17,8 +17,8 @@ because the horizon cuts through texels: there all lobes take split texels or sa
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -125,6 +125,49 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     return out
 
 
+@dataclass(frozen=True)
+class Group:
+    """The pixels of a batch that share one material and one light.
+
+    n, view            (p, 3) unit normals, and unit vectors to the viewer or None, camera frame
+    m                  (3, 3, 2, 6) control values
+    light              (Hl, Wl, 3) radiance, light frame
+    camera_from_light  (3, 3) rotation
+    """
+
+    n: torch.Tensor
+    view: torch.Tensor | None
+    m: torch.Tensor
+    light: torch.Tensor
+    camera_from_light: torch.Tensor
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the light."""
+        return self.light.shape[0], self.light.shape[1]
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """`camera_from_light`, (3, 3) float64 numpy."""
+        return self.camera_from_light.double().numpy()
+
+
+def sum_each_group(
+    batch: Batch, lobes: torch.Tensor, function: Callable[[Group, torch.Tensor], torch.Tensor]
+) -> torch.Tensor:
+    """Radiance (P, 3) by a function of one Group and of those of its lobes (3, 3) that count.
+
+    lobes  (G, 3, 3) bool, channels and lobes of each group
+    """
+
+    def of_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        return function(Group(n, view, m, light, batch.camera_from_light), lobes[g])
+
+    return radiance_by_numbered_group(batch, of_group)
+
+
 def may_sum_whole(batch: Batch, split: int) -> bool:
     """Whether a sum over a map whose texels are all split may be made whole."""
     texels = batch.light.shape[1] * batch.light.shape[2]
@@ -153,81 +196,61 @@ def sum_over_texels(
     if may_sum_whole(batch, split) or not has_kernels(batch):
         light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
         return load("exact").radiance(replace(chosen, light=light), tolerance)
-    return radiance_by_numbered_group(
+    return sum_each_group(
         forbid_second_derivatives(chosen, CARD.name, CULLED),
+        lobes,
         functools.partial(
-            sum_over_split_texels,
-            lobes=lobes,
-            camera_from_light=batch.camera_from_light,
-            limits=limits[: SPLITS.index(split) + 1],
-            tolerance=tolerance,
+            sum_over_split_texels, limits=limits[: SPLITS.index(split) + 1], tolerance=tolerance
         ),
     )
 
 
 def sum_over_split_texels(
-    group: int,
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    limits: Sequence[float],
-    tolerance: float,
+    group: Group, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (p, 3) of one group by the sum over texels that are split where lobes are narrow.
 
-    lobes     (G, 3, 3) bool that count, of each group
-    limits    sharpness up to which texels of each of the first SPLITS serve
+    lobes   (3, 3) bool, channels and lobes that count
+    limits  sharpness up to which texels of each of the first SPLITS serve
 
     Texels where lobes are faint are skipped: a pixel may lack LEFT_OUT of the tolerance.
     Broad lobes take part in the same sum where few texels are split, and else have one of their own
     over whole texels.
     """
-    here = lobes[group]
-    if not here.any():
+    n, view, m, light, rotation = group.n, group.view, group.m, group.light, group.rotation
+    if not lobes.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
-    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
 
-    def parts_of(lobes: torch.Tensor) -> np.ndarray:
-        return split_texels.parts_of_texels(m, lobes, view, size, rotation, limits, SPLITS)
+    def parts_of(some: torch.Tensor) -> np.ndarray:
+        return split_texels.parts_of_texels(m, some, view, group.size, rotation, limits, SPLITS)
 
-    sums = [(here, parts_of(here))]
+    sums = [(lobes, parts_of(lobes))]
     if (sums[0][1] > 1).mean() > JOINT:
-        broad = here & (sharpness(m.detach()) <= limits[0])
-        sums = [(each, parts_of(each)) for each in (broad, here & ~broad) if each.any()]
+        broad = lobes & (sharpness(m.detach()) <= limits[0])
+        sums = [(each, parts_of(each)) for each in (broad, lobes & ~broad) if each.any()]
     out = 0 * n
     for each, parts in sums:
         parts = np.maximum(parts, lamps.parts_of(light, m, each, view, rotation, tolerance))
-        share = LEFT_OUT * tolerance / len(sums)
-        out = out + sum_over_parts(n, view, m, light, each, parts, camera_from_light, share)
+        out = out + sum_over_parts(group, each, parts, LEFT_OUT * tolerance / len(sums))
     return out
 
 
 def sum_over_parts(
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    parts: np.ndarray,
-    camera_from_light: torch.Tensor,
-    left_out: float,
+    group: Group, lobes: torch.Tensor, parts: np.ndarray, left_out: float
 ) -> torch.Tensor:
     """Radiance (p, 3) of some lobes (3, 3) of one group by a sum over texels split into parts.
 
     parts     (H, W) of each texel's side
     left_out  part of the mean radiance that a pixel may lack
     """
-    kept = keep_lobes(m, lobes)
-    lights, energy = split_texels.lights_of(light, camera_from_light, parts)
+    kept = keep_lobes(group.m, lobes)
+    lights, energy = split_texels.lights_of(group.light, group.camera_from_light, parts)
     lacking = 0.0
-    if view is None:
-        lacking = left_out * directional.mean_radiance(n, None, kept, energy, lights)
+    if group.view is None:
+        lacking = left_out * directional.mean_radiance(group.n, None, kept, energy, lights)
     return directional.radiance(
-        n,
-        view,
+        group.n,
+        group.view,
         kept,
         energy,
         lights,
@@ -246,52 +269,42 @@ def sum_over_samples(
     lobes   (G, 3, 3) bool, channels and lobes of each group
     limits  sharpness up to which texels of each of SPLITS serve
     """
-    return radiance_by_numbered_group(
-        forbid_second_derivatives(
-            replace(batch, m=keep_lobes(batch.m, lobes)), CARD.name, HELD_SAMPLES
-        ),
-        functools.partial(
-            sum_over_samples_and_texels,
-            lobes=lobes,
-            camera_from_light=batch.camera_from_light,
-            limits=limits,
-            tolerance=tolerance,
-        ),
+    narrow = replace(batch, m=keep_lobes(batch.m, lobes))
+    return sum_each_group(
+        forbid_second_derivatives(narrow, CARD.name, HELD_SAMPLES),
+        lobes,
+        functools.partial(sum_over_samples_and_texels, limits=limits, tolerance=tolerance),
     )
 
 
 def sum_over_samples_and_texels(
-    group: int,
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    limits: Sequence[float],
-    tolerance: float,
+    group: Group, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
-    """Radiance (p, 3) of the narrow lobes of one group; arguments as `sum_over_samples`.
+    """Radiance (p, 3) of the narrow lobes (3, 3) of one group; others as of `sum_over_samples`.
 
     Samples that follow a lobe where it is narrow are too far apart to see a lamp of one texel at a
     θ_d where it is broad. Texels at such a θ_d are summed, lamps too, and black for the samples.
     Each lobe has samples of its own: of those that two share, too few would lie in the broader one.
     """
-    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
-    out = 0 * n
-    for lobe in lobes[group].any(0).nonzero().flatten().tolist():
-        one = lobes[group] & (torch.arange(3, device=lobes.device) == lobe)
-        parts = split_texels.parts_of_texels(m, one, view, size, rotation, limits[:1], SPLITS)
+    view, m, light, rotation = group.view, group.m, group.light, group.rotation
+    out = 0 * group.n
+    for lobe in lobes.any(0).nonzero().flatten().tolist():
+        one = lobes & (torch.arange(3, device=lobes.device) == lobe)
+        parts = split_texels.parts_of_texels(m, one, view, group.size, rotation, limits[:1], SPLITS)
         if (parts > 0).mean() < WORTHWHILE:
             parts = np.zeros_like(parts)
         parts = np.maximum(parts, lamps.parts_of(light, m, one, view, rotation, tolerance))
         sampled = light
         if parts.any():
-            left_out = LEFT_OUT * tolerance
-            out = out + sum_over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
+            out = out + sum_over_parts(group, one, parts, LEFT_OUT * tolerance)
             sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light
         out = out + sampled_sum.radiance(
-            n, view, keep_lobes(m, one), sampled, camera_from_light, sample_count_for(tolerance)
+            group.n,
+            view,
+            keep_lobes(m, one),
+            sampled,
+            group.camera_from_light,
+            sample_count_for(tolerance),
         )
     return out
 

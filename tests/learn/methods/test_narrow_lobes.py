@@ -93,9 +93,9 @@ def sums_of(batch, monkeypatch):
     texels, samples = [], []
     over_parts, radiance = quadrature.sum_over_parts, sampled_sum.radiance
 
-    def texels_noted(n, view, m, light, lobes, parts, *others):
+    def texels_noted(group, lobes, parts, *others):
         texels.append(int((parts > 0).sum()))
-        return over_parts(n, view, m, light, lobes, parts, *others)
+        return over_parts(group, lobes, parts, *others)
 
     def samples_noted(*arguments):
         samples.append(arguments[-1])
