@@ -128,7 +128,7 @@ class RelitDataset:
         images = self._pictures(n, segments, label, L)
         rng_of_patterns = self._generator(k, g, PATTERNS)
         if self.printed and rng_of_patterns.random() < self.printed:
-            images = patterns.printed(
+            images = patterns.add_prints(
                 rng_of_patterns,
                 images,
                 n,
@@ -191,7 +191,7 @@ class RelitDataset:
             return names, labels
         rng, admitted = self._generator(k, g, LABELS), self.names[: self._admitted(k)]
         drawn = [
-            self.augmentation.drawn(rng, name, label, admitted)
+            self.augmentation.draw(rng, name, label, admitted)
             for name, label in zip(names, labels, strict=True)
         ]
         return [name for name, _ in drawn], np.stack([label for _, label in drawn])

@@ -69,7 +69,9 @@ def load_data_splits(
     records = Records(folder)
     all_maps = _all_maps(data, records, maps_file)
     maps = without_duplicates(all_maps, (*data.validation_lights, *data.test_lights))
-    held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
+    held = (
+        {} if data.all_materials_and_lights else _held_out_maps(data, maps, records.dataset.lights)
+    )
     materials, bad = split_materials(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
@@ -127,7 +129,10 @@ def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dic
 
 
 def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
-    """Return the sorted names of the maps that light a side; held: {name: side} of `_held_out`.
+    """Return the sorted names of the maps that light a side.
+
+    held  {name: side} as `_held_out_maps` returns it
+
 
     Without maps training draws computed light, never a held-out map.
     """
@@ -170,7 +175,7 @@ def list_skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
     return result
 
 
-def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
+def _held_out_maps(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
     """Return {name: "validation" or "test"} for the maps that training must not see.
 
     entries  the lights of dataset.json

@@ -73,7 +73,7 @@ class Photograph:
     @property
     def clipped(self) -> np.ndarray | None:
         """Channels (H, W, 3) bool that are white in the file; None if the file holds radiance."""
-        return None if self.linear else photographs.saturated(self.radiance)
+        return None if self.linear else photographs.find_saturated(self.radiance)
 
     @property
     def elevation(self) -> float:

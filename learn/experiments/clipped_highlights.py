@@ -133,7 +133,7 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
         [(file * np.float32(guessed), mask, n[0], segments[0], label, light, label, name)],
         split.geometry.elevation,
     )
-    clipped = photographs.saturated(file) & mask[..., None]
+    clipped = photographs.find_saturated(file) & mask[..., None]
     batch = replace(
         batch, clipped=torch.from_numpy(clipped.astype(np.float32)).movedim(-1, 0)[None]
     )

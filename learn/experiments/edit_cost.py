@@ -193,10 +193,10 @@ def row_of(records: Records, method: Method, scene: Any, rung: str, size: int) -
     import torch
 
     from learn.evaluation.ladder_design import RUNGS as ALL
-    from learn.evaluation.ladder_pictures import shown
-    from learn.metrics.pictures import aligned, display_l2
+    from learn.evaluation.ladder_pictures import load_scene
+    from learn.metrics.pictures import display_l2, l2_after_alignments
 
-    picture = shown(records, scene, next(each for each in ALL if each.name == rung), size)
+    picture = load_scene(records, scene, next(each for each in ALL if each.name == rung), size)
     label = torch.from_numpy(picture.label)
     began = time.process_time()
     edited = method.edit(picture.batch, label)
@@ -209,7 +209,9 @@ def row_of(records: Records, method: Method, scene: Any, rung: str, size: int) -
         "target": target,
         "seconds": seconds,
         "edit_l2": display_l2(edited, picture.target, picture.mask),
-        "edit_l2_aligned": aligned(edited, picture.target, picture.mask)["l2_one_factor"],
+        "edit_l2_aligned": l2_after_alignments(edited, picture.target, picture.mask)[
+            "l2_one_factor"
+        ],
     }
 
 

@@ -6,7 +6,7 @@ command continues; variants that are there are kept.
 
     L2           squared difference of normals alone, all training shapes
     pixels       with I' at sampled pixels, its gradient bounded at each pixel
-                 (learn.training.rerendering.bounded)
+                 (learn.training.rerendering.bound_gradient)
     all pixels   with I' at every pixel of the mask
     features     with I' compared by features of VGG16 (learn.networks.features), all pixels
     matte first  as pixels, but materials are admitted in order of gloss

@@ -116,7 +116,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         for target in case.targets
     ]
     seen = overlap.sentences(
-        [arguments.weights], ladder.tested(records, scenes), arguments.data, True
+        [arguments.weights], ladder.list_tested(records, scenes), arguments.data, True
     )
     about = {
         "data": file_hash(arguments.data / "materials.json"),

@@ -182,12 +182,12 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
     from learn.data.devices import to_numpy
     from learn.editing.decomposition import Parts, require_parts
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
+    from learn.evaluation.ladder_pictures import load_scene
     from learn.layer import predictions
     from learn.metrics.pictures import display_l2
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    batch = shown(bench.records, scene, known, bench.size).batch
+    batch = load_scene(bench.records, scene, known, bench.size).batch
     inside = to_numpy(batch.segments[0] > 0)
 
     def between_sum_and_integral(parts: Parts) -> float:

@@ -85,7 +85,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     available = sorted(set.intersection(*(set(each) for each in pictures.values())))
     cases = cases_of(available, arguments.pictures, arguments.seed, arguments.data)
     scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
-    seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
+    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
     about = {
         "data": file_hash(records.store.fetch("materials.json")),
         "weights": file_hash(weights),
@@ -194,7 +194,7 @@ class Bench:
 
     def row(self, case: Case, name: str) -> dict[str, Any]:
         """Return what a result is of, and {"l2", "one_factor": {method: value}}."""
-        from learn.metrics.pictures import aligned, display_l2
+        from learn.metrics.pictures import display_l2, l2_after_alignments
 
         shown, made = self.results(case, name)
         return {
@@ -207,7 +207,7 @@ class Bench:
             "to_light": _light(case.truth.light),
             "l2": {key: display_l2(each, shown.target, shown.mask) for key, each in made.items()},
             "one_factor": {
-                key: aligned(each, shown.target, shown.mask)["l2_one_factor"]
+                key: l2_after_alignments(each, shown.target, shown.mask)["l2_one_factor"]
                 for key, each in made.items()
             },
         }
@@ -246,10 +246,10 @@ class Bench:
 
     def decomposed(self, source: Key, truth: Key, name: str) -> tuple[Shown, Prediction]:
         """Return a picture on a rung beside its truth, and its prediction."""
-        from learn.evaluation.ladder_pictures import shown
+        from learn.evaluation.ladder_pictures import load_scene
 
         rung = next(rung for rung in rungs() if rung.name == name)
-        picture = shown(self.records, scene_of(self.pictures, source, truth), rung, self.size)
+        picture = load_scene(self.records, scene_of(self.pictures, source, truth), rung, self.size)
         return picture, self.predict(picture.batch)
 
 

@@ -13,7 +13,7 @@ picture, guided filter    the same, as a local linear function of the photograph
 normals, joint bilateral  normals upsampled so, and rendered at the photograph's size
 
 h, w: the network's size; H, W: the photograph's. The guide is the photograph's compressed
-luminance (learn.networks.coding.compressed).
+luminance (learn.networks.coding.compress).
 """
 
 from __future__ import annotations

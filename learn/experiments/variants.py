@@ -95,7 +95,7 @@ def trained(
         run.size,
         seen=training.seen,
     )
-    network, of_batch = training.averaged(), measured or rows
+    network, of_batch = training.averaged_network(), measured or rows
     result = {
         "steps": training.step,
         "seconds": training.clock.used,

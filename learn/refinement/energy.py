@@ -35,7 +35,7 @@ from learn.data.devices import to_numpy
 from learn.layer.albedo import narrow_share
 from learn.layer.light_maps import reduce_maps, solid_angles
 from learn.layer.predictions import Policy, radiance
-from learn.networks.coding import compressed
+from learn.networks.coding import compress
 from learn.refinement.settings import RefinementSettings
 from shaders import tone
 
@@ -144,7 +144,7 @@ class Energy:
         self.regions = start.label.shape[1]
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
         exposure = tone.auto_exposure(to_numpy(image[self.inside]), np.ones(len(self.inside), bool))
-        self.exposure, self.seen = exposure, compressed(image * exposure)
+        self.exposure, self.seen = exposure, compress(image * exposure)
         self.clipped = (
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
         )
@@ -204,7 +204,7 @@ class Energy:
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
         clipped = None if self.clipped is None else self.clipped[where]
-        cost = misfit(compressed(shown * self.exposure), self.seen[where], clipped)
+        cost = misfit(compress(shown * self.exposure), self.seen[where], clipped)
         if self.weights is None:
             return cost.mean()
         at = torch.searchsorted(self.inside, where)

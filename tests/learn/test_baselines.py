@@ -20,7 +20,7 @@ from learn.evaluation import baseline_methods as methods
 from learn.evaluation.methods import render_by_layer
 from learn.layer import render
 from learn.networks import weights as checkpoint
-from learn.networks.coding import Ranges, compressed
+from learn.networks.coding import Ranges, compress
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.separate import Separate
 from learn.training.loop import Training
@@ -78,7 +78,7 @@ def run(network, **losses):
 
 @pytest.fixture(scope="module")
 def known(data_splits):
-    return priors.fitted(list(data_splits["train"].labels.values()), data_splits["train"].maps)
+    return priors.fit(list(data_splits["train"].labels.values()), data_splits["train"].maps)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +176,7 @@ def test_a_true_edit_has_no_loss(data_splits):
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
-    truth = edited._replace(code=code, embedded=embedded, picture=compressed(pair.target))
+    truth = edited._replace(code=code, embedded=embedded, picture=compress(pair.target))
     weights = Losses(material=1, target=20)
     assert (
         max(
@@ -192,7 +192,7 @@ def test_a_true_edit_has_no_loss(data_splits):
 
 def test_radiance_inverts_the_compressed_picture():
     image = torch.tensor([0.0, 1e-3, 0.2, 1.0, 50.0])
-    torch.testing.assert_close(radiance(compressed(image)), image, rtol=1e-5, atol=1e-6)  # float32
+    torch.testing.assert_close(radiance(compress(image)), image, rtol=1e-5, atol=1e-6)  # float32
 
 
 def test_the_wanted_material_changes_the_edit(data_splits, batch):
@@ -231,7 +231,7 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
 
 def test_an_estimate_that_went_astray_is_not_taken(batch, known, monkeypatch):
     far = lambda posterior, point, *_: tuple(part + 30 for part in point)  # noqa: E731
-    monkeypatch.setattr(posterior, "lowered", far)
+    monkeypatch.setattr(posterior, "descend_from", far)
     result = posterior.estimate(batch, known)
     assert result.after == result.before
 

@@ -113,7 +113,7 @@ def test_heads_without_the_reflectance_map_see_nothing_of_it_and_do_not_train_it
         }
         assert ("reflectance" in changed) == depends
         assert {"material", "illumination", "light", "normals"} <= changed
-        network = training.averaged()
+        network = training.averaged_network()
         with torch.no_grad():
             one, other = (
                 network(batch.image, batch.mask, None, ("material", "light"), n)

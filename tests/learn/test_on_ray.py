@@ -165,8 +165,8 @@ def test_a_card_is_the_same_by_a_cluster_that_loses_workers(room, tmp_path, monk
 
 def test_figures_that_are_not_known_come_back_from_a_worker():
     values = {"a": np.array([1.5, np.nan], np.float32), "b": np.array([1 / 3])}
-    packed = msgspec.json.decode(msgspec.json.encode(card_batches._packed((values, ("x", "y")))))
-    back, names = card_batches._unpacked(packed)
+    packed = msgspec.json.decode(msgspec.json.encode(card_batches._pack((values, ("x", "y")))))
+    back, names = card_batches._unpack(packed)
     assert list(names) == ["x", "y"]
     for key, value in values.items():
         np.testing.assert_array_equal(back[key], value)

@@ -288,7 +288,7 @@ def test_a_light_reduced_keeps_its_energy(rng):
 def test_no_pixel_pulls_harder_than_its_bound():
     x = torch.ones(2, 5, 3, requires_grad=True)
     y = x * 1.0
-    y.register_hook(rerendering.bounded(torch.tensor(1e-3)))
+    y.register_hook(rerendering.bound_gradient(torch.tensor(1e-3)))
     (y**2).sum().backward()
     assert x.grad.norm(dim=-1).max().item() == pytest.approx(1e-3, rel=1e-5)
 
