@@ -90,7 +90,7 @@ class Uploads:
         self._thread = threading.Thread(target=self._work, name="uploads", daemon=True)
         self._thread.start()
 
-    def replied(self, reply: Reply) -> None:
+    def count_reply(self, reply: Reply) -> None:
         """Count a shot that was made; wait while too many have not been sent.
 
         Raises  InputError if the store could not be written to
@@ -161,7 +161,7 @@ class Uploads:
             (kind, path, lines)
             for kind in (*LINES, facts.FOLDER)
             for path in sorted((self.folder / kind).glob("*.jsonl"))
-            if (lines := self._appended(path))
+            if (lines := self._new_lines(path))
         ]
         # labels and lights were written before the first of these lines
         self._send_whole(each)
@@ -170,7 +170,7 @@ class Uploads:
                 self._send_part(kind, path, lines[first : first + LINES_PER_PART], each)
         self._remove_pictures()
 
-    def _appended(self, path: Path) -> list[bytes]:
+    def _new_lines(self, path: Path) -> list[bytes]:
         """Return the whole lines of a file that have not been sent."""
         with open(path, "rb") as file:
             file.seek(self._offsets.get(path, 0))

@@ -33,7 +33,7 @@ from factory.render import (
 )
 from factory.render.direct_light import USUAL
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion
-from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
+from factory.render.geometry import Geometry, Surface, facets_of, surface_of, turn_to_viewer
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
     ALWAYS,
@@ -219,7 +219,7 @@ class Studio:
             np.zeros(lens.size, np.uint8),
             facets,
         )
-        shot.normals[at.mask] = facing(at.normals, view)
+        shot.normals[at.mask] = turn_to_viewer(at.normals, view)
         shot.depth[at.mask] = at.depth
         shot.segments[at.mask] = at.segments
         return shot
@@ -322,7 +322,7 @@ class Studio:
                 at.facets, camera.view_vectors(lens)[at.mask]
             )
             self._may_shade_itself[key] = not known or self_shading.may_shade_itself(
-                camera.seen(self._vertices, self._azimuth, lens),
+                camera.vertices_from_camera(self._vertices, self._azimuth, lens),
                 at.facets,
                 camera.points(lens, at.mask, at.depth),
             )

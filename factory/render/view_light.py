@@ -16,7 +16,7 @@ from factory.render.direct_light import (
     DirectLights,
     Points,
     leaning_share,
-    merged,
+    merge_pictures,
     picture_of,
     points_of,
 )
@@ -109,7 +109,7 @@ class ViewLight:
         if at is None:
             return None
         picture = picture_of(direct, self._grids_at(view, at), view.lens, at, where)
-        return picture if known is None or where is None else merged(known, picture, where)
+        return picture if known is None or where is None else merge_pictures(known, picture, where)
 
     def _grids_at(self, view: ShownView, at: Points) -> list[Surface]:
         """Return what grids of points see; as many as MOST_KEPT allows are kept."""

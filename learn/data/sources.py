@@ -131,10 +131,9 @@ def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dic
 def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
     """Return the sorted names of the maps that light a side.
 
-    held  {name: side} as `_held_out_maps` returns it
-
-
     Without maps training draws computed light, never a held-out map.
+
+    held  {name: side} as `_held_out_maps` returns it
     """
     names = [name for name in maps if held.get(name, "train") == side]
     if not names and side == "validation":

@@ -122,12 +122,14 @@ def seconds(size: int) -> dict[str, float]:
     )
     allowed = 0.1 * directional.mean_radiance(n, None, one_lobe(4.0), E, lights)
     took = [
-        timed(functools.partial(summed, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n)
+        time_rounds(
+            functools.partial(sum_culled, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n
+        )
         for g in SUMMED
     ]
     whole = 0.5 * len(E) * len(n)  # a broad lobe sees half of all lights
-    call = timed(
-        functools.partial(summed, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64]
+    call = time_rounds(
+        functools.partial(sum_culled, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64]
     )
     pair = (took[0] - call) / whole
     share = np.clip((np.array(took[1:]) - call) / (pair * len(E) * len(n)), 1e-3, 0.49)
@@ -135,7 +137,7 @@ def seconds(size: int) -> dict[str, float]:
     slope, block = np.polyfit(1 / np.sqrt(SUMMED[1:]), cone, 1)
     nodes = reflectance_map.needed_nodes(n, 64)
     values = torch.rand(len(nodes), 3).requires_grad_()
-    look_up = timed(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
+    look_up = time_rounds(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
     result = {
         "pair": pair,
         "look_up": look_up,
@@ -154,7 +156,7 @@ def _radiance(
     return directional.radiance(n, None, m, E, lights)
 
 
-def summed(
+def sum_culled(
     n: torch.Tensor,
     m: torch.Tensor,
     E: torch.Tensor,
@@ -165,7 +167,7 @@ def summed(
     return directional.radiance(n, None, m, E, lights, allowed)
 
 
-def timed(function: Callable[..., torch.Tensor], n: torch.Tensor, rounds: int = 3) -> float:
+def time_rounds(function: Callable[..., torch.Tensor], n: torch.Tensor, rounds: int = 3) -> float:
     """Return the least processor seconds of a few rounds, forward and backward."""
     best = np.inf
     for _ in range(rounds):

@@ -158,7 +158,7 @@ def methods_of(
         result[f"{name}, predicted"] = predicted
         known = getattr(network, "training_labels", None)
         for caption, settings in amounts().items():
-            result[f"{name}, {caption}"] = functools.partial(_refined, predicted, settings, known)
+            result[f"{name}, {caption}"] = functools.partial(_refine, predicted, settings, known)
     if len(set(sizes.values())) > 1:
         raise InputError("--weights", "networks of one size", str(sizes), "measure them apart")
     if baselines is not None:
@@ -175,7 +175,7 @@ def _constant_facing() -> Layered:
     return methods.constant_light(methods.facing_viewer())
 
 
-def _refined(start: Callable[[], Layered], settings: RefinementSettings, labels: Any) -> Layered:
+def _refine(start: Callable[[], Layered], settings: RefinementSettings, labels: Any) -> Layered:
     from learn.evaluation.methods import Refined
     from learn.refinement import refine
 

@@ -117,14 +117,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         picture = load_scene(records, scene, rung, metadata["size"])
         names = {"shape": scene.shape, "light": scene.light}
         names["target"] = scene.truth[rung.name].materials[0]
-        return names | compared(picture, predict, labels, arguments.longer)
+        return names | compare_picture(picture, predict, labels, arguments.longer)
 
     todo = [({"scene": scene.id}, scene) for scene in scenes]
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "scene")
     return {"rows": rows, "weights": weights.name, "seen": seen, "longer": arguments.longer}
 
 
-def compared(
+def compare_picture(
     picture: Any,
     predict: Callable[[ExampleBatch], Prediction],
     labels: np.ndarray | None,

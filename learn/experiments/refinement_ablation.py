@@ -101,12 +101,12 @@ def _measure(
         )
     batch = known[0].batch
     result["times"] = {
-        f"{len(b.image[0, 0])}": refinement_sweep.timed(predict, b)
-        for b in (batch, refinement_sweep.doubled(batch))
+        f"{len(b.image[0, 0])}": refinement_sweep.time_refinement(predict, b)
+        for b in (batch, refinement_sweep.double_size(batch))
     }
     if arguments.initialisations:
         labels = refinement_initialisations.labels_of(records, arguments.materials)
-        result["initialisations"] = refinement_initialisations.measured(
+        result["initialisations"] = refinement_initialisations.measure_refinements(
             predict, known[:needed], arguments.initialisations, arguments.out, labels
         )
     return result

@@ -61,7 +61,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "pictures", "weights", "seen"}.
 
     rows      as of `row_of`, and scene, rung, start (PREDICTED or TRUE_LIGHT), method
-    pictures  as of `compared_with_the_sum`, and scene, rung
+    pictures  as of `compare_with_sum`, and scene, rung
     Raises InputError for a data set without pictures in glossy materials beside others.
     """
     from dataclasses import asdict
@@ -96,7 +96,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     pictures = runner.resume(
         arguments.out / "pictures.jsonl",
         compared,
-        lambda case: compared_with_the_sum(bench, *case),
+        lambda case: compare_with_sum(bench, *case),
         "picture",
     )
     for method in METHODS:  # once without a clock, because kernels are compiled
@@ -172,7 +172,7 @@ def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict
     }
 
 
-def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+def compare_with_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names, and the display L2 between its renderings by sum and by integral.
 
     "true" are those of the true parts, "predicted" those of the predicted ones.

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from learn.commands import options
 from learn.experiments import runner
 from learn.experiments.ladder_scenes import RUNGS, Key, pictures_of, remedy, rungs, scene_of
-from learn.experiments.relighting_tables import by_group, by_method, counted
+from learn.experiments.relighting_tables import by_group, by_method, count_values
 
 if TYPE_CHECKING:
     from learn.data.records import Records
@@ -264,8 +264,8 @@ def tables(report: runner.Report) -> str:
     result += [f"**{sentence}**\n" for sentence in report["seen"]]
     result.append(
         f"Weights {report['weights']}; {report['available']} pictures are there on every rung:"
-        f" {counted(rows, 'shape', 'shapes')}, {counted(rows, 'material', 'materials')},"
-        f" {counted(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
+        f" {count_values(rows, 'shape', 'shapes')}, {count_values(rows, 'material', 'materials')},"
+        f" {count_values(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
         " light that is given, which no input shows. *One factor free*: L2 after the factor on the"
         " result's radiance that makes it least. *Ratio*: of means, to the object's picture"
         " unchanged. Intervals draw shapes (in transfer those of both pictures), materials, and"

@@ -187,9 +187,9 @@ def test_options_reach_a_worker_as_they_are(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = {"a": [Path("b"), 1.5], "c": {"d": None}, "run": print, "e": "f", "g": (1, "h")}
     text = msgspec.json.Encoder(enc_hook=lambda path: str(path.absolute())).encode(
-        on_ray._packed(given)
+        on_ray._pack(given)
     )
-    assert on_ray._unpacked(msgspec.json.decode(text)) == {
+    assert on_ray._unpack(msgspec.json.decode(text)) == {
         "a": [tmp_path / "b", 1.5],
         "c": {"d": None},
         "e": "f",

@@ -12,7 +12,7 @@ piloted  the same of a division by the first two of these pictures, whose own sa
          counted, at the noise of the others; σ is averaged over 3×3 pixels
 Cycles   its own adaptive sampling, against path tracing with as many samples for all pixels as take
          the same processor time. Both are rendered by two seeds; errors and squared biases are
-         those of scenes.compared
+         those of scenes.compare
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators.adaptive_sampling import stopping_at
+from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
 from factory.render.studio import Studio
 from factory.render.validation import command_line
 from factory.render.validation.sample_division import (
@@ -36,7 +36,7 @@ from factory.render.validation.sample_division import (
     over_tiles,
     piloted_share,
 )
-from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
+from factory.render.validation.scenes import TIERS, Scene, Stage, compare, draw_scene
 from manifests.provenance import provenance
 
 PORTIONS, EACH = 16, 8  # pictures that say how noisy pixels are, and their samples
@@ -45,7 +45,9 @@ MOST = 256  # samples of a pixel under adaptive sampling
 TIMED = 64  # samples that say how long one takes
 
 
-def _timed(studio: Studio, samples: int, seed: int, scene: Scene) -> tuple[np.ndarray, float]:
+def _time_picture(
+    studio: Studio, samples: int, seed: int, scene: Scene
+) -> tuple[np.ndarray, float]:
     """Return a picture and its processor seconds."""
     start = time.process_time()
     picture = studio.picture(samples, seed, scene.tier)[0]
@@ -57,7 +59,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     stage, rows = Stage(options.size, 1), []
     studio = stage.studio
     for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials)
+        scene = draw_scene(number, options.seed, stage.materials)
         scene = replace(scene, tier=TIERS[number % len(TIERS)])
         mask = stage.show(scene)
         pictures = np.array(
@@ -77,13 +79,13 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             "cycles": [],
         }
         reference = stage.reference(scene, mask, options.reference)
-        per_sample = _timed(studio, TIMED, scene.seed, scene)[1] / TIMED
+        per_sample = _time_picture(studio, TIMED, scene.seed, scene)[1] / TIMED
         for threshold in THRESHOLDS:
-            with stopping_at(studio._scene, threshold):
-                adaptive = [_timed(studio, MOST, scene.seed + k, scene) for k in (2, 3)]
+            with stop_where_noise_is_below(studio._scene, threshold):
+                adaptive = [_time_picture(studio, MOST, scene.seed + k, scene) for k in (2, 3)]
             seconds = (adaptive[0][1] + adaptive[1][1]) / 2
             samples = int(np.clip(round(seconds / per_sample), 1, MOST))
-            equal = [_timed(studio, samples, scene.seed + k, scene) for k in (2, 3)]
+            equal = [_time_picture(studio, samples, scene.seed + k, scene) for k in (2, 3)]
             row["cycles"].append(
                 {
                     "threshold": threshold,
@@ -101,8 +103,8 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 def _errors(prefix: str, pair: Sequence[np.ndarray], reference: Any) -> dict[str, float]:
     """Return the mean error of two pictures by independent seeds, and their squared bias."""
-    error = sum(compared(each, each, reference).error for each in pair) / 2
-    bias = compared(pair[0], pair[1], reference).error
+    error = sum(compare(each, each, reference).error for each in pair) / 2
+    bias = compare(pair[0], pair[1], reference).error
     return {f"{prefix}error": error, f"{prefix}squared_bias": bias}
 
 

@@ -67,7 +67,9 @@ class _Clock:
         return time.process_time() - self._start
 
 
-def rendered(studio: Studio, basis: Basis, samples: int, seed: int) -> Iterator[list[np.ndarray]]:
+def render_under_maps(
+    studio: Studio, basis: Basis, samples: int, seed: int
+) -> Iterator[list[np.ndarray]]:
     """Yield each map's pictures (height, width, 3), with all light paths and unblocked."""
     for k, each in enumerate(basis.maps):
         studio.set_light(np.repeat(each[..., None], 3, axis=-1), 0)
@@ -79,7 +81,9 @@ def by_basis(
 ) -> Iterator[tuple[str, int, np.ndarray, float, float]]:
     """Yield (family, number of the light, picture, seconds once, seconds of this picture)."""
     clock = _Clock()
-    pairs = np.array(list(rendered(studio, basis, samples, seed)))  # (B, 2, height, width, 3)
+    pairs = np.array(
+        list(render_under_maps(studio, basis, samples, seed))
+    )  # (B, 2, height, width, 3)
     once = clock.seconds
     for number, L in enumerate(shown):
         clock = _Clock()
@@ -123,7 +127,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     bases = [cells(4, 8), cells(8, 16), harmonics(), factors(all_lights, 32)]
     for number in range(len(measured), options.scenes):
         rows: list[dict[str, Any]] = []
-        scene = replace(scenes.drawn(number, options.seed, stage.materials), tier="full")
+        scene = replace(scenes.draw_scene(number, options.seed, stage.materials), tier="full")
         mask = stage.show(scene)
         studio.direct_light()  # compiles its kernels
         made = []
@@ -148,7 +152,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
                             "samples": samples,
                             "once": once,
                             "each": each,
-                            "error": scenes.compared(picture, picture, reference).error,
+                            "error": scenes.compare(picture, picture, reference).error,
                         }
                     )
         lines.append(rows)

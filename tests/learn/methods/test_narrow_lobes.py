@@ -22,7 +22,7 @@ ALL = torch.ones(3, 3, dtype=torch.bool)
 def error_of(name, light, camera="orthographic"):
     batch, _ = chart_cases.batch_of(find(name).label, light, 32, camera)
     pick = sample(len(batch.n), 128)
-    right = chart_measurement.converged(chart_measurement.picked(batch, pick))
+    right = chart_measurement.converged_radiance(chart_measurement.pick_pixels(batch, pick))
     return float((quadrature.radiance(batch, 1e-2)[pick] - right).abs().mean() / right.mean())
 
 
