@@ -122,7 +122,7 @@ def test_a_cluster_that_is_stopped_and_loses_workers_measures_what_this_process_
     assert rows(name, out) == expected and given[0] == 2
     # with nothing left to do, no worker is started
     tasks = fake_ray.installed(monkeypatch)
-    monkeypatch.setattr(tasks, "_started", None)
+    monkeypatch.setattr(tasks, "_start_worker", None)
     assert command(name, room, out, "--ray", "auto") == 0, capsys.readouterr().err
     if name == "evaluate":
         assert len(list((out / "gallery").glob("*.png"))) == 1
