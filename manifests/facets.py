@@ -62,7 +62,7 @@ class Facets(NamedTuple):
         """(height, width) float32: which part of a pixel shows other surfaces, all together."""
         return self.shares.sum(0)
 
-    def interpolated(self, normals: np.ndarray) -> np.ndarray:
+    def interpolated_normals(self, normals: np.ndarray) -> np.ndarray:
         """Return the interpolated normals (height, width, 3) float32 as they were.
 
         normals  (height, width, 3) of the file, which were made to face the viewer

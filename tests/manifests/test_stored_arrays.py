@@ -120,7 +120,7 @@ def test_interpolated_normals_are_what_they_were_before_they_faced_the_viewer(fa
     given = np.concatenate([np.sqrt(1 - cosine**2)[..., None] * across, cosine[..., None]], axis=-1)
     seen = np.maximum(cosine, 1e-3)
     stored = np.concatenate([np.sqrt(1 - seen**2)[..., None] * across, seen[..., None]], axis=-1)
-    back = facets._replace(cosine=cosine).interpolated(stored.astype(np.float32))
+    back = facets._replace(cosine=cosine).interpolated_normals(stored.astype(np.float32))
     np.testing.assert_allclose(back, given, atol=1e-6)
 
 
