@@ -119,7 +119,7 @@ class RenderLayer(torch.nn.Module):
         )
 
     def extra_repr(self) -> str:
-        """The settings, for torch's printed form."""
+        """Return the settings, for torch's printed form."""
         return (
             f"method={self.method!r}, tolerance={float(self.tolerance):g},"
             f" elevation={float(self.elevation):.4f}"

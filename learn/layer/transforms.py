@@ -35,7 +35,7 @@ KINDS = torch._C._TorchDispatchModeKey
 
 
 def are_active() -> bool:
-    """Whether the caller is inside a transform of torch.func.
+    """Return whether the caller is inside a transform of torch.func.
 
     Raises  NotImplementedError inside a tracer, which records calls instead
     """

@@ -92,7 +92,7 @@ class Batch:
 
 
 def load(name: object) -> ModuleType:
-    """The module of a method."""
+    """Return the module of a method."""
     if not isinstance(name, str):
         raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
     if name not in NAMES:
@@ -112,12 +112,12 @@ def refusal(name: str, why: str = COMPILED) -> str:
 
 
 def wants_gradient(*tensors: torch.Tensor | None) -> bool:
-    """Whether a derivative by any of the tensors (or None) can be requested."""
+    """Return whether a derivative by any of the tensors (or None) can be requested."""
     return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
 def forbid_second_derivatives(batch: Batch, name: str, why: str) -> Batch:
-    """The batch for a method that has first derivatives only; it costs 0.1 ms."""
+    """Return the batch for a method that has first derivatives only; it costs 0.1 ms."""
     tensors = [batch.n, batch.m, batch.light]
     if batch.view is not None:
         tensors.append(batch.view)
@@ -126,7 +126,7 @@ def forbid_second_derivatives(batch: Batch, name: str, why: str) -> Batch:
 
 
 def radiance_by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
-    """Radiance (P, 3) by a function of one group.
+    """Return radiance (P, 3) by a function of one group.
 
     function  n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3) → (p, 3)
     """
@@ -149,7 +149,7 @@ def radiance_by_numbered_group(batch: Batch, function: Callable[..., torch.Tenso
 
 
 def merge_groups(batch: Batch) -> Batch:
-    """The batch with neighbouring groups merged where they share one material and one light.
+    """Return the batch with neighbouring groups merged where they share one material and one light.
 
     Shared means one tensor expanded over the batch (stride 0 in memory). Groups whose material or
     light is merely equal stay separate, so that no picture's bits depend on the rest of the batch.

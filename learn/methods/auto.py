@@ -76,7 +76,7 @@ ALONE = 24  # size of the largest map below which all maps take it
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.n.device.type != "cpu":
         return load("exact").radiance(batch, tolerance)
     if not reflectance_map.has_kernel(batch.n):
@@ -95,7 +95,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def batch_of_group(batch: Batch, g: int) -> Batch:
-    """The batch of one group alone."""
+    """Return the batch of one group alone."""
     n, view = (
         batch.n.split(batch.counts)[g],
         (None if batch.view is None else batch.view.split(batch.counts)[g]),
@@ -118,7 +118,7 @@ def plan_sums(
     rotation: Rotation,
     tolerance: float,
 ) -> planned.Sums:
-    """Sums of one group for a distant viewer that keep the tolerance on the sample."""
+    """Return sums of one group for a distant viewer that keep the tolerance on the sample."""
     _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
     lobes = (
@@ -144,7 +144,7 @@ def improve_strategy(part: planned.Sum, _: Miss) -> planned.Strategy:
 def choose_strategies(
     scene: planned.Scene, lobes: tuple[int, ...], tolerance: float
 ) -> list[planned.Strategy]:
-    """The strategy of each group of a scene's lobes.
+    """Return the strategy of each group of a scene's lobes.
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
@@ -175,7 +175,7 @@ def choose_strategies(
 
 
 def radiance_by_few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Radiance (P, 3) of one group seen from a view per pixel."""
+    """Return radiance (P, 3) of one group seen from a view per pixel."""
     exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
     if len(batch.n) < CHEAP or directional.is_small(
         len(batch.n), height * width, wants_gradient(batch.n, batch.view, batch.m)
@@ -232,7 +232,7 @@ class Check:
         return load("exact").radiance(self.batch, self.tolerance)
 
     def keeps_tolerance(self, strategy: Callable[[Batch], torch.Tensor]) -> bool:
-        """Whether strategy(batch) keeps the tolerance there."""
+        """Return whether strategy(batch) keeps the tolerance there."""
         return keeps_tolerance(
             (strategy(self.batch) - self.truth).abs().numpy(),
             self.truth.mean().item(),

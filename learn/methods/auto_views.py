@@ -57,7 +57,7 @@ MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, Tru
 
 
 def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch with a view per pixel, by the kernels."""
+    """Return outgoing radiance (P, 3) of a batch with a view per pixel, by the kernels."""
     plan = functools.partial(plan_sums, rotation=rotation, tolerance=tolerance)
 
     def one_group(
@@ -79,7 +79,7 @@ def plan_sums(
     rotation: Rotation,
     tolerance: float,
 ) -> planned_views.Sums:
-    """Sums of one group that keep the tolerance on the sample."""
+    """Return sums of one group that keep the tolerance on the sample."""
     material_gradient = gradients[2]
     scene = planned_views.Scene(n, view, m, light, rotation, tolerance, *gradients[1:])
     lobes = (
@@ -107,7 +107,7 @@ def improve_strategy(part: planned_views.Sum, miss: Miss) -> Strategy:
 
 
 def improve_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
-    """More views or a larger map, by what the error on the sample comes from, or no maps."""
+    """Return more views or a larger map, by what the error on the sample comes from, or no maps."""
     strategy, scene = part.strategy, part.scene
     by_view, by_map = part.causes(miss.pick, miss.truth)
     allowed = max(part.error(miss.pick, miss.truth) - miss.excess, 0.0)
@@ -128,7 +128,7 @@ def improve_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
 def count_nodes(
     scene: planned_views.Scene, lobes: tuple[int, ...], level: int, size: int, views: int
 ) -> float:
-    """Nodes of the maps for so many views, as if all saw a level of the light.
+    """Return the number of nodes of the maps for so many views, as if all saw a level of the light.
 
     size  of the main map
     """
@@ -150,7 +150,7 @@ def initial_culling(scene: planned_views.Scene) -> tuple[float, float]:
 def choose_strategies(
     scene: planned_views.Scene, lobes: tuple[int, ...], tolerance: float
 ) -> list[Strategy]:
-    """The strategy of each group of a scene's lobes.
+    """Return the strategy of each group of a scene's lobes.
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
@@ -197,7 +197,7 @@ def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int
 
 
 def view_error(scene: planned_views.Scene, lobe: int, count: int, mirrored: bool) -> float:
-    """Predicted error of a picture, of reading a lobe from maps of so many views.
+    """Return the predicted error of a picture, of reading a lobe from maps of so many views.
 
     It grows with what normals do not tell of the views. Fitted to 24 lobes under two lights, from
     two distances (docs/log.md, a view per pixel).

@@ -39,7 +39,7 @@ Better = Callable[[Any, Miss], Strategy]
 def plan_and_check(
     scene: Any, lobes: tuple[int, ...], tolerance: float, plan: Plan, better: Better
 ) -> Any:
-    """Sums of a scene's lobes whose error on the sample is within the tolerance.
+    """Return sums of a scene's lobes whose error on the sample is within the tolerance.
 
     Where it is not, the part with the largest error is computed again by a better strategy.
     """

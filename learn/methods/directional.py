@@ -35,7 +35,7 @@ WHOLE = 2**19
 
 
 def has_kernels(n: torch.Tensor) -> bool:
-    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
+    """Return whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
@@ -50,7 +50,7 @@ def radiance(
     method: str = "directional",
     negligible: float = NEGLIGIBLE,
 ) -> torch.Tensor:
-    """Radiance (P, 3) of some lobes of one material m (3, 3, 2, 6) under lights of energy E.
+    """Return radiance (P, 3) of some lobes of one material m (3, 3, 2, 6) under lights of energy E.
 
     It is differentiable in n, view, m and E; by the kernels once.
     negligible  for a view per pixel, as in learn.engines.lights.cutoff
@@ -98,14 +98,14 @@ def mean_radiance(
     lights: Lights,
     pixels: int = 32,
 ) -> float:
-    """Mean radiance of evenly chosen pixels: the measure of errors."""
+    """Return the mean radiance of evenly chosen pixels: the measure of errors."""
     with torch.no_grad():
         pick = sample(len(n), pixels, n.device)
         return radiance(n[pick], None if view is None else view[pick], m, E, lights).mean().item()
 
 
 def sample(count: int, pixels: int, device: torch.device | None = None) -> torch.Tensor:
-    """Indices (pixels,) spread evenly over range(count), the same every time."""
+    """Return indices (pixels,) spread evenly over range(count), the same every time."""
     return torch.from_numpy(spread_indices(count, pixels)).to(device)
 
 

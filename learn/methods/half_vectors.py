@@ -109,7 +109,7 @@ def chunk_radiance(
     solid_angle: torch.Tensor,
     camera_from_light: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of a chunk of pixels by the samples of `place_samples`."""
+    """Return radiance (p, 3) of a chunk of pixels by the samples of `place_samples`."""
     with torch.no_grad():
         w, weight, _ = place_samples(
             n, view, around, solid_angle, camera_from_light, (light.shape[0], light.shape[1])
@@ -134,7 +134,7 @@ def reflectance(
 def footprint(
     w: torch.Tensor, solid_angle: torch.Tensor, height: int, width: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The texels under each sample's footprint, and the part of it in each.
+    """Return the texels under each sample's footprint, and the part of it in each.
 
     The footprint is the square of the solid angle, at most a texel wide each way.
 
@@ -167,7 +167,7 @@ def border(x: torch.Tensor, width: torch.Tensor) -> tuple[torch.Tensor, torch.Te
 
 
 def frame_about(n: torch.Tensor) -> torch.Tensor:
-    """Rotations (p, 3, 3) that take z to n and turn smoothly with n (Duff et al. 2017)."""
+    """Return rotations (p, 3, 3) that take z to n and turn smoothly with n (Duff et al. 2017)."""
     x, y, z = n.unbind(-1)
     sign = torch.where(z < 0, -1.0, 1.0).to(n.dtype)
     a = -1 / (sign + z)
@@ -178,7 +178,7 @@ def frame_about(n: torch.Tensor) -> torch.Tensor:
 
 
 def texel_of(w: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Flat index of the texel that holds each direction w (..., 3), light frame.
+    """Return the flat index of the texel that holds each direction w (..., 3), light frame.
 
     As shaders.envmap.texel, for tensors.
     """

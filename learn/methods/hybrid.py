@@ -32,7 +32,7 @@ BROAD = 60.0
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     return radiance_by_lights(
         median_cut.prepare_batch(batch, CARD.name),
         median_cut.light_count(tolerance),
@@ -41,7 +41,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def radiance_by_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
-    """Radiance with `count` lights for broad lobes; left_out: relative error by culling."""
+    """Return radiance with `count` lights for broad lobes; left_out: relative error by culling."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -63,5 +63,5 @@ def radiance_by_lights(batch: Batch, count: int, left_out: float) -> torch.Tenso
 
 
 def marked_lobes(lobes: np.ndarray) -> tuple[int, ...]:
-    """The numbers, in a tuple, of lobes marked in an array (3,)."""
+    """Return the numbers, in a tuple, of lobes marked in an array (3,)."""
     return tuple(np.flatnonzero(lobes).tolist())

@@ -52,12 +52,12 @@ class Lights:
 
 
 def pad_to_blocks(w: np.ndarray) -> np.ndarray:
-    """Directions (T, 3) with the last one repeated up to whole blocks."""
+    """Return the directions (T, 3) with the last one repeated up to whole blocks."""
     return np.concatenate([w, np.broadcast_to(w[-1], (-len(w) % LANES, 3))])
 
 
 def lights_at(w: np.ndarray) -> Lights:
-    """The `Lights` of directions (T, 3), as a distant viewer at VIEWER sees them.
+    """Return the `Lights` of directions (T, 3), as a distant viewer at VIEWER sees them.
 
     Neighbours in order should be neighbours on the sphere.
     """
@@ -92,7 +92,7 @@ def cone(vectors: np.ndarray) -> np.ndarray:
 
 
 def order_in_tiles(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """The order (T,) of texels in 4×4 tiles, by their rows and columns (T,)."""
+    """Return the order (T,) of texels in 4×4 tiles, by their rows and columns (T,)."""
     return np.lexsort((column, row, column // 4, row // 4))
 
 

@@ -45,12 +45,12 @@ def light_count(tolerance: float) -> int:
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     return radiance_by_lights(prepare_batch(batch, CARD.name), light_count(tolerance))
 
 
 def prepare_batch(batch: Batch, name: str) -> Batch:
-    """The batch for a method that cuts the light.
+    """Return the batch for a method that cuts the light.
 
     Second derivatives exist in torch's own sums alone, while the light is constant.
     """
@@ -62,7 +62,7 @@ def prepare_batch(batch: Batch, name: str) -> Batch:
 
 
 def radiance_by_lights(batch: Batch, lights: int) -> torch.Tensor:
-    """Radiance (P, 3) with a cut light of at most `lights` regions."""
+    """Return radiance (P, 3) with a cut light of at most `lights` regions."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -111,7 +111,7 @@ def cut_light(
 
 
 def regions(energy: np.ndarray, count: int) -> np.ndarray:
-    """The number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
+    """Return the number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
 
     Neighbours in number are neighbours in the map.
     """
@@ -168,7 +168,7 @@ def halve_boxes(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
 def energy_up_to(
     boxes: np.ndarray, table: np.ndarray, by_rows: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
-    """Energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
+    """Return energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
     top, bottom, left, right = boxes.T
     bottom, right = np.where(by_rows, place, bottom), np.where(by_rows, right, place)
     return table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]

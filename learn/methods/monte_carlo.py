@@ -19,7 +19,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     half = sampling.sample_count(tolerance) // 2
     return sampling.radiance_by_samples(
         forbid_second_derivatives(batch, CARD.name, HELD_SAMPLES), half, half

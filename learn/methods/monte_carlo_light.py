@@ -17,7 +17,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.light.requires_grad:  # the samples follow the light, and nothing else
         batch = forbid_second_derivatives(batch, CARD.name, HELD_SAMPLES)
     return sampling.radiance_by_samples(batch, sampling.sample_count(tolerance), 0)

@@ -78,7 +78,7 @@ class Scene:
         return Views(self.n, self.view)
 
     def node_count(self, size: int) -> float:
-        """Nodes that a map of a size will have, by those of a small one."""
+        """Return the number of nodes that a map of a size will have, by those of a small one."""
         return self.node_share * size * size
 
     @functools.cached_property
@@ -103,7 +103,7 @@ class Scene:
         left_out: float = 0.0,
         view_gap: float = 0.0,
     ) -> ViewedListing:
-        """The `ViewedListing` of some lobes at normals and views (N, 3)."""
+        """Return the `ViewedListing` of some lobes at normals and views (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
             self.tables[lobes, level] = ViewedTables(
@@ -123,7 +123,7 @@ class Scene:
     def sum_to_compare(
         self, n: np.ndarray, view: np.ndarray, lobes: tuple[int, ...], known_as: int | None = None
     ) -> np.ndarray:
-        """The sum of some lobes (S, 3) with which parts of a picture are compared.
+        """Return the sum of some lobes (S, 3) with which parts of a picture are compared.
 
         Lobes that show no difference between the light's own texels and larger ones are summed over
         these. CLOSE of the budget may be missing; before it is known, of a smaller one, by what
@@ -159,7 +159,7 @@ class Scene:
     def light_loss(
         self, lobes: tuple[int, ...], level: int, pick: np.ndarray, truth: np.ndarray
     ) -> float:
-        """Mean absolute error by a level of the light at pixels pick (S,).
+        """Return the mean absolute error by a level of the light at pixels pick (S,).
 
         truth  (S, 3) the sum of the lobes there
         """
@@ -169,7 +169,7 @@ class Scene:
         )
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
-        """The `Sums` of strategies; known: sums that have been made before."""
+        """Return the `Sums` of strategies; known: sums that have been made before."""
         return Sums(self, strategies, known)
 
 
@@ -199,7 +199,7 @@ class Sum:
         self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
-        """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
+        """Return the mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.values[pick] - truth).mean())
 
     def causes(self, pick: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -228,15 +228,15 @@ class Sums:
         self.all = [known[strategy] for strategy in strategies]
 
     def parts(self) -> list[Sum]:
-        """The sum of each strategy."""
+        """Return the sum of each strategy."""
         return self.all
 
     def at_sample(self, pick: np.ndarray) -> np.ndarray:
-        """Radiance (S, 3) at pixels pick (S,)."""
+        """Return radiance (S, 3) at pixels pick (S,)."""
         return functools.reduce(np.add, [part.values[pick] for part in self.all])
 
     def radiance(self) -> np.ndarray:
-        """Radiance (P, 3)."""
+        """Return radiance (P, 3)."""
         return functools.reduce(
             np.add, [part.values for part in self.all], np.zeros_like(self.scene.n)
         )
@@ -244,7 +244,7 @@ class Sums:
     def backward(
         self, g: np.ndarray, with_view: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·radiance by n, view, m and light."""
+        """Return derivatives of Σ g·radiance by n, view, m and light."""
         by_n, by_view = np.zeros_like(self.scene.n), np.zeros_like(self.scene.n)
         by_m, by_light = np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
         by_place: dict[bool, tuple[np.ndarray, np.ndarray]] = {}

@@ -80,7 +80,7 @@ LEAST, MOST = 64, 16384  # samples
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     # Without kernels, split texels are faster where derivatives are requested. Where all of it is
     # short, they stay the sum that can be differentiated twice.
     derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
@@ -169,13 +169,13 @@ def sum_each_group(
 
 
 def may_sum_whole(batch: Batch, split: int) -> bool:
-    """Whether a sum over a map whose texels are all split may be made whole."""
+    """Return whether a sum over a map whose texels are all split may be made whole."""
     texels = batch.light.shape[1] * batch.light.shape[2]
     return len(batch.n) * split**2 * texels <= SHORT
 
 
 def has_kernels(batch: Batch) -> bool:
-    """Whether compiled kernels serve a batch, derivatives included."""
+    """Return whether compiled kernels serve a batch, derivatives included."""
     return sampled_sum.has_kernels(batch.n, batch.m) and bool(
         batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
     )
@@ -315,7 +315,7 @@ def sharpness_limit(rows: float, tolerance: float, otherwise: float) -> float:
 
 
 def least_rows(tolerance: float) -> float:
-    """Rows of a map (half its columns, if fewer) from which its sum serves broad lobes.
+    """Return the rows of a map (half its columns, if fewer) from which its sum serves broad lobes.
 
     The cosine has an edge at the horizon: however broad the lobe, the sum is wrong there by 0.5 /
     rows² of the mean under random maps of 3 to 16 rows. Below tolerance 1e-3 nothing is claimed.
@@ -324,7 +324,7 @@ def least_rows(tolerance: float) -> float:
 
 
 def sample_count_for(tolerance: float) -> int:
-    """Number of samples for a tolerance, a power of two in [LEAST, MOST].
+    """Return the number of samples for a tolerance, a power of two in [LEAST, MOST].
 
     The error falls about as 1 / samples. Under measured lights half as many keep the tolerance of
     pictures too, but leave twice the error in a texel's derivative.

@@ -56,7 +56,7 @@ TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each 
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.view is not None:
         raise ValueError(
             'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'
@@ -83,7 +83,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def radiance_by_size(batch: Batch, size: int) -> torch.Tensor:
-    """Radiance by maps of one given size."""
+    """Return radiance by maps of one given size."""
     batch = merge_groups(batch)
 
     def one_group(
@@ -98,7 +98,7 @@ def radiance_by_size(batch: Batch, size: int) -> torch.Tensor:
 
 
 def size_for(sharpness: float, tolerance: float) -> int:
-    """Nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
+    """Return the nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
 
     The rule is from `python -m learn.experiments calibrate-auto`.
     """
@@ -109,7 +109,7 @@ def size_for(sharpness: float, tolerance: float) -> int:
 def radiance_by_nodes(
     n: torch.Tensor, size: int, at_nodes: Callable[[torch.Tensor], torch.Tensor]
 ) -> torch.Tensor:
-    """Radiance read from a map, differentiable in n and in the nodes' radiance.
+    """Return radiance read from a map, differentiable in n and in the nodes' radiance.
 
     at_nodes  normals (N, 3) of the nodes → radiance (N, 3)
     """
@@ -120,12 +120,12 @@ def radiance_by_nodes(
 
 
 def has_kernel(n: torch.Tensor) -> bool:
-    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
+    """Return whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
 def places(n: torch.Tensor, size: int) -> torch.Tensor:
-    """Row and column (P, 2) of each normal, in nodes."""
+    """Return the row and column (P, 2) of each normal, in nodes."""
     p = n[:, :2] * torch.rsqrt(1.0 + n[:, 2:])
     return ((p + 1.0) * (0.5 * (size - 1 - 2 * MARGIN)) + MARGIN).flip(-1)
 
@@ -152,7 +152,7 @@ def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
 
 
 def nodes_with_weight(touched: np.ndarray) -> np.ndarray:
-    """Flat indices (N,) of the nodes that have a weight for some pixel.
+    """Return flat indices (N,) of the nodes that have a weight for some pixel.
 
     touched  (size, size): marks the node before each pixel's place
     """
@@ -166,7 +166,7 @@ def nodes_with_weight(touched: np.ndarray) -> np.ndarray:
 
 
 def normals(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Unit normals (N, 3) of flat node indices, float64 numpy.
+    """Return unit normals (N, 3) of flat node indices, float64 numpy.
 
     Outside the disk |p| ≤ 1 they look away from the viewer, beyond |p| = √2 not quite straight:
     straight away every p is the same, and a map could not be read there.
@@ -216,14 +216,14 @@ def run_in_slices(pixels: int, seconds: float, kernel: Callable[[int, int], None
 
 
 def kernel_table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
-    """The kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
+    """Return the kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
     result = np.zeros((size * size, 4), np.float32)
     result[nodes, :3] = values
     return result
 
 
 def read_values(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
-    """Values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
+    """Return values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
     run_in_slices(
         len(n),
@@ -238,7 +238,7 @@ def read_values(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
 def read_backward(
     n: np.ndarray, table: np.ndarray, size: int, g: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
+    """Return derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
     by_n = np.empty((len(n), 3), np.float32)
     by_table = np.zeros((MAP_CHUNKS, *table.shape), np.float32)
 

@@ -53,7 +53,7 @@ def radiance(
     camera_from_light: torch.Tensor,
     samples: int,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of one group."""
+    """Return radiance (p, 3) of one group."""
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
@@ -132,7 +132,7 @@ class Kernels:
         self.workers = torch.get_num_threads()
 
     def radiance(self) -> np.ndarray:
-        """Radiance (p, 3)."""
+        """Return radiance (p, 3)."""
         out = np.empty_like(self.n)
 
         def run(first: int, last: int) -> None:

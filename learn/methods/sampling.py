@@ -28,12 +28,12 @@ PAIRS = 32768  # samples of one chunk of pixels
 
 
 def sample_count(tolerance: float) -> int:
-    """Samples per pixel for a tolerance, between 16 and 1024."""
+    """Return the samples per pixel for a tolerance, between 16 and 1024."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
 def radiance_by_samples(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
-    """Radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
+    """Return radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -95,7 +95,7 @@ class Lobes:
         return np.exp(log_cosine), np.sqrt(-np.expm1(2 * log_cosine))
 
     def density(self, cosine: torch.Tensor) -> torch.Tensor:
-        """Density of h (per sr) at its cosine with n, torch."""
+        """Return the density of h (per sr) at its cosine with n, torch."""
         log_c = torch.log(cosine.clamp(min=1e-12))[..., None]
         power = torch.as_tensor(self.power, dtype=cosine.dtype, device=cosine.device)
         share = torch.as_tensor(self.share, dtype=cosine.dtype, device=cosine.device)
@@ -120,7 +120,7 @@ class Texels:
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
     def draw(self, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Directions (…, 3), camera frame, numpy.
+        """Return the directions (…, 3), camera frame, numpy.
 
         u chooses the texel, a and b the place in it (across, and down by solid angle)
         """
@@ -165,7 +165,7 @@ def chunk_radiance(
     by_brdf: int,
     first: int,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of the pixels numbered from `first`."""
+    """Return radiance (p, 3) of the pixels numbered from `first`."""
     with torch.no_grad():
         w = torch.cat(
             [
@@ -197,7 +197,7 @@ def chunk_radiance(
 
 
 def draw_by_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
-    """Directions (p, samples, 3) drawn by the light; None for no samples."""
+    """Return the directions (p, samples, 3) drawn by the light; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
@@ -209,7 +209,7 @@ def draw_by_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> t
 def draw_by_lobes(
     n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
 ) -> torch.Tensor | None:
-    """Directions (p, samples, 3) drawn by the lobes; None for no samples."""
+    """Return the directions (p, samples, 3) drawn by the lobes; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)

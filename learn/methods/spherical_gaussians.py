@@ -46,7 +46,7 @@ LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     return radiance_by_lights(
         forbid_second_derivatives(batch, CARD.name, HELD_LIGHTS)
         if batch.light.requires_grad
@@ -56,7 +56,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
 
 
 def radiance_by_lights(batch: Batch, count: int) -> torch.Tensor:
-    """Radiance (P, 3) with a light of `count` spherical Gaussians."""
+    """Return radiance (P, 3) with a light of `count` spherical Gaussians."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -85,7 +85,7 @@ def chunk_radiance(
     E: torch.Tensor,
     light_sharpness: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
+    """Return radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
     view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
     cosine = (n * view).sum(-1).clamp(min=1e-3)
     mirror = 2 * cosine[:, None] * n - view

@@ -44,7 +44,7 @@ DARKEST = 1e-9
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if directional.has_kernels(batch.n):
         batch = forbid_second_derivatives(batch, CARD.name, COMPILED)
 
@@ -88,7 +88,7 @@ def radiance_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> 
 
 
 def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
-    """Values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
+    """Return values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
     place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
     i = place.detach().floor().long().clamp(max=ANGLES - 2)
     t = (place - i)[:, None]
@@ -96,7 +96,7 @@ def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
 
 
 def look_up_map(table: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
-    """Values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
+    """Return values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
 
     Interpolation is bilinear and wraps around the vertical.
     """

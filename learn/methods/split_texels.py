@@ -24,7 +24,7 @@ ANGLES = np.linspace(0, np.pi / 2, INTERVALS + 1)
 
 
 def sharpness_along(m: torch.Tensor) -> torch.Tensor:
-    """Sharpness γ · max(κ, 1) of each channel and lobe at ANGLES.
+    """Return sharpness γ · max(κ, 1) of each channel and lobe at ANGLES.
 
     m        (…, 3, 3, 2, 6)
     Returns  (…, 3, 3, INTERVALS + 1)

@@ -22,12 +22,12 @@ LIGHT_BESIDE, CULL_BESIDE = 5.0, 4.0
 
 
 def slope_map_size(size: int) -> int:
-    """Nodes along a side of the maps of slopes that belong to a map."""
+    """Return the nodes along a side of the maps of slopes that belong to a map."""
     return max(math.ceil(BESIDE * size), LEAST_BESIDE)
 
 
 def slope_map_level(scene: Any, lobes: tuple[int, ...]) -> int:
-    """The coarsest level of the light that serves the maps of slopes of some lobes."""
+    """Return the coarsest level of the light that serves the maps of slopes of some lobes."""
     share = np.clip(3 * scene.shares, 0.1, 1.0)
     return min(
         coarsest_level(

@@ -55,7 +55,7 @@ POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 @functools.cache
 def coefficients(count: int) -> np.ndarray:
-    """The a_jk of the polynomial's constant and of its terms, (K, K) float32."""
+    """Return the a_jk of the polynomial's constant and of its terms, (K, K) float32."""
     x, y = np.array(OFFSETS[count]).T
     terms = np.stack([x**i * y**j for i, j in POWERS[:count]], -1)
     return np.linalg.inv(terms).astype(np.float32)
@@ -67,12 +67,12 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def component_along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
+    """Return components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
     return vectors[:, 0] * axis[0] + vectors[:, 1] * axis[1] + vectors[:, 2] * axis[2]
 
 
 def features(n: np.ndarray) -> list[np.ndarray]:
-    """The terms (P,) of V, by normals (P, 3)."""
+    """Return the terms (P,) of V, by normals (P, 3)."""
     x, y, z = n[:, 0], n[:, 1], n[:, 2]
     return [np.ones_like(x), x, y, z, x * z, y * z]
 
@@ -118,14 +118,14 @@ class Views:
         self.spread = float(wide.max()) if float(depth.min()) > LEAST_DEPTH else math.inf
 
     def middle(self, n: np.ndarray) -> np.ndarray:
-        """Slopes (2, P) of V."""
+        """Return slopes (2, P) of V."""
         terms = features(n)
         return np.stack(
             [sum(c * term for c, term in zip(row, terms, strict=True)) for row in self.fit]
         )
 
     def middle_backward(self, n: np.ndarray, by_slopes: np.ndarray) -> np.ndarray:
-        """The derivative by n (P, 3), from those by V's slopes (2, P)."""
+        """Return the derivative by n (P, 3), from those by V's slopes (2, P)."""
         x, y, z = n[:, 0], n[:, 1], n[:, 2]
         result = np.zeros_like(n)
         for (_, c1, c2, c3, c4, c5), g in zip(self.fit, by_slopes, strict=True):
@@ -135,13 +135,13 @@ class Views:
         return result
 
     def vectors(self, slopes: np.ndarray) -> np.ndarray:
-        """Unit vectors (P, 3) of slopes (2, P)."""
+        """Return unit vectors (P, 3) of slopes (2, P)."""
         e1, e2, axis = self.frame
         result = slopes[0][:, None] * e1 + slopes[1][:, None] * e2 + axis
         return result / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)[:, None]
 
     def vectors_backward(self, slopes: np.ndarray, by_vectors: np.ndarray) -> np.ndarray:
-        """Derivatives (2, P) by slopes, from the one by `vectors`."""
+        """Return derivatives (2, P) by slopes, from the one by `vectors`."""
         length = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         e1, e2, _ = self.frame
         radial = dot(by_vectors, self.vectors(slopes))[:, 0] / length
@@ -153,14 +153,14 @@ class Views:
         )
 
     def slopes_backward(self, by_slopes: np.ndarray) -> np.ndarray:
-        """The derivative by view (P, 3), from the one by the pixels' slopes (2, P)."""
+        """Return the derivative by view (P, 3), from the one by the pixels' slopes (2, P)."""
         e1, e2, axis = self.frame
         by_a, by_b = by_slopes / self.depth
         by_depth = -(by_a * self.slopes[0] + by_b * self.slopes[1])
         return by_a[:, None] * e1 + by_b[:, None] * e2 + by_depth[:, None] * axis
 
     def beside(self, n: np.ndarray, count: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Normals n_k and views V + o_k, each (K, P, 3), of map places n (P, 3)."""
+        """Return normals n_k and views V + o_k, each (K, P, 3), of map places n (P, 3)."""
         middle = self.middle(n)
         view = self.vectors(middle)
         half = self.half[:, None]
@@ -174,7 +174,7 @@ class Views:
 
 
 def fit_views(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Coefficients (2, 6) float32 of V by least squares."""
+    """Return coefficients (2, 6) float32 of V by least squares."""
     terms = np.stack(features(n.astype(np.float64)))
     # einsum, for BLAS has threads that spin
     gram = np.einsum("ip,jp->ij", terms, terms)
@@ -186,7 +186,7 @@ def fit_views(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def move_normals(
     n: np.ndarray, view: np.ndarray, other: np.ndarray, least_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
+    """Return the normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
 
     With r = 2 (n·v) n − v it is (r + other)/‖r + other‖. Where n·v < least_cosine, it moves as if
     n·v were that.
@@ -222,7 +222,7 @@ class Places:
         self.coordinates = (views.slopes - self.middle) / views.half[:, None]
 
     def terms(self, count: int) -> np.ndarray:
-        """The constant 1 and the terms (K, P) of a polynomial in the offsets."""
+        """Return the constant 1 and the terms (K, P) of a polynomial in the offsets."""
         x, y = self.coordinates
         return np.stack([x**i * y**j for i, j in POWERS[:count]]).astype(np.float32)
 
@@ -286,7 +286,7 @@ class Places:
         return result
 
     def by_sum(self, by_n: np.ndarray) -> np.ndarray:
-        """The derivative by u of n' = u/‖u‖."""
+        """Return the derivative by u of n' = u/‖u‖."""
         return (by_n - dot(by_n, self.n) * self.n) / self.length
 
 
@@ -321,7 +321,7 @@ class Chart:
         return rotate(inside, self.frame.T).astype(np.float32)
 
     def backward(self, by_drawn: np.ndarray) -> np.ndarray:
-        """The derivative by n (P, 3), from the one by what is drawn."""
+        """Return the derivative by n (P, 3), from the one by what is drawn."""
         if self.scale < 1:
             by_x, by_y = by_drawn[:, 0] * self.stretch, by_drawn[:, 1] * self.stretch
             x, y, z = self.n[:, 0], self.n[:, 1], self.n[:, 2]
@@ -331,5 +331,5 @@ class Chart:
 
 
 def rotate(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Vectors (P, 3) rotated, without BLAS, whose threads spin."""
+    """Return vectors (P, 3) rotated, without BLAS, whose threads spin."""
     return np.stack([component_along(vectors, row) for row in rotation], -1)

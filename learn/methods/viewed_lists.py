@@ -94,7 +94,7 @@ class ViewedTables:
         self.made_ranges: dict[tuple[int, bool], np.ndarray] = {}
 
     def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
-        """The table `ranges` for tiles of `size` pixels with views (P, 3).
+        """Return the table `ranges` for tiles of `size` pixels with views (P, 3).
 
         backward  whether lobes of almost no height count, whose derivative by κ does not depend on
                   their height
@@ -172,7 +172,7 @@ class ViewedListing:
     def backward(
         self, g: np.ndarray, with_view: bool = True, with_n: bool = True
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·radiance.
+        """Return derivatives of Σ g·radiance.
 
         By n (P, 3) or None, by view (P, 3) or None, by m (3, 3, 2, 6) float64 and by E (3, T).
         with_view  requires with_n
@@ -209,7 +209,7 @@ def select_lists(
     left_out: float,
     backward: bool = False,
 ) -> Lists:
-    """Each tile's list."""
+    """Return each tile's list."""
     size, capacity, cones = tile_size(len(n)), tables.lights.blocks, tables.cones
     tiles = -(-len(n) // size)
     budget = np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
@@ -232,7 +232,7 @@ def select_lists(
 
 
 def workers_for(lists: Lists, pixels: int) -> int:
-    """Number of threads that a sum over the pixels' lists deserves."""
+    """Return the number of threads that a sum over the pixels' lists deserves."""
     seconds = int(lists.lengths.sum()) * tile_size(pixels) * LISTED
     return threads.worth(torch.get_num_threads(), seconds)
 
@@ -268,7 +268,7 @@ def run_backward(
     by_view: np.ndarray,
     requested: tuple[bool, bool],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
+    """Return energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
 
     by_n, by_view  (P, 3) are written, each if requested; the latter only together with the former
     """
