@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from brdfactory.datasets import generate, load_job
-    from brdfactory.editing import Decomposition, EditedPicture, Picture, decompose, edit
+    from brdfactory.editing import Decomposition, EditedPicture, decompose, edit
     from brdfactory.materials import Material, blend, material
+    from brdfactory.pictures import Picture
     from brdfactory.rendering import light, render
     from learn.data.records import Records
     from learn.layer import RenderLayer
@@ -30,7 +31,7 @@ _HOMES = {
     "decompose": "brdfactory.editing",
     "Decomposition": "brdfactory.editing",
     "EditedPicture": "brdfactory.editing",
-    "Picture": "brdfactory.editing",
+    "Picture": "brdfactory.pictures",
     "material": "brdfactory.materials",
     "blend": "brdfactory.materials",
     "Material": "brdfactory.materials",

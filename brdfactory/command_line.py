@@ -54,11 +54,11 @@ def run(arguments: list[str] | None = None) -> int:
         prog="brdfactory",
         groups={title: tuple(group) for title, group in GROUPS.items()},
         version=own_version(),
-        reword=reworded,
+        reword=reword,
     )
 
 
-def reworded(text: str) -> str:
+def reword(text: str) -> str:
     """Return a text of `factory` or `learn` with its commands spelt `brdfactory COMMAND`."""
     return OTHER_NAMES.sub("brdfactory ", text)
 
@@ -87,16 +87,16 @@ def _register(command: str, subparsers: argparse._SubParsersAction) -> None:
 
 def _reword_help(parser: argparse.ArgumentParser) -> None:
     """Reword a parser's help, and that of its actions and subcommands."""
-    parser.description = reworded(parser.description or "")
-    parser.epilog = reworded(parser.epilog or "")
+    parser.description = reword(parser.description or "")
+    parser.epilog = reword(parser.epilog or "")
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for listed in action._choices_actions:
-                listed.help = reworded(listed.help or "")
+                listed.help = reword(listed.help or "")
             for inner in dict.fromkeys(action.choices.values()):
                 _reword_help(inner)
         elif action.help:
-            action.help = reworded(action.help)
+            action.help = reword(action.help)
 
 
 def _register_completion(subparsers: argparse._SubParsersAction) -> None:

@@ -11,6 +11,7 @@ import torch
 
 from brdfactory import rendering
 from brdfactory.materials import Material, material
+from brdfactory.pictures import Picture
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.data import devices
 from learn.data.devices import to_numpy
@@ -18,64 +19,17 @@ from learn.editing import decomposition as decomposing
 from learn.editing import drawing, photograph
 from learn.editing.compositor import Compositor
 from learn.editing.photograph import Photograph
-from learn.figures.montage import eight_bit
 from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
-from manifests import files
 from manifests.errors import InputError
 from manifests.wording import number_of
 from shaders import tone
 
-Drawn = str | Path | np.ndarray | Material
+MaterialSource = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
 KEPT = 0.25  # share of the fine shading that edits keep, the default of `edit --detail`
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture as linear radiance, and how to show it.
-
-    linear    (H, W, 3) float32 radiance, on the photograph's scale
-    exposure  factor by which radiance is multiplied for display; 1 for a photograph
-    opacity   (H, W) in [0, 1]; None: opaque everywhere
-    """
-
-    linear: np.ndarray
-    exposure: float = 1.0
-    opacity: np.ndarray | None = None
-
-    @property
-    def display(self) -> np.ndarray:
-        """Display values (H, W, 3) uint8; (H, W, 4) if the picture is partly transparent."""
-        values = tone.display(self.linear, self.exposure)
-        if self.opacity is not None:
-            values = np.concatenate([values, 255.0 * self.opacity[..., None]], -1)
-        return eight_bit(values)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the picture as a PNG or, as radiance, as an EXR; return the path.
-
-        The path's ending decides which. Colours of an EXR are premultiplied by its alpha, which is
-        the picture's opacity.
-
-        Raises  InputError for another ending; OSError
-        """
-        path = Path(path)
-        kind = path.suffix.lower()
-        if kind not in (".png", ".exr"):
-            raise InputError(
-                path, "a file ending in .png or .exr", kind or "no ending", "rename it"
-            )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if kind == ".exr":
-            from learn.data import photographs
-
-            photographs.write_picture(path, self.linear, self.opacity)
-        else:
-            files.write_image(path, self.display, "PNG")
-        return path
 
 
 @dataclass(frozen=True)
@@ -139,7 +93,7 @@ class Decomposition:
         """Display L2 between the photograph and `rendering`, over the object."""
         return display_l2(self.rendering.linear, self.photograph.radiance, self.photograph.mask)
 
-    def paint(self, *materials: Drawn | None) -> EditedPicture:
+    def paint(self, *materials: MaterialSource | None) -> EditedPicture:
         """Return the photograph with its object in another material.
 
         materials  one for all regions, or one for each; None leaves a region as it is. Each is a
@@ -151,15 +105,15 @@ class Decomposition:
             rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
             raise InputError("paint", rule, f"{len(materials)}", "None leaves a region as it is")
         chosen = [None if m is None else material(m) for m in materials]
-        read = _read(chosen)
+        read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
-        for weight, labels in _weighted(chosen):
+        for weight, labels in _weighted_labels(chosen):
             linear = linear + weight * self._compositor.edited(labels, read)
         shown = self._picture(np.asarray(linear, np.float32))
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
 
-    def relight(self, light: str | Path | np.ndarray, *materials: Drawn | None) -> Picture:
+    def relight(self, light: str | Path | np.ndarray, *materials: MaterialSource | None) -> Picture:
         """Return the object alone, on a transparent background, under another light.
 
         light      a name or file that `brdfactory.light` takes, or an array that it returns
@@ -185,9 +139,9 @@ class Decomposition:
                 "relight", number_of(len(own), "material"), f"{len(requested)}", "one a region"
             )
         chosen = [None if m is None else material(m) for m in requested]
-        read = _read(chosen)
+        read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
-        for weight, labels in _weighted(chosen):
+        for weight, labels in _weighted_labels(chosen):
             label = np.stack(
                 [mine if new is None else new for mine, new in zip(own, labels, strict=True)]
             )
@@ -255,7 +209,7 @@ def decompose(
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
     chosen = _device(device)
-    opened = _opened(photo, mask, regions, balance_of(white_balance), exposure)
+    opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure)
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))
@@ -265,7 +219,7 @@ def decompose(
 def edit(
     photo: PictureSource,
     mask: PictureSource | None = None,
-    material: Drawn | Sequence[Drawn | None] | None = "brass",
+    material: MaterialSource | Sequence[MaterialSource | None] | None = "brass",
     **options: Unpack[Options],
 ) -> EditedPicture:
     """Return a photograph with its object in another material.
@@ -279,11 +233,11 @@ def edit(
     Raises                InputError: a file or a name that does not exist, a mask of another size
     """
     one = material is None or isinstance(material, str | Path | np.ndarray | Material)
-    drawn: Sequence[Drawn | None] = (material,) if one else material  # type: ignore[assignment]
+    drawn: Sequence[MaterialSource | None] = (material,) if one else material  # type: ignore[assignment]
     return decompose(photo, mask, **options).paint(*drawn)
 
 
-def _opened(
+def _open_photograph(
     photo: PictureSource,
     mask: PictureSource | None,
     regions: PictureSource | None,
@@ -332,12 +286,12 @@ def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
     return network, metadata["size"]
 
 
-def _read(chosen: Sequence[Material | None]) -> list[np.ndarray]:
+def _labels_read_from_pictures(chosen: Sequence[Material | None]) -> list[np.ndarray]:
     """Return those labels of the materials that were read from pictures."""
     return [label for each in chosen if each is not None for label in each.read]
 
 
-def _weighted(
+def _weighted_labels(
     chosen: Sequence[Material | None],
 ) -> list[tuple[float, list[np.ndarray | None]]]:
     """Return [(weight, label or None of each region)]: pictures whose weighted sum is the edit.

@@ -110,7 +110,7 @@ def lists_of_all(first: Seen) -> dict[str, Seen]:
         own = weights.seen_by(own_weights.FOLDER / f"{name}.safetensors")
         if own is None:
             raise ValueError(f"{name}: expected lists of the stages that its training made")
-        union = own.joined(first)
+        union = own.join(first)
         kinds = {kind: getattr(union, kind) for kind in ("shapes", "materials", "lights")}
         result[name] = make_seen(kinds, reconstructed=REASON)
     return result

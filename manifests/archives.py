@@ -43,7 +43,7 @@ MOST_MEMBERS = 20_000
 
 
 @contextmanager
-def opened_zip(
+def open_zip(
     path: str | os.PathLike, expected: str, remedy: str, most: int = MOST_MEMBERS
 ) -> Iterator[zipfile.ZipFile]:
     """Open a zip of at most `most` members; damage found inside the block is an InputError, too.

@@ -171,7 +171,7 @@ FILES = {
 }
 PICTURE_TYPES = {array.name: array.type for array in PICTURE}
 GEOMETRY_TYPES = {array.name: array.type for array in GEOMETRY}
-FACET_TYPES = {name: array.type for array in FACETS for name in facets.numbered(array.name)}
+FACET_TYPES = {name: array.type for array in FACETS for name in facets.number_channels(array.name)}
 PACKED_TYPES = {array.name: array.type for array in PACKED}
 
 

@@ -21,7 +21,8 @@ from pathlib import Path
 from manifests.errors import InputError
 from manifests.files import replacing
 from manifests.object_store import ObjectFolder, is_url
-from manifests.store import LINES, Store, inside
+from manifests.store import LINES, Store
+from manifests.store_paths import inside
 
 FOLDER_VARIABLE = "BRDFACTORY_STORE_CACHE"  # where the copies lie, instead of the user's cache
 LIMIT_VARIABLE = "BRDFACTORY_STORE_CACHE_GIB"  # of pictures and geometry of one data set
@@ -94,7 +95,7 @@ class CachedStore(Store):
         self._write(path, data)
         return True
 
-    def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
+    def unnamed_objects(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield the objects in folders of files that nothing names; see Store."""
         for kind, known in named.items():
             yield from sorted(self.remote.names(kind, deep=True).keys() - set(known))

@@ -24,10 +24,10 @@ def write_caption(
     width   in pixels; a longer text is shortened
     anchor  Pillow's: "la" is the upper left corner, "ma" the middle of the upper edge
     """
-    draw.text(place, shortened(text, width), fill=fill, anchor=anchor, font=_font())
+    draw.text(place, shorten(text, width), fill=fill, anchor=anchor, font=_font())
 
 
-def shortened(text: str, width: float) -> str:
+def shorten(text: str, width: float) -> str:
     """Return a text that fits into a width in pixels; a longer one keeps its beginning and end."""
     length = _font().getlength
     if length(text) <= width:

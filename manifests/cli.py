@@ -126,17 +126,17 @@ def _run(
         finally:  # inside the outer try, so that a full disk or a closed pipe ends in one line
             _flush_output()
     except InputError as problem:
-        return _failed(problem, debug)
+        return _report_failure(problem, debug)
     except ModuleNotFoundError as error:
         if (missing := missing_package(error)) is None:
             raise
-        return _failed(missing, debug)
+        return _report_failure(missing, debug)
     # full disk, missing file, no permission: the system's message names the file
     except OSError as error:
         if isinstance(error, BrokenPipeError) and (error.filename == OUTPUT or _reader_has_gone()):
             _drop_output()
             return READER_GONE  # `| head` has read enough: nothing to report
-        return _failed(error, debug, of_system(error))
+        return _report_failure(error, debug, of_system(error))
     except (MemoryError, RuntimeError) as error:
         if not _is_out_of_memory(error):
             raise
@@ -146,7 +146,7 @@ def _run(
             str(error).split(". ")[0] or "less",
             "take fewer --workers, or smaller pictures or batches; on a GPU, --device cpu",
         )
-        return _failed(shortage, debug)
+        return _report_failure(shortage, debug)
     except KeyboardInterrupt as interrupt:
         traceback.clear_frames(interrupt.__traceback__)
         how = (
@@ -226,7 +226,7 @@ def _reader_has_gone() -> bool:
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _failed(error: Exception, debug: bool, shown: Exception | None = None) -> int:
+def _report_failure(error: Exception, debug: bool, shown: Exception | None = None) -> int:
     """Print an error as one line, with `debug` after the whole trace; return the exit status 1.
 
     shown   what the line says, if not the error's own text

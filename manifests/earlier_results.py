@@ -27,7 +27,7 @@ class Report(msgspec.Struct, frozen=True):
     files: dict[str, Hash] | None = None
 
 
-def written() -> dict[str, str]:
+def written_hashes() -> dict[str, str]:
     """Return {name: sha256} of the files that the transaction in progress has written so far."""
     return {target.name: _hash(draft) for target, draft in sorted(files.drafts().items())}
 
@@ -48,7 +48,7 @@ def remove(
     """
     if not os.path.lexists(report):
         return None
-    folder, listed = report.parent, _listed(report)
+    folder, listed = report.parent, _listed_files(report)
     read_files = [path for path in inputs if os.path.isfile(path)]
     stay = []
     if listed is None:
@@ -58,7 +58,7 @@ def remove(
         path = folder / name
         if name in kept or os.path.basename(name) != name or not own.fullmatch(name):
             continue
-        if os.path.lexists(path) and not _removed(path, digest, read_files):
+        if os.path.lexists(path) and not _remove_unchanged(path, digest, read_files):
             stay.append(name)
     if not stay:
         return None
@@ -69,7 +69,7 @@ def remove(
     )
 
 
-def _listed(report: Path) -> dict[str, str] | None:
+def _listed_files(report: Path) -> dict[str, str] | None:
     """Return the files that a report lists, None where it does not."""
     try:
         return read(report, Report).files
@@ -77,7 +77,7 @@ def _listed(report: Path) -> dict[str, str] | None:
         return None
 
 
-def _removed(path: Path, digest: str, inputs: list[str | os.PathLike]) -> bool:
+def _remove_unchanged(path: Path, digest: str, inputs: list[str | os.PathLike]) -> bool:
     """Remove a file of that sha256 that is no input; return whether it was removed."""
     try:
         # of a link neither the link nor its target was written by a run

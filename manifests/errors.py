@@ -53,7 +53,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, where: object, expected: str, found: str, remedy: str):
-        where = _shown(where)
+        where = _place_as_text(where)
         self.where, self.expected, self.found, self.remedy = where, expected, found, remedy
         super().__init__(printable(f"{where}: expected {expected}, found {found} ({remedy})"))
 
@@ -61,7 +61,7 @@ class InputError(ValueError):
         return InputError, (self.where, self.expected, self.found, self.remedy)
 
 
-def _shown(where: object) -> str:
+def _place_as_text(where: object) -> str:
     """Return where an error is as text; a URL that was held as a path has lost a slash."""
     text = str(where)
     if not isinstance(where, Path):

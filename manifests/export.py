@@ -19,15 +19,16 @@ import msgspec.inspect
 from manifests.errors import InputError
 from manifests.files import replacing, transaction, write_bytes
 from manifests.inputs import require_file
-from manifests.line_files import encoded
+from manifests.line_files import encode
 from manifests.placed_lines import PlacedLines
 from manifests.schema import Record
-from manifests.store import Store, geometry_path, image_path, inside, light_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, inside, light_path
 
 ROWS = 50_000  # of a Parquet row group
 
 
-def chosen(store: Store, split: str | None = None) -> PlacedLines:
+def records_of_split(store: Store, split: str | None = None) -> PlacedLines:
     """Return the records of a split (None: all), in the order of their ids."""
     return PlacedLines(store, keep=lambda record: split in (None, record.split))
 
@@ -47,7 +48,7 @@ def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) 
         raise InputError(
             "export --parquet", "the package pyarrow", str(error).split(":")[0], remedy
         ) from None
-    records = chosen(store, split)
+    records = records_of_split(store, split)
     if not records:
         raise InputError(
             store.folder, "records to export", "none", "render some, or choose another --split"
@@ -119,7 +120,7 @@ def to_tars(
     Raises  InputError if the folder holds tars, because those with higher numbers than the new ones
             would be taken for records of this export; if a file lies outside the data set's folder
     """
-    folder, records = Path(folder), chosen(store, split)
+    folder, records = Path(folder), records_of_split(store, split)
     if earlier := sorted(folder.glob("*.tar")):
         raise InputError(
             folder,
@@ -175,7 +176,7 @@ def _add(tar, store, record):
     Their headers hold nothing of this machine, so that the same records give the same tar.
     """
     parts = (
-        ("json", encoded(record)),
+        ("json", encode(record)),
         ("image.exr", _bytes(store, record.image, image_path(record.id))),
         (
             "geometry.exr",

@@ -62,7 +62,7 @@ class Facets(NamedTuple):
         """(height, width) float32: which part of a pixel shows other surfaces, all together."""
         return self.shares.sum(0)
 
-    def interpolated(self, normals: np.ndarray) -> np.ndarray:
+    def interpolated_normals(self, normals: np.ndarray) -> np.ndarray:
         """Return the interpolated normals (height, width, 3) float32 as they were.
 
         normals  (height, width, 3) of the file, which were made to face the viewer
@@ -76,7 +76,7 @@ class Facets(NamedTuple):
         return np.where(away, leaning, normals).astype(np.float32)
 
 
-def numbered(name: str) -> list[str]:
+def number_channels(name: str) -> list[str]:
     """Return the channels that a name stands for: one for each K where it has a K."""
     if ".K." not in name:
         return [name]
@@ -89,7 +89,7 @@ def without_earlier(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]
     Those describe one other surface at most, and its channels have no number. Such a file serves as
     one that holds none of these channels.
     """
-    if any(each in channels for name in OF_OTHERS for each in numbered(name)):
+    if any(each in channels for name in OF_OTHERS for each in number_channels(name)):
         return dict(channels)
     earlier = {*NORMALS, COSINE, *(name.replace(".K.", ".") for name in OF_OTHERS)}
     return {name: values for name, values in channels.items() if name not in earlier}
@@ -105,7 +105,7 @@ def layers(facets: Facets) -> dict[str, np.ndarray]:
         (name, values[..., axis]) for names, values in vectors for axis, name in enumerate(names)
     ]
     for name, values in each:
-        result |= dict(zip(numbered(name), values, strict=True))
+        result |= dict(zip(number_channels(name), values, strict=True))
     return result
 
 
@@ -113,7 +113,7 @@ def of_channels(channels: Mapping[str, np.ndarray]) -> Facets:
     """Return the Facets of a file's channels, which must all be there."""
 
     def stacked(name: str) -> np.ndarray:
-        return np.stack([channels[each].astype(np.float32) for each in numbered(name)])
+        return np.stack([channels[each].astype(np.float32) for each in number_channels(name)])
 
     return Facets(
         np.stack([channels[name].astype(np.float32) for name in NORMALS], axis=-1),

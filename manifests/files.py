@@ -54,7 +54,7 @@ class _Draft(io.RawIOBase):
     def write(self, data: Any) -> int:
         view = memoryview(data).cast("B")
         written = 0
-        with _named(self._target):
+        with _name_target_in_errors(self._target):
             while written < len(view):
                 written += os.write(self._descriptor, view[written:])
         return len(view)
@@ -91,7 +91,7 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
         # a name has 255 bytes at most, of any kind
         name = os.fsdecode(os.fsencode(path.name)[:180])
         draft = path.with_name(f".{name}.{_machine()}-{os.getpid()}-{next(_DRAFT)}.part")
-    with _named(path):
+    with _name_target_in_errors(path):
         descriptor = os.open(
             draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666
         )
@@ -99,12 +99,12 @@ def replacing(path: str | os.PathLike, draft: Path | None = None) -> Iterator[Bi
     try:
         try:
             yield cast(BinaryIO, _Draft(descriptor, path))
-            with _named(path):
+            with _name_target_in_errors(path):
                 if not os.fstat(descriptor).st_size:
                     raise ValueError(f"{path}: nothing was written; an empty file is never kept")
                 os.fsync(descriptor)
         finally:
-            with _named(path):
+            with _name_target_in_errors(path):
                 os.close(descriptor)
         whole = True
     finally:
@@ -149,7 +149,7 @@ def _finish(draft: Path, target: Path, whole: bool) -> None:
     """Rename a draft to its target, or remove it if it is not whole."""
     try:
         if whole:
-            with _named(target):
+            with _name_target_in_errors(target):
                 os.replace(draft, target)
     finally:
         if os.path.lexists(draft):
@@ -157,7 +157,7 @@ def _finish(draft: Path, target: Path, whole: bool) -> None:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
+def _name_target_in_errors(path: Path) -> Iterator[None]:
     """Make OSErrors of the block name the file that is being written, not its draft."""
     try:
         yield

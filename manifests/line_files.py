@@ -30,7 +30,7 @@ LEFT_OUT = (
 )
 
 
-def encoded(value: Any, order: Literal["deterministic"] | None = None) -> bytes:
+def encode(value: Any, order: Literal["deterministic"] | None = None) -> bytes:
     """Return a value of manifests.schema as JSON, as data sets hold it."""
     text = msgspec.json.encode(value, order=order)
     for key, instead in LEFT_OUT:
@@ -110,7 +110,7 @@ class Lines:
 
         Raises  OSError (full disk), after which nothing of the line is left
         """
-        self.append_line(encoded(value) + b"\n")
+        self.append_line(encode(value) + b"\n")
 
     def append_line(self, line: bytes) -> None:
         """Write a line, given as bytes with its newline, as `append` does."""

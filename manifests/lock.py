@@ -40,7 +40,7 @@ def writing(
     held = []
     try:
         for name, kind in requested:
-            held += _locked(folder / name, kind, folder, patience)
+            held += _lock_file(folder / name, kind, folder, patience)
         yield held
     finally:
         for descriptor in held:
@@ -59,7 +59,7 @@ def changing(folder: str | os.PathLike) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _locked(path, kind, folder, patience):
+def _lock_file(path, kind, folder, patience):
     """Return [descriptor of the lock], or [] if the folder is read-only and no lock file exists."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)

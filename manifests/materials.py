@@ -244,7 +244,7 @@ def write(catalogue: Catalogue, path: str | os.PathLike) -> None:
 
 
 @functools.cache
-def _loaded(path: Path, _stamp: int) -> dict[str, Material]:
+def _load(path: Path, _stamp: int) -> dict[str, Material]:
     return {entry.name: material(entry, path.name) for entry in read_catalogue(path).materials}
 
 
@@ -256,7 +256,7 @@ def load_catalogue(*paths: str | os.PathLike) -> dict[str, Material]:
     materials = {}
     for path in map(Path, paths or [p for p in BUILT_IN if p.exists()]):
         stamp = path.stat().st_mtime_ns if path.exists() else 0  # a missing one is refused there
-        materials.update(_loaded(path, stamp))
+        materials.update(_load(path, stamp))
     return materials
 
 

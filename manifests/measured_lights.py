@@ -49,7 +49,7 @@ def load(name: str) -> np.ndarray:
     """
     if name not in credits():
         raise KeyError(name)
-    with archives.opened_zip(MAPS, "the program's light maps", "install it again") as archive:
+    with archives.open_zip(MAPS, "the program's light maps", "install it again") as archive:
         stored = archives.read_array(archive, f"{name}.npy", 2 * int(np.prod(LIGHT_SHAPE)))
     L = envmap.unit_mean(envmap.from_file_columns(stored.astype(np.float32)))[0]
     L.flags.writeable = False

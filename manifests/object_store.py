@@ -74,7 +74,7 @@ def is_url(folder: object) -> bool:
     return URL.fullmatch(str(folder)) is not None
 
 
-def normalised(url: object) -> str:
+def normalise(url: object) -> str:
     """Return a URL with two slashes after its scheme and none at its end.
 
     Raises  InputError for one with a password, a query, or ".."
@@ -97,13 +97,13 @@ def normalised(url: object) -> str:
 class ObjectFolder:
     """A folder on an object store. Several threads may use it.
 
-    url       as `normalised` returns it
+    url       as `normalise` returns it
     patience  seconds for which a request that fails is tried again; None: VARIABLE or PATIENCE
     Raises    InputError: an unknown protocol, a package that is missing
     """
 
     def __init__(self, url: object, patience: float | None = None):
-        self.url = normalised(url)
+        self.url = normalise(url)
         self._patience = _patience() if patience is None else patience
         self._scheme = self.url.partition(":")[0]
         self._answered = False  # whether the store has ever answered
@@ -120,14 +120,14 @@ class ObjectFolder:
         result: dict[str, int | None] = {}
         waiting = [folder]
         while waiting:
-            for name, size, is_folder in self._listed(waiting.pop()):
+            for name, size, is_folder in self._list(waiting.pop()):
                 if not is_folder:
                     result[name] = size
                 elif deep:
                     waiting.append(name)
         return result
 
-    def _listed(self, folder: str) -> list[tuple[str, int | None, bool]]:
+    def _list(self, folder: str) -> list[tuple[str, int | None, bool]]:
         """Return (path, size, whether it is a folder) of what lies in a folder."""
         place = f"{self._base}/{folder}".rstrip("/")
 
@@ -139,7 +139,7 @@ class ObjectFolder:
                 return []
 
         result = []
-        for entry in self._tried(f"{self.url}/{folder}", listed):
+        for entry in self._try_several_times(f"{self.url}/{folder}", listed):
             name = str(entry["name"]).rstrip("/").rpartition("/")[2]
             if name and str(entry["name"]).rstrip("/").lstrip("/") != place.strip("/"):
                 is_folder = entry["type"] == "directory"
@@ -150,7 +150,9 @@ class ObjectFolder:
     def read(self, relative: str) -> bytes:
         """Return an object's bytes. Raises FileNotFoundError; Unreachable."""
         place = f"{self._base}/{relative}"
-        return self._tried(f"{self.url}/{relative}", lambda: bytes(self._files.cat_file(place)))
+        return self._try_several_times(
+            f"{self.url}/{relative}", lambda: bytes(self._files.cat_file(place))
+        )
 
     def write(self, relative: str, data: bytes) -> None:
         """Write an object whole; an earlier one of that name is replaced. Raises Unreachable."""
@@ -171,17 +173,20 @@ class ObjectFolder:
                 self._files.mv(draft, place)
 
         try:
-            self._tried(f"{self.url}/{relative}", written)
+            self._try_several_times(f"{self.url}/{relative}", written)
         except FileNotFoundError as error:
             raise Unreachable(
-                self.url, "a bucket that exists", _said(error), "make it, or check its name"
+                self.url,
+                "a bucket that exists",
+                _error_as_line(error),
+                "make it, or check its name",
             ) from None
 
     def remove(self, relative: str) -> None:
         """Remove an object; one that is not there counts as removed. Raises Unreachable."""
         place = f"{self._base}/{relative}"
         with contextlib.suppress(FileNotFoundError):
-            self._tried(f"{self.url}/{relative}", lambda: self._files.rm_file(place))
+            self._try_several_times(f"{self.url}/{relative}", lambda: self._files.rm_file(place))
 
     def read_all(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Yield (name, bytes) of objects, several at a time. Raises as `read`."""
@@ -189,7 +194,7 @@ class ObjectFolder:
         with ThreadPoolExecutor(THREADS, thread_name_prefix="store") as threads:
             yield from zip(names, threads.map(self.read, names), strict=True)
 
-    def _tried(self, where: str, request: Callable[[], T]) -> T:
+    def _try_several_times(self, where: str, request: Callable[[], T]) -> T:
         """Return what a request returns, after several tries.
 
         A store that does not answer at first is named on standard error.
@@ -202,19 +207,21 @@ class ObjectFolder:
         end, pause = time.monotonic() + patience, FIRST_PAUSE
         while True:
             try:
-                with self._saying(where):
+                with self._say_if_slow(where):
                     result = request()
             except FileNotFoundError:
                 self._answered = True
                 raise
             except Exception as error:  # each plug-in has its own
-                expected, remedy = self._lasting(error)
+                expected, remedy = self._lasting_error(error)
                 if not expected and time.monotonic() + pause > end:
                     expected = "a store that answers"
                     remedy = "check the network, then run the same command: what was written stays"
                 if expected:
-                    raise Unreachable(where, expected, _said(error), remedy) from None
-                self._say(f"{where}: {_said(error)}; trying again for up to {patience:g} s")
+                    raise Unreachable(where, expected, _error_as_line(error), remedy) from None
+                self._say(
+                    f"{where}: {_error_as_line(error)}; trying again for up to {patience:g} s"
+                )
             else:
                 self._answered, self._is_said = True, False
                 return result
@@ -222,7 +229,7 @@ class ObjectFolder:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     @contextlib.contextmanager
-    def _saying(self, where: str) -> Iterator[None]:
+    def _say_if_slow(self, where: str) -> Iterator[None]:
         """Say during a request, after SAY_AFTER seconds, that there is no answer yet.
 
         Only before the first answer: later ones may be large and take their time.
@@ -245,7 +252,7 @@ class ObjectFolder:
             self._is_said = True
             notice(text)
 
-    def _lasting(self, error: Exception) -> tuple[str, str]:
+    def _lasting_error(self, error: Exception) -> tuple[str, str]:
         """Return (what was expected, a remedy) of an error that another try does not mend.
 
         Both are empty for one that it may mend.
@@ -269,7 +276,7 @@ class ObjectFolder:
         return "", ""
 
 
-def _said(error: Exception) -> str:
+def _error_as_line(error: Exception) -> str:
     """Return an error as a short line."""
     text = str(error).partition("Debug source:")[0]  # obstore's, of many lines
     if METADATA in text:
@@ -320,6 +327,8 @@ def _file_system(scheme: str, url: str) -> tuple[Any, str]:
             kind, options = fsspec.get_filesystem_class(scheme), {}
     except (ValueError, ImportError) as error:
         remedy = EXTRA if scheme in BY_OBSTORE else SFTP if scheme in ("sftp", "ssh") else PLUG_IN
-        raise InputError(url, "a protocol that can be used", _said(error), remedy) from None
+        raise InputError(
+            url, "a protocol that can be used", _error_as_line(error), remedy
+        ) from None
     options |= kind._get_kwargs_from_urls(url) | {"skip_instance_cache": True}
     return Sessions(lambda: kind(**options)), str(kind._strip_protocol(url))

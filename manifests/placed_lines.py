@@ -47,7 +47,7 @@ class PlacedLines(Sequence[Record | View]):
         self._decoder = msgspec.json.Decoder(LINES[kind])
         self._paths: list[Path] = []
         ids, places = bytearray(), bytearray()
-        for path, start, text, line in store.placed(kind):
+        for path, start, text, line in store.placed_lines(kind):
             if keep and not keep(line):
                 continue
             if not self._paths or self._paths[-1] != path:

@@ -43,10 +43,10 @@ def own_command() -> str:
     """Return the command line of this process: `python -m PROGRAM ARGUMENT …`."""
     program = getattr(sys.modules.get("__main__"), "__spec__", None)
     name = program.name.removesuffix(".__main__") if program else "brdfactory"
-    return " ".join([f"python -m {name}", *map(shortened, sys.argv[1:])])
+    return " ".join([f"python -m {name}", *map(shorten, sys.argv[1:])])
 
 
-def shortened(argument: str) -> str:
+def shorten(argument: str) -> str:
     """Return an argument as it is published: only the last part of a path on this machine.
 
     That is done for NAME=PATH too.

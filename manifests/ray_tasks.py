@@ -52,13 +52,13 @@ class Worker:
 
     def ready(self) -> bytes:
         """Load what the work needs; return an answer without a result."""
-        return _answered(self._load)
+        return _answer_of(self._load)
 
     def do(self, piece: bytes) -> bytes:
         """Return the answer to a piece of work."""
         assert self._work is not None  # no piece comes before the answer to `ready`
         work = self._work
-        return _answered(lambda: work(piece))
+        return _answer_of(lambda: work(piece))
 
     def _load(self) -> bytes:
         module, _, name = self._maker.partition(":")
@@ -66,7 +66,7 @@ class Worker:
         return b"null"
 
 
-def _answered(work: Callable[[], bytes]) -> bytes:
+def _answer_of(work: Callable[[], bytes]) -> bytes:
     """Return what `work` returns or raises, as the JSON of an _Answer."""
     import traceback
 
@@ -142,10 +142,10 @@ class Tasks:
         in_hand = sum(hand.piece is not None for hand in self._hands)
         target = min(ray_cluster.workers(self._threads), len(self._left) + in_hand)
         for _ in range(target - there):
-            actor = self._started()
+            actor = self._start_worker()
             self._hands.append(_Hand(actor, actor.ready.remote()))
 
-    def _started(self) -> Any:
+    def _start_worker(self) -> Any:
         """Return a new actor."""
         import ray
 
@@ -160,7 +160,7 @@ class Tasks:
 
     def _gather(self) -> Generator[tuple[int, bytes], None, None]:
         """Wait for a worker; yield what is finished."""
-        for hand in self._finished():
+        for hand in self._finished_workers():
             self._hands.remove(hand)
             answer = self._answer(hand)
             if isinstance(answer, Exception):
@@ -172,7 +172,7 @@ class Tasks:
                 self._lost_in_a_row = 0
                 yield hand.piece, result
 
-    def _finished(self) -> list[_Hand]:
+    def _finished_workers(self) -> list[_Hand]:
         """Return workers that have answered or were lost; none after a short wait."""
         import ray
 

@@ -60,7 +60,7 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
         remedy = "check commas, quotes and brackets there"
         raise InputError(where, "JSON", f"a mistake in it: {result}", remedy) from None
     try:
-        problem = _explained(reason, data, type_, where)
+        problem = _explain(reason, data, type_, where)
     except (msgspec.DecodeError, RecursionError):  # no JSON behind the place of the wrong type
         problem = InputError(
             where, "JSON", reason.split(" - at ")[0], "check commas, quotes and brackets there"
@@ -68,7 +68,7 @@ def decode(data: bytes, type_: type[T], where: object) -> T:
     raise problem
 
 
-def _explained(message, data, type_, where):
+def _explain(message, data, type_, where):
     """Return the InputError that says what msgspec's message means."""
     message, _, path = message.partition(" - at ")
     path = path.strip("`")
@@ -99,7 +99,7 @@ def _explained(message, data, type_, where):
     return InputError(
         place,
         expected,
-        _shown(_at(data, path)),
+        _value_as_text(_at(data, path)),
         "the schemas in manifests/json-schema say what may stand there",
     )
 
@@ -122,7 +122,7 @@ def _at(data, path):
     return value
 
 
-def _shown(value):
+def _value_as_text(value):
     text = msgspec.json.encode(value).decode()
     return text if len(text) <= 60 else f"{text[:57]}…"
 

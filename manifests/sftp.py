@@ -37,7 +37,7 @@ class SSHFileSystem(SFTPFileSystem):
         self.client = paramiko.SSHClient()
         self.client.load_system_host_keys()
         self.client.set_missing_host_key_policy(paramiko.RejectPolicy())
-        words = self._configured() | self.ssh_kwargs
+        words = self._read_configuration() | self.ssh_kwargs
         try:
             self.client.connect(
                 **words,
@@ -53,7 +53,7 @@ class SSHFileSystem(SFTPFileSystem):
             raise PermissionError(f"{self.host}: {text}") from None
         self.ftp.get_channel().settimeout(self._timeout)
 
-    def _configured(self) -> dict[str, Any]:
+    def _read_configuration(self) -> dict[str, Any]:
         """Return what ~/.ssh/config says of the host, as paramiko's `connect` takes it."""
         path = Path.home() / ".ssh" / "config"
         try:

@@ -1,4 +1,4 @@
-"""A data set's folder: where files lie in it, and how they are written whole.
+"""A data set's folder: what lies in it, and how its files and lines are read and written whole.
 
     dataset.json  materials.json   the jobs with their assets; the labels of the materials used
     images/ab/ID.exr  geometry/ab/ID.exr  lights/NAME-HASH.npz
@@ -23,10 +23,9 @@ and readers ignore an unfinished last line, which the next writer cuts off.
 
 import hashlib
 import os
-import re
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -34,13 +33,16 @@ import msgspec
 from manifests import lock
 from manifests.errors import InputError
 from manifests.files import replacing
-from manifests.inputs import require_file
-from manifests.line_files import REPAIR, Lines, encoded, lines_of
+from manifests.line_files import REPAIR, Lines, encode, lines_of
 from manifests.reading import decode, read
 from manifests.schema import VERSION, Dataset, Failure, Record, View
+from manifests.store_paths import (
+    file_hash,
+    inside,
+    readable_hash,
+)
 
 LINES = {"records": Record, "views": View}  # folder: what its lines are
-NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 class _Id(msgspec.Struct, gc=False):
@@ -55,67 +57,6 @@ class _Known(msgspec.Struct, gc=False):
 
 class _Version(msgspec.Struct):
     version: int
-
-
-def image_path(id_: str) -> str:
-    """Return where a record's picture lies in the folder: below the id's first two digits."""
-    return f"images/{id_[:2]}/{id_}.exr"
-
-
-def geometry_path(id_: str) -> str:
-    """Return where a shape's normals, depth and segments from one view lie."""
-    return f"geometry/{id_[:2]}/{id_}.exr"
-
-
-def light_path(name: str, hash_: str) -> str:
-    """Return where a light's stored 64×128 map lies."""
-    return f"lights/{NAME.sub('-', name).strip('-.')[:60] or 'light'}-{hash_[:12]}.npz"
-
-
-def file_hash(path: str | os.PathLike) -> str:
-    """Return the sha256 (hex) of a file's bytes.
-
-    Raises  FileNotFoundError; InputError for a folder, a pipe or a device
-    """
-    if os.path.exists(path):
-        require_file(path, "a file")  # opening a pipe would wait for its writer
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def inside(folder: str | os.PathLike, relative: str) -> Path:
-    """Return the path of a file that a manifest names.
-
-    Raises  InputError if it is absolute, has "..", or leads out of the folder through a link
-    """
-    pure = PurePosixPath(relative)
-    target = Path(folder) / pure
-    escapes = (
-        pure.is_absolute()
-        or ".." in pure.parts
-        or "\\" in relative
-        or "\0" in relative
-        or not pure.parts
-    )
-    if escapes or not _leads_inside(target, folder):
-        raise InputError(
-            f"{folder}: '{relative}'",
-            "a path inside the data set's folder",
-            "one that leaves it",
-            "do not trust this manifest",
-        )
-    return target
-
-
-def _leads_inside(target: Path, folder: str | os.PathLike) -> bool:
-    """Return whether a path, with links followed, ends inside a folder.
-
-    Links in a circle and names that no file can have do not.
-    """
-    try:
-        return target.resolve().is_relative_to(Path(folder).resolve())
-    except (OSError, RuntimeError, ValueError):
-        return False
 
 
 class Store:
@@ -147,7 +88,7 @@ class Store:
         """Replace the copy of a file that has become another one since; return whether it has."""
         return False
 
-    def unnamed(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
+    def unnamed_objects(self, named: Mapping[str, Collection[str]]) -> Iterable[str]:
         """Yield objects that nothing names and that have no copy in the folder: none here.
 
         named   {folder: paths of the files that may lie there}
@@ -210,20 +151,24 @@ class Store:
         Raises  InputError for a line that no writer leaves
         """
         return (
-            filter(keep, self._decoded(Record, "records"))
+            filter(keep, self._decode_lines(Record, "records"))
             if keep
-            else self._decoded(Record, "records")
+            else self._decode_lines(Record, "records")
         )
 
     def views(self, keep: Callable[[View], Any] | None = None) -> Iterator[View]:
         """Yield each View, as `records` yields each Record."""
-        return filter(keep, self._decoded(View, "views")) if keep else self._decoded(View, "views")
+        return (
+            filter(keep, self._decode_lines(View, "views"))
+            if keep
+            else self._decode_lines(View, "views")
+        )
 
     def ids(self, kind: str = "records") -> set[str]:
         """Return the ids of all lines of a kind, without decoding the rest of a line."""
-        return {line.id for *_, line in self._placed(_Id, kind)}
+        return {line.id for *_, line in self._lines_with_places(_Id, kind)}
 
-    def known(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
+    def known_ids(self, kind: str = "records") -> tuple[set[str], dict[str, str]]:
         """Return (ids, hashes): the ids of all lines of a kind, and the hashes of geometry files.
 
         hashes  {path: hash} of each file that a record or a view names; the first where lines
@@ -232,7 +177,7 @@ class Store:
         ids: set[str] = set()
         hashes: dict[str, str] = {}
         for each in LINES:
-            for *_, line in self._placed(_Known, each):
+            for *_, line in self._lines_with_places(_Known, each):
                 hashes.setdefault(line.geometry, line.geometry_hash)
                 if each == kind:
                     ids.add(line.id)
@@ -250,17 +195,19 @@ class Store:
                         "delete this file: it only says what went wrong",
                     )
 
-    def placed(self, kind: str = "records") -> Iterator[tuple[Path, int, bytes, Any]]:
+    def placed_lines(self, kind: str = "records") -> Iterator[tuple[Path, int, bytes, Any]]:
         """Yield (file, number of its byte with which the line begins, line, what it says) of lines.
 
         Raises  InputError for a line that no writer leaves
         """
-        return self._placed(LINES[kind], kind)
+        return self._lines_with_places(LINES[kind], kind)
 
-    def _decoded(self, type_, kind):
-        return (line for *_, line in self._placed(type_, kind))
+    def _decode_lines(self, type_, kind):
+        """Yield each line of a kind as a `type_`."""
+        return (line for *_, line in self._lines_with_places(type_, kind))
 
-    def _placed(self, type_, kind):
+    def _lines_with_places(self, type_, kind):
+        """Yield (file, byte at which the line begins, line, the line as a `type_`) of lines."""
         decoder = msgspec.json.Decoder(type_)
         for path in self.record_files(kind):
             start = 0
@@ -280,7 +227,7 @@ class Store:
 
     def write_json(self, name: str, value: Any, worker: str = "main") -> None:
         """Write a small JSON file through partial/."""
-        text = msgspec.json.format(encoded(value, order="deterministic"), indent=1)
+        text = msgspec.json.format(encode(value, order="deterministic"), indent=1)
         self.place(name, text + b"\n", worker)
 
     def place(self, relative: str, data: bytes, worker: str, keep_first: bool = False) -> str:
@@ -347,14 +294,6 @@ class Store:
                     if time.monotonic() >= end:
                         raise
                     time.sleep(0.1)
-
-
-def readable_hash(path: str | os.PathLike) -> str | None:
-    """Return the sha256 (hex) of a file's bytes; None if there is nothing that can be read."""
-    try:
-        return file_hash(path)
-    except (OSError, InputError):
-        return None
 
 
 def _line(line, type_, where, remedy):

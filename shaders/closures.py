@@ -101,7 +101,7 @@ CLOSURES = {
 }
 
 
-def tilted(
+def tilt_cosines(
     tilt: Array, cos_i: Array, cos_o: Array, cos_h: Array, cos_d: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return the cosines about the tilted normal n' = normalize(n + t (w_o − (w_o·n) n)).
@@ -133,7 +133,7 @@ def evaluate(
     kind     a key of CLOSURES
     cosines  positive; cos_i ≥ 1e-4
     """
-    ci, co, ch, seen = tilted(tilt, cos_i, cos_o, cos_h, cos_d)
+    ci, co, ch, seen = tilt_cosines(tilt, cos_i, cos_o, cos_h, cos_d)
     xp = namespace(ci)
     f = CLOSURES[kind](alpha, ci, co, ch, cos_d) * ci / cos_i
     if kind == "diffuse":  # Cycles asks for no view in front of its normal

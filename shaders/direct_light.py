@@ -37,9 +37,9 @@ from shaders.normal_groups import (
     Group,
     by_repetition,
     distinct,
-    facing,
     large,
     means,
+    turn_to_viewer,
 )
 from shaders.reflectance_maps import ReflectanceMap
 
@@ -157,7 +157,7 @@ class DirectLight:
         """
         given = np.ascontiguousarray(n, np.float32)
         facets = None if facets is None else np.ascontiguousarray(facets, np.float32)
-        n, lean = facing(given, facets)
+        n, lean = turn_to_viewer(given, facets)
         facets = n if facets is None else facets
         radiance = np.zeros_like(n)
         alone, shared = by_repetition(n, facets)
@@ -197,7 +197,9 @@ class DirectLight:
         radiance = np.zeros_like(n)
         if self._misdirected is None:
             return radiance
-        self._look_up(self._misdirected, self.misdirected, None, facing(n)[0], radiance, cells)
+        self._look_up(
+            self._misdirected, self.misdirected, None, turn_to_viewer(n)[0], radiance, cells
+        )
         (away,) = np.nonzero(n[:, 2] < FACING)
         if len(away):
             first, each = distinct(away, patches)

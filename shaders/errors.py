@@ -21,7 +21,7 @@ def metric(measured: np.ndarray, samples: Samples, floor: float = 0.02) -> np.nd
     return weight / len(samples.theta_o)
 
 
-def reweighted(
+def reweight(
     measured: np.ndarray,
     nodes: np.ndarray,
     samples: Samples,

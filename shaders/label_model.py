@@ -17,7 +17,7 @@ _D2 = np.diff(np.eye(6), 2, axis=0)
 ROUGHNESS = _D2.T @ _D2  # (6, 6): squared second differences of one curve's control values
 
 
-def bounded(label: np.ndarray) -> np.ndarray:
+def clip_to_bounds(label: np.ndarray) -> np.ndarray:
     """Return the label with every number inside its bounds."""
     return np.clip(label, LOW, HIGH)
 
@@ -79,7 +79,7 @@ def initial_labels(source: Measured) -> np.ndarray:
             lobes.append((np.log(kappa), np.log(gamma)))
         # (lobe, 2, 6, channel) → (channel, lobe, 2, 6)
         labels.append(np.moveaxis(np.array(lobes), -1, 0))
-    return bounded(np.array(labels))
+    return clip_to_bounds(np.array(labels))
 
 
 def in_canonical_order(label: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ def means(n: np.ndarray, each: np.ndarray | slice) -> np.ndarray:
     return np.ascontiguousarray(sums / lengths, np.float32)
 
 
-def facing(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
+def turn_to_viewer(n: np.ndarray, facets: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
     """Return normals (P, 3) with n·v of at least FACING, and whether any leans from its facet."""
     out = np.empty(n.shape, np.float32)
     facets = n if facets is None else facets

@@ -16,7 +16,7 @@ import numpy as np
 
 from shaders import errors, label_model
 from shaders.principled import PrincipledMaterial
-from shaders.samples import Samples, held_out
+from shaders.samples import Samples, held_out_samples
 
 VIEWS_DEG = (3.0, 21.0, 38.0, 53.0, 67.0, 79.0)  # none is a view at which errors are measured
 N_THETA, N_PHI = 24, 4
@@ -84,7 +84,7 @@ def initial_labels(material: PrincipledMaterial) -> np.ndarray:
 
 @functools.lru_cache(maxsize=1)
 def _held_out() -> tuple[Samples, np.ndarray, np.ndarray]:
-    samples = held_out()
+    samples = held_out_samples()
     return samples, *samples.spline()
 
 
@@ -142,7 +142,7 @@ class _Problem:
     def reweighted(self, state: _State) -> _State:
         """Return the state under weights by which least squares approach least L1.
 
-        The formula is that of errors.reweighted, for lit samples alone.
+        The formula is that of errors.reweight, for lit samples alone.
         """
         off = np.abs(state.f - self.target) + 0.05 * self.target + 0.005 * self.albedo / np.pi
         self._weigh(self.measure / (off + 1e-5))

@@ -88,7 +88,7 @@ class Samples:
         return part
 
 
-def held_out() -> Samples:
+def held_out_samples() -> Samples:
     """Return the samples at the view angles that no fit sees; finer than those of the fit."""
     return Samples(np.radians(HELD_OUT_DEG), *HELD_OUT_POINTS)
 

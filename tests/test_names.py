@@ -3,6 +3,7 @@ back.
 """
 
 import ast
+import re
 
 RETIRED = {  # the name that was, and the term that stands for it
     "Album": "RenderedSplit",
@@ -85,6 +86,38 @@ ALLOWED = {  # a retired name: {where it may stand: why}
 }
 
 
+# where no function has a participle alone as its name, such as `merged`: `merge_groups` says what
+# is done, and to what
+WITHOUT_PARTICIPLES = (
+    "brdfactory",
+    "factory/render/estimators",
+    "learn/layer",
+    "learn/methods",
+    "learn/metrics",
+    "learn/refinement",
+    "learn/training",
+    "manifests",
+)
+
+
+def participles(text):
+    """Line and name of each function and method that a participle alone names.
+
+    Properties and context managers may be named so: they are not called to do something, or stand
+    after `with`.
+    """
+    for node in ast.parse(text).body:
+        for each in node.body if isinstance(node, ast.ClassDef) else [node]:
+            if not isinstance(each, ast.FunctionDef):
+                continue
+            marks = " ".join(map(ast.unparse, each.decorator_list))
+            name = each.name.strip("_")
+            if re.search("property|manager", marks):
+                continue
+            if name.endswith("ed") and "_" not in name:
+                yield f"{each.lineno}: {each.name}"
+
+
 def names_in(tree):
     """(name, line, whether it is an argument) of each name that a syntax tree gives to
     something.
@@ -124,4 +157,21 @@ def test_no_retired_name_is_in_the_code(root):
         f"{path.relative_to(root)}:{text}"
         for path in paths
         for text in replaced(path.read_text(encoding="utf-8"), path.relative_to(root).as_posix())
+    ] == []
+
+
+def test_a_participle_is_seen():
+    assert list(participles("def merged(): pass\n")) == ["1: merged"]
+    assert list(participles("class A:\n    def _merged(self): pass\n")) == ["2: _merged"]
+    assert list(participles("class A:\n    @property\n    def merged(self): pass\n")) == []
+    assert list(participles("def merged_groups(): pass\n")) == []
+
+
+def test_functions_are_named_by_more_than_a_participle(root):
+    paths = [p for place in WITHOUT_PARTICIPLES for p in sorted((root / place).rglob("*.py"))]
+    assert len(paths) > 100  # else the walk has seen nothing
+    assert [
+        f"{path.relative_to(root)}:{text}"
+        for path in paths
+        for text in participles(path.read_text(encoding="utf-8"))
     ] == []

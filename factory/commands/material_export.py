@@ -142,11 +142,11 @@ def _reserve(
 
 def _write_library(path: Path, chosen: "Sequence[Material]", light: str, size: int) -> None:
     from factory.lights import load
-    from factory.materials.preview import cut_out_sphere, lit_sphere
+    from factory.materials.preview import cut_out_sphere, light_sphere
     from factory.render import asset_library
     from manifests.progress import tqdm
 
-    sphere, exposure = lit_sphere(load(light).L64, size)
+    sphere, exposure = light_sphere(load(light).L64, size)
     previews = {
         material.name: cut_out_sphere(sphere, material, size, exposure)
         for material in tqdm(chosen, unit="material", desc="preview pictures", disable=None)

@@ -119,14 +119,14 @@ def _light_map(name: str) -> np.ndarray:
     import numpy as np
 
     from factory.lights import load
-    from manifests.archives import opened_zip, read_array
+    from manifests.archives import open_zip, read_array
     from manifests.errors import InputError, closest
     from shaders import envmap
 
     if ".npz:" not in name:
         return load(name).L64
     path, _, array = name.rpartition(":")
-    with opened_zip(path, "an .npz file of light maps", "name another file") as archive:
+    with open_zip(path, "an .npz file of light maps", "name another file") as archive:
         known = [each.removesuffix(".npy") for each in archive.namelist()]
         if array not in known:
             raise InputError(

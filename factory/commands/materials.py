@@ -272,7 +272,7 @@ def run_condition(options: argparse.Namespace) -> None:
     print(f"{'name':<26} {'|Δ log κ|':>16} {'|Δ log γ|':>16} {'L1':>8}")
     for name, source in result.items():
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=tuple(name.encode())))
-        numbers, l1 = conditioning.perturbed_fits(
+        numbers, l1 = conditioning.fit_perturbed(
             source.measured, recipe.Recipe(), options.noise, options.draws, rng
         )
         kappa, gamma = (np.percentile(np.abs(numbers[:, :, :, i]), (50, 95)) for i in (0, 1))

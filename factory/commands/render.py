@@ -205,7 +205,7 @@ def run(options: argparse.Namespace) -> int:
     from factory.execution.run import RunOptions, carry_out, make_plan, parse_shard
     from factory.planning.assets import resolve_unread
 
-    job, folder = chosen_job(options)
+    job, folder = choose_job(options)
     job = job_options.with_error(job, options)
     if options.geometry_only:
         job = structs.replace(job, pictures=False)
@@ -231,7 +231,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if outcome.failed else 0
 
 
-def chosen_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
+def choose_job(options: argparse.Namespace) -> tuple[Job, str | Path | None]:
     """Return the job that the options name, and the folder that its relative paths start from.
 
     The folder is None for a job that options describe; its paths may lead anywhere.

@@ -107,7 +107,7 @@ def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
             print(f"{folder}: … and {len(faults) - SHOWN} more", file=sys.stderr)
         if not faults:
             print(
-                f"{folder}: {_counted(verification)},"
+                f"{folder}: {_count_lines(verification)},"
                 f" clean{' (files not opened)' if options.quick else ''}"
             )
             return True
@@ -134,7 +134,7 @@ def _is_clean(folder: str, store: Store, options: argparse.Namespace) -> bool:
         return not left
 
 
-def _counted(verification: Verification) -> str:
+def _count_lines(verification: Verification) -> str:
     """Return the number of records and views, and that of the orders where it is larger."""
     planned = sum(order.shots for order in verification.dataset.orders)
     rest = f" of at most {planned} that its orders ask for" if planned > verification.count else ""

@@ -102,7 +102,7 @@ def parts_by_shots(
     """
     if plan.assets.unread:
         notes = len(plan.assets.notes)
-        assets = add_shapes(plan.job, plan.assets, _counted(reading, watch))
+        assets = add_shapes(plan.job, plan.assets, _count_facts(reading, watch))
         plan = replace(plan, assets=assets)
         for note in assets.notes[notes:]:
             watch("note", note)
@@ -114,7 +114,7 @@ def parts_by_shots(
     yield Part(plan.assets.shapes, islice(plan, first, end))
 
 
-def _counted(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
+def _count_facts(reading: Reading, watch: Watch) -> Iterator[tuple[Source, Facts]]:
     """Yield all facts of a reading; the watch is called with how many are to come."""
     for pair in reading.each():
         watch("unread", reading.unread)
@@ -152,7 +152,7 @@ def parts_by_shapes(
                 yield None
             continue
         with lock.changing(store.folder):
-            kept, notes = _reserved(plan, store, waiting, reservations)
+            kept, notes = _reserve(plan, store, waiting, reservations)
             if kept:
                 enter = register_shapes if is_registered else register_job
                 enter(store, _with(plan, kept), reservations.shots)
@@ -180,7 +180,7 @@ def parts_by_shapes(
         watch("note", f"part {shard[0]} of {shard[1]} has no shapes with a role among {roles}")
 
 
-def _reserved(
+def _reserve(
     plan: Plan,
     store: Store,
     shapes: Iterable[Shape],

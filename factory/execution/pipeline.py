@@ -37,7 +37,8 @@ from manifests.picture_files import (
     read_geometry,
 )
 from manifests.schema import Accuracy, Camera, Record, Statistics, View
-from manifests.store import Store, geometry_path, image_path, readable_hash
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, readable_hash
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap
 from shaders.mixture import Mixture
@@ -133,13 +134,13 @@ class Pipeline:
         geometry = self._geometry(shot)
         assert shot.split != "mixed"  # without materials, the split is the side of the shape
         return View(
-            **self._shared(View, shot, geometry, start),
+            **self._shared_fields(View, shot, geometry, start),
             segments=self._segments,
             side=shot.split,
             coverage=round(geometry.coverage, 6),
         )
 
-    def _shared(
+    def _shared_fields(
         self, line: type[Record | View], shot: Shot, geometry: _StoredGeometry, start: float
     ) -> dict[str, Any]:
         """Return the fields {name: value} that a shot's Record and View have in common.
@@ -161,16 +162,16 @@ class Pipeline:
         """Write the picture and the geometry of a shot; return the shot's Record."""
         self._show(shot)
         geometry = self._geometry(shot)
-        with self._timed("picture"):
+        with self._time_block("picture"):
             radiance, alpha, samples, accuracy = self._picture(shot, geometry)
         if faults := checks.picture_faults(radiance, geometry.coverage, alpha):
             raise BadShot("; ".join(faults))
         image = image_path(shot.id)
-        with self._timed("writing"):
+        with self._time_block("writing"):
             image_hash = self.store.place(image, encode_picture(radiance), self.worker)
         statistics = _statistics(radiance, geometry)
         return Record(
-            **self._shared(Record, shot, geometry, start),
+            **self._shared_fields(Record, shot, geometry, start),
             light_hash=self.assignment.lights[shot.light].hash,
             samples=samples,
             image=image,
@@ -207,7 +208,7 @@ class Pipeline:
         return made.radiance, made.alpha, made.samples, accuracy
 
     @contextmanager
-    def _timed(self, what: str) -> Iterator[None]:
+    def _time_block(self, what: str) -> Iterator[None]:
         """Add the block's seconds to `spent` and `computed`, which forecasts are based on."""
         start, computed = time.perf_counter(), time.process_time()
         yield
@@ -220,18 +221,18 @@ class Pipeline:
         light = (shot.light, shot.light_resolution, shot.rotation_texels)
         if light != self._light:
             L = self._map(shot.light, shot.light_resolution)
-            with self._timed("light"):
+            with self._time_block("light"):
                 self.studio.set_light(L, shot.rotation_texels, shot.light_resolution)
             self._light = light
         if shot.materials != self._materials:
-            with self._timed("materials"):
+            with self._time_block("materials"):
                 self.studio.set_materials([self._mixtures[name] for name in shot.materials])
             self._materials = shot.materials
         self._show_view(shot)
 
     def _show_shape(self, shot: Shot) -> None:
         if shot.shape != self._shape:
-            with self._timed("shape"):
+            with self._time_block("shape"):
                 mesh = load_shape(self.shapes[shot.shape])
                 self.studio.set_shape(mesh)
             self._shape, self._segments = shot.shape, mesh.segments
@@ -272,13 +273,13 @@ class Pipeline:
         seen: SeenGeometry
         digest: str | None
         if not os.path.lexists(file):
-            seen = self._rendered_geometry()
+            seen = self._render_geometry()
             digest = self.store.place(path, encode_geometry(seen), self.worker, keep_first=True)
         else:
             digest = readable_hash(file)
-            stored, fault = self._stored_geometry(file, digest, shot.geometry_hash)
+            stored, fault = self._read_geometry(file, digest, shot.geometry_hash)
             if stored is None or digest is None or fault:
-                seen = self._rendered_geometry()
+                seen = self._render_geometry()
                 digest = self.store.place_instead(path, encode_geometry(seen), self.worker, digest)
                 self.notes += _replacement_notes(path, fault, digest, shot.geometry_hash)
             else:
@@ -289,15 +290,15 @@ class Pipeline:
             self._geometries.popitem(last=False)
         return result
 
-    def _rendered_geometry(self) -> SeenGeometry:
+    def _render_geometry(self) -> SeenGeometry:
         """Render and check the geometry that the studio shows. Raises BadShot if a check fails."""
-        with self._timed("geometry"):
+        with self._time_block("geometry"):
             seen = self.studio.geometry()
         if faults := checks.geometry_faults(seen, self._segments):
             raise BadShot("; ".join(faults))
         return seen
 
-    def _stored_geometry(
+    def _read_geometry(
         self, file: Path, digest: str | None, expected: str | None
     ) -> tuple[Geometry | None, str]:
         """Read a geometry file; return the geometry, and what is wrong with it ("" if nothing is).

@@ -16,7 +16,8 @@ from manifests.light_files import encode_light, read_light
 from manifests.materials import BUILT_IN, Catalogue, Entry, encode, read_catalogue
 from manifests.schema import Dataset, Job, LightEntry, MaterialEntry, Order, ShapeEntry
 from manifests.splits import light_side
-from manifests.store import LINES, Store, light_path, readable_hash
+from manifests.store import LINES, Store
+from manifests.store_paths import light_path, readable_hash
 from manifests.wording import number_of
 
 TITLE = "The materials of this dataset"

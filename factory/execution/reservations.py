@@ -16,7 +16,7 @@ import msgspec
 
 from factory.planning.shape_names import Source
 from manifests.inputs import require_file
-from manifests.line_files import LONGEST_LINE, Lines, encoded
+from manifests.line_files import LONGEST_LINE, Lines, encode
 from manifests.schema import Job
 
 FILE = "shape-sources.jsonl"
@@ -45,7 +45,7 @@ class Reservations:
 
     def __init__(self, folder: Path, job: Job, sources: Iterable[Source], shared: bool):
         self._path, self._shared = folder / FILE, shared
-        self._job = _hash(encoded(msgspec.structs.replace(job, name="", about="")))
+        self._job = _hash(encode(msgspec.structs.replace(job, name="", about="")))
         self._sources = {_hash_of(source) for source in sources}
         self._by_mesh: dict[str, Reservation] = {}
         self._new: list[Reservation] = []

@@ -39,7 +39,8 @@ from manifests.errors import InputError
 from manifests.line_files import Lines
 from manifests.object_store import is_url
 from manifests.schema import Failure, Job
-from manifests.store import Store, geometry_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path
 from manifests.subprocesses import processors
 
 # seconds to wait for the workers of a stopped run on a Ray cluster to end
@@ -112,11 +113,11 @@ def carry_out(
     """
     watch = watch or (lambda event, value: None)
     if is_url(folder):
-        return _carried_out_remotely(plan, str(folder), run_options, watch)
-    return _carried_out(plan, folder, run_options, watch, takes_turns=True)
+        return _carry_out_remotely(plan, str(folder), run_options, watch)
+    return _carry_out(plan, folder, run_options, watch, takes_turns=True)
 
 
-def _carried_out(
+def _carry_out(
     plan: Plan,
     folder: str | Path,
     run_options: RunOptions,
@@ -143,15 +144,15 @@ def _carried_out(
         if not by_shapes or (shard is not None and not takes_turns):
             with closing(Reading(plan.assets.unread, run_options.readers, memory)) as reading:
                 parts = parts_by_shots(plan, store, reading, shard, watch)
-                return _made(plan, parts, store, run_options, prefix, descriptors, watch)
+                return _make_shots(plan, parts, store, run_options, prefix, descriptors, watch)
         own = split_sources(plan.assets.unread, shard)
         sources = [share.source for share in own]
         with closing(Reading(sources, run_options.readers, memory)) as reading:
             parts = parts_by_shapes(plan, store, reading, own, shard, watch)
-            return _made(plan, parts, store, run_options, prefix, descriptors, watch)
+            return _make_shots(plan, parts, store, run_options, prefix, descriptors, watch)
 
 
-def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: Watch) -> Outcome:
+def _carry_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: Watch) -> Outcome:
     """Carry a plan out in a scratch folder, and upload everything it makes to an object store."""
     if run_options.ray is not None:
         remedy = (
@@ -165,13 +166,13 @@ def _carried_out_remotely(plan: Plan, url: str, run_options: RunOptions, watch: 
         def watched(event: str, value: Any) -> None:
             watch(event, value)
             if event == "made":
-                uploads.replied(value)
+                uploads.count_reply(value)
 
         # each part has a scratch folder of its own
-        return _carried_out(plan, uploads.folder, run_options, watched, takes_turns=False)
+        return _carry_out(plan, uploads.folder, run_options, watched, takes_turns=False)
 
 
-def _made(
+def _make_shots(
     plan: Plan,
     parts: Iterable[Part | None],
     store: Store,
@@ -186,10 +187,10 @@ def _made(
     prefix       what the workers' names start with
     descriptors  file descriptors of the folder's locks, which the workers hold as well
     """
-    known = store.known("records" if plan.job.pictures else "views")
+    known = store.known_ids("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
     counts = {"already_there": 0, "made": 0, "failed": 0}
-    missing = _missing(parts, known, sources, counts, run_options.limit, watch)
+    missing = _missing_shots(parts, known, sources, counts, run_options.limit, watch)
     assignment = make_assignment(plan, run_options.library)
 
     def config(number: int) -> WorkerConfig:
@@ -222,7 +223,7 @@ def _failures_file(store: Store, prefix: str) -> Path:
     return store.folder / f"failures{part}.jsonl"
 
 
-def _missing(
+def _missing_shots(
     parts: Iterable[Part | None],
     known: tuple[set[str], dict[str, str]],
     sources: dict[str, ShapeSource],

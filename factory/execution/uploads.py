@@ -31,7 +31,7 @@ from factory.execution.worker import Reply
 from factory.planning import facts
 from manifests.errors import InputError
 from manifests.files import write_bytes
-from manifests.line_files import encoded
+from manifests.line_files import encode
 from manifests.object_store import THREADS, ObjectFolder
 from manifests.schema import Record, View
 from manifests.store import LINES, Store
@@ -90,7 +90,7 @@ class Uploads:
         self._thread = threading.Thread(target=self._work, name="uploads", daemon=True)
         self._thread.start()
 
-    def replied(self, reply: Reply) -> None:
+    def count_reply(self, reply: Reply) -> None:
         """Count a shot that was made; wait while too many have not been sent.
 
         Raises  InputError if the store could not be written to
@@ -130,7 +130,7 @@ class Uploads:
                 self._offsets[path] = len(data)
         require_no_foreign_files(Store(self.folder))  # before lines are read as records
         for kind in LINES:
-            ids, hashes = Store(self.folder).known(kind)
+            ids, hashes = Store(self.folder).known_ids(kind)
             self._ids[kind] = ids
             self._hashes |= hashes
 
@@ -161,7 +161,7 @@ class Uploads:
             (kind, path, lines)
             for kind in (*LINES, facts.FOLDER)
             for path in sorted((self.folder / kind).glob("*.jsonl"))
-            if (lines := self._appended(path))
+            if (lines := self._new_lines(path))
         ]
         # labels and lights were written before the first of these lines
         self._send_whole(each)
@@ -170,7 +170,7 @@ class Uploads:
                 self._send_part(kind, path, lines[first : first + LINES_PER_PART], each)
         self._remove_pictures()
 
-    def _appended(self, path: Path) -> list[bytes]:
+    def _new_lines(self, path: Path) -> list[bytes]:
         """Return the whole lines of a file that have not been sent."""
         with open(path, "rb") as file:
             file.seek(self._offsets.get(path, 0))
@@ -243,7 +243,7 @@ class Uploads:
         """Return a line as bytes, with the hash of the geometry file that the store holds."""
         if (there := self._hashes[line.geometry]) != line.geometry_hash:
             line = msgspec.structs.replace(line, geometry_hash=there)
-        return encoded(line) + b"\n"
+        return encode(line) + b"\n"
 
     def _remove_pictures(self) -> None:
         """Remove pictures from the scratch folder that were sent and are not read again."""

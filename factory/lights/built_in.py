@@ -21,7 +21,7 @@ def load(name: str) -> Light | None:
     if (wheel := wheel_maps()) and name in wheel:
         return from_file(wheel[name], name, WHEEL_LICENCE, f"{WHEEL_SOURCE} {wheel[name].name}")
     if (measured := name.replace("-", "_")) in measured_lights.credits():
-        return _measured(measured, name)
+        return _measured_light(measured, name)
     if parsed := procedural.parse(name):
         digest = hashlib.sha256(
             f"{parsed[0]}-{parsed[1]} version {procedural.VERSION}".encode()
@@ -36,7 +36,7 @@ def load(name: str) -> Light | None:
     return None
 
 
-def _measured(known: str, name: str) -> Light:
+def _measured_light(known: str, name: str) -> Light:
     """Return the Light of a measured map; its 64×128 texels are all there is of it."""
     credit, L = measured_lights.credits()[known], measured_lights.load(known)
     digest = hashlib.sha256(b"measured light\n" + L.astype("<f4").tobytes()).hexdigest()

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import rgbe
-from manifests.archives import ArrayHeader, opened_zip, read_exactly
+from manifests.archives import ArrayHeader, open_zip, read_exactly
 from manifests.errors import InputError
 from manifests.exr import parts_of
 from manifests.inputs import require_file
 from manifests.quiet import silenced
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from shaders import envmap
 
 SUFFIXES = (".hdr", ".exr", ".npz")
@@ -89,7 +89,7 @@ def is_collection(path: str | Path) -> bool:
 
 def maps_in(path: str | Path) -> Iterator[tuple[str, np.ndarray]]:
     """Yield (name, pixels (H, 2H, 3) float32) of each map in an .npz. Raises InputError."""
-    with opened_zip(
+    with open_zip(
         path, "a whole .npz file of arrays (H, 2H, 3)", "export it again with numpy.savez"
     ) as archive:
         members = archive.infolist()
@@ -151,7 +151,7 @@ def _read_npz(path, check_size):
     maps = maps_in(path)
     _, pixels = next(maps)
     check_size(*pixels.shape[:2], pixels.nbytes)
-    with opened_zip(path, "an .npz file", "export it again with numpy.savez") as archive:
+    with open_zip(path, "an .npz file", "export it again with numpy.savez") as archive:
         names = [Path(member.filename).stem for member in archive.infolist()]
     if len(names) > 1:
         raise InputError(

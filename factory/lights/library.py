@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import built_in, files
-from factory.lights.light import checked, from_pixels
+from factory.lights.light import check_map, from_pixels
 from manifests.errors import InputError
 from manifests.files import npz_bytes, transaction, write_bytes, write_text
 from manifests.reading import read
@@ -48,7 +48,7 @@ def add(path: str | Path, folder: str | Path, licence: str) -> str:
     """
     path, folder = Path(path), Path(folder)
     pixels, digest = files.read(path)
-    checked(pixels, path)
+    check_map(pixels, path)
     listed = read_list(folder)
     for name, known in listed.items():
         if known.get("hash") == digest:

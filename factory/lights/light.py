@@ -60,7 +60,7 @@ def from_pixels(
     Raises    InputError
     """
     pixels = np.asarray(pixels, np.float32) if in_place else np.array(pixels, np.float32)
-    checked(pixels, source)
+    check_map(pixels, source)
     np.maximum(pixels, 0.0, out=pixels)
     height, width = pixels.shape[:2]
     if width % 4:
@@ -77,7 +77,7 @@ def from_pixels(
     return Light(name, L64, pixels, scale, digest, licence, source)
 
 
-def checked(pixels: np.ndarray, where: str | Path) -> np.ndarray:
+def check_map(pixels: np.ndarray, where: str | Path) -> np.ndarray:
     """Return the map (H, W, 3) itself if its values are those of a light.
 
     Raises  InputError for values that are not finite, black, negative, or an 8-bit picture's

@@ -40,7 +40,7 @@ def read(path: Path, check_size: Callable[[int, int, int], None]) -> np.ndarray:
         size = path.stat().st_size
         # a pixel and its repeats: the shortest scanline there is
         if size - start < height * min(8, 4 * width):
-            raise _truncated(path, f"{size} bytes for {width}×{height} pixels")
+            raise _truncated_file_error(path, f"{size} bytes for {width}×{height} pixels")
         pixels = np.empty((height, width, 3), np.float32)
         longest = LONGEST * width + 4  # bytes of a scanline
         for first in range(0, height, ROWS):
@@ -67,7 +67,7 @@ def _header(data, path):
     end = data.find(b"\n\n", 0, MAX_HEADER)
     line_end = data.find(b"\n", end + 2, end + 2 + 100)
     if end < 0 or line_end < 0:
-        raise _truncated(path, "no end of the header")
+        raise _truncated_file_error(path, "no end of the header")
     lines = data[:end].decode("latin-1").splitlines()
     wrong = [
         line
@@ -100,7 +100,7 @@ def _positive(text, path):
     return value
 
 
-def _truncated(path, found):
+def _truncated_file_error(path, found):
     return InputError(
         path,
         "a whole Radiance picture",
@@ -124,7 +124,7 @@ def _scanline(data, start, row, path, number):
     try:
         return _new_style(data, start + 4, row) if new else _old_style(data, start, row)
     except IndexError:
-        raise _truncated(path, f"within scanline {number} of {width} pixels") from None
+        raise _truncated_file_error(path, f"within scanline {number} of {width} pixels") from None
     except OverflowError:
         raise InputError(
             path, f"scanline {number} of {width} pixels", "a run that is longer", REMEDY

@@ -18,7 +18,7 @@ from factory.materials.sources import Source
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from shaders.errors import relative_l1
-from shaders.samples import held_out
+from shaders.samples import held_out_samples
 
 MAXIMUM_BYTES = 16 << 20  # the table of MERL's hundred has some KiB
 COLUMNS = ("kd_r", "kd_g", "kd_b", "A_r", "A_g", "A_b", "B", "C", "ior")
@@ -74,7 +74,7 @@ def relative_distances(
 
     Only names that both have are compared.
     """
-    samples = held_out()
+    samples = held_out_samples()
     return {
         name: relative_l1(
             table[name](*samples.cosines), source.measured(samples.cos_h, samples.cos_d), samples

@@ -9,7 +9,7 @@ import numpy as np
 
 from factory.materials import recipe
 from shaders import errors
-from shaders.samples import Measured, held_out
+from shaders.samples import Measured, held_out_samples
 
 WAVES = 6
 
@@ -34,7 +34,7 @@ class Noisy:
         return self.source(cos_h, cos_d) * np.exp(self.amount * waves.sum(-2) * np.sqrt(2 / WAVES))
 
 
-def perturbed_fits(
+def fit_perturbed(
     source: Measured, recipe_: recipe.Recipe, amount: float, draws: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how labels of noisy copies differ from the label of the clean source.
@@ -42,7 +42,7 @@ def perturbed_fits(
     Returns  numbers (draws, 3, 3, 2, 6): differences of the logarithms; l1 (draws,): relative L1 of
              the BRDFs, mean of the held-out views
     """
-    samples = held_out()
+    samples = held_out_samples()
     clean = recipe.fit(source, recipe_).label
     f = errors.label_values(clean, samples)
     labels = [recipe.fit(Noisy(source, amount, rng), recipe_).label for _ in range(draws)]

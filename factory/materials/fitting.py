@@ -27,7 +27,7 @@ from manifests.materials import Distance, Entry, Errors, MixtureData, Neighbour
 from manifests.progress import tqdm
 from manifests.reading import decode
 from shaders import errors
-from shaders.samples import held_out
+from shaders.samples import held_out_samples
 
 # of the fitting code: raise it with any change that alters a fit, and kept fits are made again
 VERSION = 3
@@ -66,7 +66,7 @@ def fit_all(
         name: folder / f"{name}.{key(source, recipe_, maps)}.json"
         for name, source in sources.items()
     }
-    todo = [name for name, file in files.items() if _kept(file) is None]
+    todo = [name for name, file in files.items() if _kept_fit(file) is None]
     _WORKER.update(sources=sources, recipe=recipe_, files=files, sphere=None)
     bar = tqdm(
         total=len(files),
@@ -85,7 +85,7 @@ def fit_all(
     return [msgspec.json.decode(files[name].read_bytes(), type=Entry) for name in sources]
 
 
-def _kept(file):
+def _kept_fit(file):
     """Return the entry of a kept fit; None if there is none, or a damaged one.
 
     Raises  InputError where something else than a file lies at its path
@@ -125,7 +125,7 @@ def _fork():
 
 def _fit_one(name):
     source, sphere = _WORKER["sources"][name], _WORKER["sphere"]
-    result = recipe.rounded(recipe.fit(source.measured, _WORKER["recipe"]), source.measured)
+    result = recipe.round_fit(recipe.fit(source.measured, _WORKER["recipe"]), source.measured)
     write_entry(entry(source, result, sphere), _WORKER["files"][name])
     return name
 
@@ -168,7 +168,7 @@ def with_neighbours(entries: Sequence[Entry]) -> list[Entry]:
 
     The distance is the relative L1 of their labels' f · cos, mean over the held-out views.
     """
-    samples = held_out()
+    samples = held_out_samples()
     f = {e.name: errors.label_values(np.reshape(e.label, (3, 3, 2, 6)), samples) for e in entries}
     train = [e.name for e in entries if e.split == "train"]
 

@@ -216,7 +216,7 @@ class JointFit:
         nodes = step[LABEL:].reshape(V, 2, K)
         return replace(
             state,
-            label=label_model.bounded(
+            label=label_model.clip_to_bounds(
                 state.label + np.clip(step[:LABEL], -2, 2).reshape(state.label.shape)
             ),
             log_alpha=np.clip(state.log_alpha + np.clip(nodes[:, 0], -0.6, 0.6), low, high),

@@ -49,7 +49,7 @@ def _descend(start, target, weight, basis, log_cos_h, iterations):
         rough = SMOOTH * np.einsum("ci,ij,cj->", curves, label_model.ROUGHNESS, curves)
         return ((root * (f - target)) ** 2).sum() + PRIOR * ((p - start) ** 2).sum() + rough
 
-    p = label_model.bounded(start)
+    p = label_model.clip_to_bounds(start)
     f, slope = label_model.slopes(p[None], basis, log_cos_h)
     least, damping, idle = cost(p, f[0]), 1e-2, 0
     for _ in range(iterations):
@@ -57,7 +57,7 @@ def _descend(start, target, weight, basis, log_cos_h, iterations):
         H, g = J.T @ J + regular, J.T @ (root * (f[0] - target)) + penalty_slope(p)
         for _ in range(9):
             step = np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-10), -g)
-            q = label_model.bounded(p + np.clip(step, -2, 2).reshape(p.shape))
+            q = label_model.clip_to_bounds(p + np.clip(step, -2, 2).reshape(p.shape))
             f_q = label_model.values(q[None], basis, log_cos_h)[..., 0]
             if (c := cost(q, f_q)) < least:
                 break

@@ -101,11 +101,11 @@ def read(path: Path) -> TabulatedBRDF:
             "a θ_d without any",
             "the file holds too little to fit",
         )
-    table = _filled(table, count > 0)
+    table = _fill_unknown(table, count > 0)
     return TabulatedBRDF(np.moveaxis(table * SCALE[:, None, None], 0, -1))
 
 
-def _filled(table, known):
+def _fill_unknown(table, known):
     """Return (3, n_h, n_d) with unknown cells filled.
 
     They take the value of the nearest known θ_h of the same channel and θ_d.

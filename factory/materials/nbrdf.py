@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifests.archives import opened_zip, read_array
+from manifests.archives import open_zip, read_array
 from manifests.errors import InputError
 from manifests.inputs import require_file
 from manifests.wording import number_of
@@ -73,7 +73,7 @@ def load(path: Path) -> dict[str, NeuralBRDF]:
     """
     expected, remedy = "an npz with `names` and `weights`", "give NBRDF weights"
     require_file(path, expected, remedy, MAX_BYTES)
-    with opened_zip(path, expected, remedy) as archive:
+    with open_zip(path, expected, remedy) as archive:
         for name in ("names", "weights"):
             if f"{name}.npy" not in archive.namelist():
                 raise InputError(path, expected, f"no `{name}`", remedy)

@@ -36,7 +36,7 @@ def contact_sheet(
     of         "label", "nodes" or "both" (label in the upper half, nodes in the lower half)
     watch      wraps the iterable, to show progress
     """
-    sphere, exposure = lit_sphere(L, size)
+    sphere, exposure = light_sphere(L, size)
     rows = -(-len(materials) // columns)
     picture = Image.new("RGB", (columns * size, rows * (size + captions.LINE)), (GROUND,) * 3)
     draw = ImageDraw.Draw(picture)
@@ -50,7 +50,7 @@ def contact_sheet(
     return picture
 
 
-def lit_sphere(L: np.ndarray, size: int) -> tuple[Sphere, float]:
+def light_sphere(L: np.ndarray, size: int) -> tuple[Sphere, float]:
     """Return the light gathered for pictures of that size, and a white sphere's exposure.
 
     L  (height, width, 3) light map, light frame

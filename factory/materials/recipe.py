@@ -16,7 +16,7 @@ from factory.materials import joint_fit, label_fit, nnls, node_model
 from factory.materials.sphere import Sphere
 from shaders import errors, label_model
 from shaders.mixture import Mixture
-from shaders.samples import Measured, Samples, held_out, view_stops
+from shaders.samples import Measured, Samples, held_out_samples, view_stops
 from shaders.spline import basis
 
 # times the tolerance after the first metric: reweighting gains a sixth, so more closures are tried
@@ -144,8 +144,8 @@ def with_grazing_views(label: np.ndarray, mixture: Mixture) -> Mixture:
     columns = node_model.columns(mixture.kinds, log_alpha, tilt, samples)
     weight = errors.metric(truth, samples)
     for _ in range(GRAZING_ROUNDS):
-        weights = _fitted_weights(columns, truth, weight)
-        weight = errors.reweighted(truth, columns @ weights, samples)
+        weights = _fit_weights(columns, truth, weight)
+        weight = errors.reweight(truth, columns @ weights, samples)
     return replace(
         mixture,
         stops=np.concatenate([mixture.stops, stops]),
@@ -155,7 +155,7 @@ def with_grazing_views(label: np.ndarray, mixture: Mixture) -> Mixture:
     )
 
 
-def _fitted_weights(columns: np.ndarray, truth: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fit_weights(columns: np.ndarray, truth: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the weights (V, K, 3) ≥ 0 of columns (V, P, K) nearest to a truth (V, P, 3).
 
     weight  (V, P, 3) of squared differences
@@ -223,7 +223,7 @@ class FittingProblem:
         """Return the joint fit from a state with weight μ, reweighted each round, and its check."""
         for _ in range(rounds):
             columns = node_model.columns(state.kinds, state.log_alpha, state.tilt, self.samples)
-            weight = errors.reweighted(self.measured, columns @ state.weights, self.samples)
+            weight = errors.reweight(self.measured, columns @ state.weights, self.samples)
             state = self.joint(replace(self.recipe.joint, mu=mu, mu_label=mu), weight).run(
                 state, iterations=iterations
             )
@@ -302,7 +302,7 @@ class FittingProblem:
 
 def measure(label: np.ndarray, mixture: Mixture, source: Measured) -> Fit:
     """Return the Fit of a label and mixture, with errors at the held-out views."""
-    samples = held_out()
+    samples = held_out_samples()
     L, N, M = (
         errors.label_values(label, samples),
         mixture.evaluate(*samples.cosines),
@@ -340,7 +340,7 @@ def label_on(label: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
     )
 
 
-def rounded(fit_: Fit, source: Measured) -> Fit:
+def round_fit(fit_: Fit, source: Measured) -> Fit:
     """Return the Fit of the numbers as rounded for the catalogue, with errors of those."""
     label = np.array([float(f"{x:.{DIGITS + 1}g}") for x in fit_.label.ravel()]).reshape(
         fit_.label.shape

@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 from shaders import closures, errors
 from shaders.mixture import Mixture
 from shaders.principled import albedos
-from shaders.samples import Samples, held_out
+from shaders.samples import Samples, held_out_samples
 
 MIN_ALPHA = 1e-3
 COAT_IOR = 1.5
@@ -110,7 +110,7 @@ def fit(mixture: Mixture) -> Approximation:
 
 def distances(material: StandardSurface, mixture: Mixture) -> np.ndarray:
     """Return the relative L1 (6,) of f · cos from a mixture, at the held-out view angles."""
-    samples = held_out()
+    samples = held_out_samples()
     f, reference = material.evaluate(*samples.cosines), mixture.evaluate(*samples.cosines)
     return errors.relative_l1(f, reference, samples)
 
@@ -135,12 +135,12 @@ class _Problem:
             level = float(shares[0].max())
             f = sum(c[..., None] * s for c, s in zip(columns, shares, strict=True))
             if iteration + 1 < REWEIGHTED:
-                weight = errors.reweighted(self.target, f + (coat * top)[..., None], self.samples)
+                weight = errors.reweight(self.target, f + (coat * top)[..., None], self.samples)
         tint = shares[0] / max(level, 1e-9)
         return StandardSurface(
-            _rounded(shares[1]),
+            _round(shares[1]),
             round(level, DIGITS),
-            _rounded(tint),
+            _round(tint),
             roughness,
             ior,
             coat,
@@ -196,6 +196,6 @@ def _fresnel(ior: float, cosine: np.ndarray) -> np.ndarray:
     return 0.5 * ((g - cosine) / (g + cosine)) ** 2 * (1 + ratio)
 
 
-def _rounded(rgb: np.ndarray) -> tuple[float, float, float]:
+def _round(rgb: np.ndarray) -> tuple[float, float, float]:
     red, green, blue = np.round(np.clip(rgb, 0, 1), DIGITS).tolist()
     return red, green, blue

@@ -19,7 +19,7 @@ from factory.planning.duplicates import without_duplicates
 from factory.planning.facts import Facts
 from factory.planning.job_shapes import Shape, no_shapes_error, shapes_of
 from factory.planning.job_values import check
-from factory.planning.material_names import chosen_entries
+from factory.planning.material_names import choose_entries
 from factory.planning.reading import Reading
 from factory.planning.shape_names import Source, list_sources, resolve_path
 from factory.shapes.files import require_mesh_file
@@ -146,7 +146,7 @@ def _unwatched(items: Iterable, **_: Any) -> Iterable:
 
 
 def _materials(job: Job, catalogues: Sequence[str | Path]) -> list[Material]:
-    chosen = chosen_entries(job.materials, catalogues)
+    chosen = choose_entries(job.materials, catalogues)
     sides = splits.material_sides([(e.name, e.split, e.hash) for e in chosen])
     return [
         Material(

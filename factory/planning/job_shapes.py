@@ -42,7 +42,7 @@ def shapes_of(job: Job, read: Iterable[tuple[Source, Facts]]) -> list[Shape]:
     return [
         _shape(source, facts, roles[name])
         for name, (source, facts) in result.items()
-        if roles[name] in _requested(job)
+        if roles[name] in _requested_roles(job)
     ]
 
 
@@ -60,7 +60,7 @@ def _shape(source: Source, facts: Facts, role: Role) -> Shape:
     )
 
 
-def _requested(job: Job) -> Collection[Role]:
+def _requested_roles(job: Job) -> Collection[Role]:
     """Return the roles that a job keeps."""
     return job.roles or splits.SIDES
 
@@ -113,12 +113,12 @@ class Arrivals:
         role = splits.shape_roles([(facts.name, facts.category, facts.hash)], self._job.split)
         shape = _shape(source, facts, role[facts.name])
         _require_same_role(shape, *self._by_hash.setdefault(facts.hash, (shape.name, shape.role)))
-        return shape if shape.role in _requested(self._job) else None
+        return shape if shape.role in _requested_roles(self._job) else None
 
     @property
     def is_empty(self) -> bool:
         """Whether no shape that was taken has a role of the job."""
-        return not any(role in _requested(self._job) for _, role in self._by_hash.values())
+        return not any(role in _requested_roles(self._job) for _, role in self._by_hash.values())
 
 
 def duplicate_note(shape: Shape, first: str, role: Role) -> str | None:

@@ -16,7 +16,7 @@ SETS = {"materials": "merl", "materials-rgl": "rgl"}
 PARTS = ("train", "test", "paper-train")
 
 
-def chosen_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) -> list[Entry]:
+def choose_entries(names: Iterable[str], catalogues: Sequence[str | Path] = ()) -> list[Entry]:
     """Return the catalogue entries that the names mean, each once, in the order of the names.
 
     names       of materials or sets, or SET/PART, or SET/NAME

@@ -20,7 +20,8 @@ from manifests.light_files import read_light
 from manifests.materials import Material
 from manifests.picture_files import read_geometry, read_picture
 from manifests.schema import Camera, Dataset, Record
-from manifests.store import Store, inside
+from manifests.store import Store
+from manifests.store_paths import inside
 from manifests.wording import number_of
 from shaders import frames, tone
 from shaders.envmap import roll
@@ -55,12 +56,12 @@ def row(
         inside(store.folder, record.geometry), record.camera.size, record.geometry_hash
     )
     normals, mask, segments = geometry.normals, geometry.mask, geometry.segments
-    light = stored_light(store, dataset, record)
+    light = light_of_record(store, dataset, record)
     elevation, roll = np.radians([record.camera.elevation_deg, record.camera.roll_deg])
     exposure = tone.auto_exposure(picture, mask)
     step = max(1, round(max(mask.shape) / SHADED))
     seen = (slice(step // 2, None, step),) * 2
-    label = labelled(
+    label = render_by_labels(
         record,
         normals[seen],
         segments[seen],
@@ -104,7 +105,7 @@ def require_named(
         )
 
 
-def labelled(
+def render_by_labels(
     record: Record,
     normals: np.ndarray,
     segments: np.ndarray,
@@ -136,7 +137,7 @@ def view(record: Record) -> np.ndarray:
     return frames.view_vectors(height, width, fov=fov)
 
 
-def stored_light(store: Store, dataset: Dataset, record: Record) -> np.ndarray:
+def light_of_record(store: Store, dataset: Dataset, record: Record) -> np.ndarray:
     """Return the light (64, 128, 3) as the camera of a record sees it."""
     entry = dataset.lights[record.light]
     return roll(

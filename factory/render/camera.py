@@ -21,7 +21,7 @@ def camera_from_fixed_world(camera: Camera) -> np.ndarray:
     )
 
 
-def seen(vertices: np.ndarray, azimuth: float, camera: Camera) -> np.ndarray:
+def vertices_from_camera(vertices: np.ndarray, azimuth: float, camera: Camera) -> np.ndarray:
     """Return an object's vertices (V, 3), as it stands before the camera, in the camera frame.
 
     vertices  (V, 3), in the object's frame

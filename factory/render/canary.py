@@ -30,7 +30,7 @@ LOOK = (
 )
 
 
-def expected(seen: np.ndarray, nearest: bool) -> np.ndarray:
+def expected_map(seen: np.ndarray, nearest: bool) -> np.ndarray:
     """Return the radiance (64, 128, 3) that Cycles should find at the texels of a 64×128 map.
 
     seen     (height, width, 3), the map that was set
@@ -80,7 +80,7 @@ def _panorama_camera() -> bpy.types.Object:
 
 def check(scene: bpy.types.Scene, seen: np.ndarray, nearest: bool) -> None:
     """Raise RuntimeError unless the scene's world shows the map `seen` (height, width, 3)."""
-    requested, result = expected(seen, nearest), look(scene)
+    requested, result = expected_map(seen, nearest), look(scene)
     difference = np.abs(result - requested).sum() / max(np.abs(requested).sum(), 1e-12)
     if not difference <= (NEAREST_TOLERANCE if nearest else BILINEAR_TOLERANCE):
         raise RuntimeError(

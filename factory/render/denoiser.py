@@ -38,7 +38,7 @@ LEAST_LENGTH = 0.5  # of followed normals, in the mean over the object; shorter 
 
 
 def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return albedo and normal (height, width, 6) of a rendered portion, as `denoised` takes them.
+    """Return albedo and normal (height, width, 6) of a rendered portion, as `denoise` takes them.
 
     Cycles follows a mirror-like surface to what it mirrors. Where that is the sky there is no
     normal, and the albedo is that of few paths; the surface's own diffuse colour and normal then
@@ -51,7 +51,7 @@ def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([passes[name] for name in (OWN if missing else FOLLOWED)], axis=-1)
 
 
-def denoised(
+def denoise(
     scene: Any, radiance: np.ndarray, alpha: np.ndarray, guides: np.ndarray, effort: Effort
 ) -> np.ndarray:
     """Return the denoised radiance (height, width, 3), which is nowhere negative.

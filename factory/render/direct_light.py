@@ -226,7 +226,7 @@ def leaning_share(surface: Surface) -> float:
     return float((cosines < COS_LEANING).mean()) if len(cosines) else 0.0
 
 
-def merged(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> DirectPicture:
+def merge_pictures(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> DirectPicture:
     """Return a picture that is the finer one in `where` (height, width), and else the known one."""
     inside = where[..., None]
     return DirectPicture(

@@ -49,7 +49,7 @@ class Surface(NamedTuple):
     depth: np.ndarray
     segments: np.ndarray
 
-    def pasted(self) -> points.Seen:
+    def paste(self) -> points.Seen:
         """Return the surface in the frame of its mask."""
 
         def paste(values: np.ndarray) -> np.ndarray:
@@ -94,8 +94,8 @@ def surface_of(
 
 def facets_of(at: Surface, around: Sequence[Surface]) -> Facets:
     """Return the Facets of points; around: the surfaces at the places of points.offsets()."""
-    centre = at.pasted()
-    shares, others = points.others(centre, [each.pasted() for each in around])
+    centre = at.paste()
+    shares, others = points.others(centre, [each.paste() for each in around])
     return Facets(
         centre.facets,
         centre.normals[..., 2],
@@ -106,7 +106,7 @@ def facets_of(at: Surface, around: Sequence[Surface]) -> Facets:
     )
 
 
-def facing(normals: np.ndarray, view: np.ndarray | None) -> np.ndarray:
+def turn_to_viewer(normals: np.ndarray, view: np.ndarray | None) -> np.ndarray:
     """Return normals (P, 3) with n·v ≥ FACING: others are moved to the nearest such unit vector.
 
     view  (P, 3) from surface to camera, camera frame; None: (0, 0, 1)

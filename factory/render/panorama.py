@@ -107,11 +107,11 @@ def _with_energy_of(smooth: np.ndarray, noisy: np.ndarray) -> np.ndarray:
     The denoiser spreads light well, but dims lamps and windows. Both maps (H, 2H, 3).
     """
     smooth = np.maximum(smooth, 0)
-    before, after = (_blurred(L) for L in (noisy, smooth))
+    before, after = (_blur(L) for L in (noisy, smooth))
     return smooth * np.clip(before / np.maximum(after, 1e-9), 0.25, 4.0)
 
 
-def _blurred(L: np.ndarray) -> np.ndarray:
+def _blur(L: np.ndarray) -> np.ndarray:
     """Return the mean of L (H, 2H, 3) about each texel, weighted by a lobe about BLUR wide."""
     w, solid_angle = _lobes(*L.shape[:2])
     flat = L.reshape(-1, 3) * solid_angle[:, None]

@@ -13,10 +13,9 @@ from __future__ import annotations
 import contextlib
 import platform
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import bpy
-import msgspec
 import numpy as np
 
 from factory.render import (
@@ -32,17 +31,9 @@ from factory.render import (
     self_shading,
     window,
 )
-from factory.render.direct_light import (
-    USUAL,
-    DirectLights,
-    Points,
-    leaning_share,
-    merged,
-    picture_of,
-    points_of,
-)
+from factory.render.direct_light import USUAL
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion
-from factory.render.geometry import Geometry, Surface, facets_of, facing, surface_of
+from factory.render.geometry import Geometry, Surface, facets_of, surface_of, turn_to_viewer
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
     ALWAYS,
@@ -55,17 +46,13 @@ from factory.render.settings import (
     effective,
     portion_of_samples,
 )
+from factory.render.view_light import ShownView, ViewLight
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
 from manifests.schema import Camera, LightResolution, Tier
 from shaders.mixture import Mixture
 
-if TYPE_CHECKING:
-    from shaders.direct_light import DirectLight
-
 Purpose = Literal["picture", "geometry"]
-
-MOST_KEPT = 1 << 23  # points on the object whose normals are kept, of 29 bytes each
 
 
 class Studio:
@@ -95,7 +82,7 @@ class Studio:
         self._seen: np.ndarray | None = None  # the light map as the camera sees it
         self._nearest = False  # whether Cycles looks it up as it is, texel by texel
         self._mixtures: list[Mixture] = []
-        self._direct = DirectLights()
+        self._direct_light = ViewLight(self._look_through)
         self._azimuth, self._segments = 0.0, 0
         # of the shape
         self._body: Any = None
@@ -105,9 +92,6 @@ class Studio:
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
-        # of the view that was seen last, by points across a pixel and place of the grid
-        self._grids: dict[tuple[int, tuple[float, float]], Surface] = {}
-        self._grids_of: tuple[float, Camera] | None = None
         self._materials = SegmentMaterials()
         self.versions = {
             "blender": bpy.app.version_string,
@@ -235,7 +219,7 @@ class Studio:
             np.zeros(lens.size, np.uint8),
             facets,
         )
-        shot.normals[at.mask] = facing(at.normals, view)
+        shot.normals[at.mask] = turn_to_viewer(at.normals, view)
         shot.depth[at.mask] = at.depth
         shot.segments[at.mask] = at.segments
         return shot
@@ -304,7 +288,7 @@ class Studio:
         alpha = np.ascontiguousarray(rgba[..., 3])
         return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides)
 
-    def denoised(self, portion: Portion, effort: Effort) -> np.ndarray:
+    def denoise(self, portion: Portion, effort: Effort) -> np.ndarray:
         """Return a portion's radiance, or that of the mean of several, without most of its noise.
 
         Shape, view and camera must be those with which it was rendered.
@@ -313,11 +297,11 @@ class Studio:
         visible = window.around(self._vertices, self._azimuth, lens)
         top, bottom, left, right = visible
         noisy, alpha, guides = (each[top:bottom, left:right] for each in portion)
-        smooth = denoiser.denoised(self._scene, noisy, alpha, guides, effort)
+        smooth = denoiser.denoise(self._scene, noisy, alpha, guides, effort)
         return window.paste(smooth, visible, lens.size)
 
     @contextlib.contextmanager
-    def sampled_by(self, pattern: str) -> Iterator[None]:
+    def sample_by(self, pattern: str) -> Iterator[None]:
         """Render pictures inside the block by another cycles.sampling_pattern, for measurements."""
         usual = self._scene.cycles.sampling_pattern
         assign(self._scene, "cycles.sampling_pattern", pattern)
@@ -338,7 +322,7 @@ class Studio:
                 at.facets, camera.view_vectors(lens)[at.mask]
             )
             self._may_shade_itself[key] = not known or self_shading.may_shade_itself(
-                camera.seen(self._vertices, self._azimuth, lens),
+                camera.vertices_from_camera(self._vertices, self._azimuth, lens),
                 at.facets,
                 camera.points(lens, at.mask, at.depth),
             )
@@ -350,13 +334,7 @@ class Studio:
         None where it does not hold: for cameras in perspective, for lights that are not looked up
         texel by texel, and for pictures of which too few points per pixel fit into memory.
         """
-        lens = self._require_camera()
-        direct = self._direct_lights(lens)
-        at = points_of(direct, lens, points) if direct else None
-        if at is None:
-            return None
-        maps = sum(each.map_size for each in dict.fromkeys(direct))
-        return DirectWork(at.per_pixel, leaning_share(self._visible_surface(lens)), maps)
+        return self._direct_light.work(self._shown_view(), points, self._visible_surface)
 
     def direct_light(
         self,
@@ -372,49 +350,25 @@ class Studio:
         where  (height, width) bool, the pixels that are computed; the others are as in `known`.
                None: all
         """
-        lens = self._require_camera()
-        direct = self._direct_lights(lens)
-        at = points_of(direct, lens, points) if direct else None
-        if at is None:
-            return None
-        picture = picture_of(direct, self._grids_at(lens, at), lens, at, where)
-        return picture if known is None or where is None else merged(known, picture, where)
-
-    def _grids_at(self, lens: Camera, at: Points) -> list[Surface]:
-        """Return what grids of points see. They are kept, for a limit asks for them repeatedly."""
-        if self._grids_of != (self._azimuth, lens):
-            self.forget_grids()
-            self._grids_of = self._azimuth, lens
-        height, width = lens.size
-        fine = msgspec.structs.replace(lens, size=(height * at.across, width * at.across))
-        result = []
-        try:
-            for shift in at.shifts:
-                grid = self._grids.get((at.across, shift))
-                if grid is None:
-                    self.set_camera(fine)
-                    grid = self._surface(*shift)
-                    kept = sum(len(each.depth) for each in self._grids.values())
-                    if kept + len(grid.depth) <= MOST_KEPT:
-                        self._grids[at.across, shift] = grid
-                result.append(grid)
-        finally:
-            self.set_camera(lens)
-        return result
+        return self._direct_light.picture(self._shown_view(), points, known, where)
 
     def forget_grids(self) -> None:
         """Forget what `direct_light` has seen of the view, as another view makes it do."""
-        self._grids.clear()
-        self._grids_of = None
+        self._direct_light.forget_grids()
 
-    def _direct_lights(self, lens: Camera) -> list[DirectLight]:
-        """Return the direct light of each segment's material under the light that is shown.
+    def _shown_view(self) -> ShownView:
+        """Return what is shown, as direct light needs it."""
+        lens = self._require_camera()
+        return ShownView(self._azimuth, lens, self._mixtures, self._seen if self._nearest else None)
 
-        There is none for cameras in perspective and for lights that are not looked up by texel.
-        """
-        if lens.fov_deg is not None or not self._nearest or self._seen is None:
-            return []
-        return [self._direct.of(mixture, self._seen, lens) for mixture in self._mixtures]
+    def _look_through(self, lens: Camera, rightwards: float, upwards: float) -> Surface:
+        """Return what rays meet through a camera that is put in place of the own one meanwhile."""
+        own = self._require_camera()
+        try:
+            self.set_camera(lens)
+            return self._surface(rightwards, upwards)
+        finally:
+            self.set_camera(own)
 
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""

@@ -25,7 +25,7 @@ def around(vertices: np.ndarray, azimuth: float, lens: Camera) -> Window:
     azimuth   of the view, radians
     """
     height, width = lens.size
-    seen = camera.seen(vertices, azimuth, lens)
+    seen = camera.vertices_from_camera(vertices, azimuth, lens)
     x, y = seen[:, 0], seen[:, 1]
     if lens.fov_deg is not None:
         away = camera.distance(lens)

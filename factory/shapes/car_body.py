@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 from factory.shapes.lofts import loft
 
 PAINT, DARK = 1, 2  # segments: the body; wheels, glass, lights and trim
@@ -284,6 +284,6 @@ def _sunk(rings, glass):
         1,
     )
     quads = np.concatenate([glass.ravel()] * 2)
-    surface = closed(vertices, np.concatenate([body, low, high]))
+    surface = close_surface(vertices, np.concatenate([body, low, high]))
     # `closed` welds and drops nothing here: every face keeps its place
     return Surface(*surface), np.concatenate([quads, np.zeros(2 * around, bool)])

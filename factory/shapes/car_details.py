@@ -7,7 +7,7 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import DARK, PAINT, Form
-from factory.shapes.closed_surface import LEFT_RIGHT, Surface, closed, grid_faces
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface, close_surface, grid_faces
 from factory.shapes.curves import rounded_path
 from factory.shapes.lofts import ellipsoid, rod, tube
 from factory.shapes.rounded_boxes import rounded_box
@@ -44,7 +44,7 @@ def patch(
     wall = np.concatenate(
         [np.stack([rim, ahead, ahead + size], 1), np.stack([rim, ahead + size, rim + size], 1)]
     )
-    return closed(
+    return close_surface(
         np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)]),
         np.concatenate([faces, (faces + size)[:, ::-1], wall]),
     )

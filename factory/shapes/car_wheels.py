@@ -4,7 +4,7 @@ import numpy as np
 
 from factory.shapes.assembly import Assembly
 from factory.shapes.car_body import DARK, PAINT, Form
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 from factory.shapes.lofts import revolve, rod, tube
 from factory.shapes.rounded_boxes import rounded_box
 
@@ -26,7 +26,7 @@ def wheel(kind: str, spokes: int, radius: float, width: float) -> list[tuple[str
     angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     rings = profile[:-1, :1, None] * circle + profile[:-1, 1:, None] * np.array([0, 0, 1.0])
-    solid = closed(rings.reshape(-1, 3), grid_faces(len(rings), 36, True, True))
+    solid = close_surface(rings.reshape(-1, 3), grid_faces(len(rings), 36, True, True))
     dish = half * 0.15
     lip = revolve(
         [

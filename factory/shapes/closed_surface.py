@@ -55,7 +55,7 @@ def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6
 
 
-def closed(vertices: ArrayLike, faces: np.ndarray) -> Surface:
+def close_surface(vertices: ArrayLike, faces: np.ndarray) -> Surface:
     """Return a Surface from triangles, turned outward.
 
     Coinciding vertices are welded, and collapsed triangles dropped.

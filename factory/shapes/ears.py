@@ -15,7 +15,7 @@ its shape.
 
 import numpy as np
 
-from factory.shapes.fans import TINY, fans, squared
+from factory.shapes.fans import TINY, fans, squared_lengths
 from factory.shapes.ragged import ranges, successors
 
 PAIRS = 500_000  # pairs of an ear and a corner that might lie in it, tested together: 60 MB
@@ -41,7 +41,7 @@ def cut(vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray) -> tuple
     vertices, corners, lengths  as of factory.shapes.polygons.triangulate
     Raises                      TooLarge
     """
-    xy = _flattened(vertices[corners], lengths)
+    xy = _flatten(vertices[corners], lengths)
     ears = _Ears(xy, lengths)
     triangles, polygon = ears.cut()
     triangles = triangles[np.argsort(polygon, kind="stable")]
@@ -55,7 +55,7 @@ def cut(vertices: np.ndarray, corners: np.ndarray, lengths: np.ndarray) -> tuple
     return corners[triangles], int(crossing.sum())
 
 
-def _flattened(points, lengths):
+def _flatten(points, lengths):
     """Return the polygons' corners (C, 2) seen along their normals, counter-clockwise.
 
     Each polygon is scaled to size 1.
@@ -157,7 +157,7 @@ class _Ears:
         a, b = self.xy[self.before[corners]], self.xy[self.after[corners]]
         v = self.xy[corners]
         self.turn[corners] = _cross(v - a, b - v)
-        self.key[corners] = squared(b - a)
+        self.key[corners] = squared_lengths(b - a)
 
     def _list_blockers(self):
         """List the corners that may lie in a triangle: those where the polygon is not convex.
@@ -181,7 +181,9 @@ class _Ears:
         back = np.einsum("ci,ci->c", a - v, b - v) >= 0
         line = np.abs(self.turn[corners]) <= TINY
         # a spike, or a doubled corner
-        nothing = line & (back | (squared(a - v) <= TINY**2) | (squared(b - v) <= TINY**2))
+        nothing = line & (
+            back | (squared_lengths(a - v) <= TINY**2) | (squared_lengths(b - v) <= TINY**2)
+        )
         sure = nothing | (self.left[self.polygon[corners]] == 3)
         self.ear[corners] = sure
         convex = corners[(self.turn[corners] > TINY) & ~sure]

@@ -53,7 +53,11 @@ def where_fans_fail(
 def _failing(vertices, faces, owner, count, depth):
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
-    base = np.sqrt(np.maximum(np.maximum(squared(b - a), squared(c - a)), squared(c - b)))
+    base = np.sqrt(
+        np.maximum(
+            np.maximum(squared_lengths(b - a), squared_lengths(c - a)), squared_lengths(c - b)
+        )
+    )
     normal = np.stack([np.bincount(owner, cross[:, k], count) for k in range(3)], axis=1)
     length = np.linalg.norm(normal, axis=1)
     # else its halves, wound against each other, cancel
@@ -65,6 +69,6 @@ def _failing(vertices, faces, owner, count, depth):
     return np.unique(owner[turned]), len(np.unique(owner[covering & ~sure[owner]]))
 
 
-def squared(vectors: np.ndarray) -> np.ndarray:
+def squared_lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the squared lengths (N,) of vectors (N, D)."""
     return np.einsum("fi,fi->f", vectors, vectors)

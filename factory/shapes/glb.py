@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from factory.shapes.gltf_arrays import Arrays
-from factory.shapes.gltf_nodes import shown_meshes
+from factory.shapes.gltf_nodes import meshes_shown
 from factory.shapes.gltf_schema import (
     DOWNLOAD,
     FAN,
@@ -53,7 +53,7 @@ IGNORED = {
 def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     """Return the Raw of a GLB file. See factory.shapes.raw."""
     document = _document(file, size, where)
-    shown, ignored = shown_meshes(document, where)
+    shown, ignored = meshes_shown(document, where)
     count = sum(_triangle_count(document, mesh, where) for mesh, _ in shown)
     require_count(count, maximum, where, size)
     meshes = _Meshes(document, Arrays(document, file, where), ignored, where)

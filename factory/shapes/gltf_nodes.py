@@ -12,7 +12,7 @@ from factory.shapes.gltf_schema import DOWNLOAD, Document, Node, item
 from manifests.errors import InputError
 
 
-def shown_meshes(
+def meshes_shown(
     document: Document, where: str | Path
 ) -> tuple[list[tuple[int, np.ndarray]], Counter[str]]:
     """Return the meshes that the scene's nodes show, and counts of what is ignored.

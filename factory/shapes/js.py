@@ -37,8 +37,8 @@ def read(file: BinaryIO, size: int, where: str | Path, maximum: int) -> Raw:
     cells = _array(text, "cells", where)
     # a polygon of k corners becomes k − 2 triangles; one cell or more is there
     require_count(max(1, cells.count(",") + 1 - 2 * (cells.count("[") - 1)), maximum, where)
-    positions = _decoded(_array(text, "positions", where), list[Position], "positions", where)
-    polygons = _decoded(cells, list[Cell], "cells", where)
+    positions = _decode(_array(text, "positions", where), list[Position], "positions", where)
+    polygons = _decode(cells, list[Cell], "cells", where)
     corners = np.array([corner for cell in polygons for corner in cell], np.int64)
     lengths = np.array([len(cell) for cell in polygons], np.int64)
     # cells of one or two corners, which are no triangles, had lowered the estimate
@@ -56,7 +56,7 @@ def _array(text: str, name: str, where: str | Path) -> str:
     return text[begin.end() : end.end()]
 
 
-def _decoded(text: str, type_: type[T], name: str, where: str | Path) -> T:
+def _decode(text: str, type_: type[T], name: str, where: str | Path) -> T:
     try:
         return msgspec.json.decode(text, type=type_)
     except (msgspec.MsgspecError, RecursionError) as error:

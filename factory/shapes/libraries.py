@@ -10,7 +10,7 @@ from pathlib import Path
 from factory.shapes.files import FORMATS
 from factory.shapes.library import note_of
 from factory.shapes.raw import BYTES_A_TRIANGLE, MAXIMUM_TRIANGLES, MORE
-from manifests.archives import DAMAGE, opened_zip
+from manifests.archives import DAMAGE, open_zip
 from manifests.errors import InputError, closest
 from manifests.inputs import require_file
 
@@ -112,7 +112,7 @@ def category_of(path: str | Path, chosen: str = "") -> str:
 
 
 def _inside(path):
-    with opened_zip(path, A_LIBRARY, AGAIN) as archive:
+    with open_zip(path, A_LIBRARY, AGAIN) as archive:
         catalogue = _catalogue(archive, path)
         library = catalogue.get("license", catalogue.get("name", ""))
         models = {
@@ -199,7 +199,7 @@ def member(
 
     Raises  InputError: no such name, or none given
     """
-    with opened_zip(path, A_LIBRARY, AGAIN) as archive:
+    with open_zip(path, A_LIBRARY, AGAIN) as archive:
         models = [
             value.lstrip("/")
             for key, value in _catalogue(archive, path).items()

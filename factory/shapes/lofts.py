@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 from factory.shapes.curves import frames_along, superellipse
 
 
@@ -22,7 +22,7 @@ def loft(rings: ArrayLike) -> Surface:
     start = np.stack([np.full(around, count * around), j, ahead], 1)
     last = (count - 1) * around
     finish = np.stack([np.full(around, count * around + 1), last + ahead, last + j], 1)
-    return closed(
+    return close_surface(
         vertices, np.concatenate([grid_faces(count, around, wrap_columns=True), start, finish])
     )
 
@@ -63,7 +63,7 @@ def tube(
 
     body = rings(slice(None), 1.0, 0.0)
     if ring:
-        return closed(body.reshape(-1, 3), grid_faces(len(path), around, True, True))
+        return close_surface(body.reshape(-1, 3), grid_faces(len(path), around, True, True))
     start: list[np.ndarray] = []
     finish: list[np.ndarray] = []
     for angle in np.linspace(0, np.pi / 2, 4)[1:]:

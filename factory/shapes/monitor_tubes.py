@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import LEFT_RIGHT, Surface, closed
+from factory.shapes.closed_surface import LEFT_RIGHT, Surface, close_surface
 from factory.shapes.curves import superellipse
 from factory.shapes.lofts import loft, revolve, rod
 from factory.shapes.monitor_panel import CASE, add_panel, panel
@@ -106,7 +106,9 @@ def tube_television(a: Assembly, rng: np.random.Generator) -> None:
         recess=0.008,
         crown=0.022,
     )
-    add_panel(a, pieces, lambda s: closed(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift))
+    add_panel(
+        a, pieces, lambda s: close_surface(s.vertices, s.faces).moved(deep / 2 + 0.016, shift, lift)
+    )
     y = wide / 2 - (wide - tube_wide) / 2 + 0.012
     for k in range(2):
         knob = revolve([[0.0, 0.0], [0.03, 0.0], [0.027, 0.03], [0.0, 0.032]], 24).turned(

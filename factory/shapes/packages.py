@@ -195,7 +195,7 @@ def collect(
     rows: list[dict] = []
     hashes: dict[str, str] = {}
     groups: set[str] = set()
-    for candidate in _interleaved([by_package[each.package] for each in chosen]):
+    for candidate in _interleave([by_package[each.package] for each in chosen]):
         side = "test" if candidate.package.test_only else side_of(candidate.group)
         full = most is not None and sum(row["side"] == side for row in rows) >= most
         if full or (most is not None and candidate.group in groups):
@@ -220,7 +220,7 @@ def collect(
     return rows
 
 
-def _interleaved(lists: Sequence[list[Candidate]]) -> Iterator[Candidate]:
+def _interleave(lists: Sequence[list[Candidate]]) -> Iterator[Candidate]:
     """Yield the candidates of several packages, so that each is used up at the same pace."""
     placed = [
         ((position + 0.5) / len(each), number, candidate)

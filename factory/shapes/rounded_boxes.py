@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 
 
 def rounded_box(
@@ -56,7 +56,7 @@ def rounded_box(
     puffed = vertices.copy()
     for axis in range(3):
         puffed[:, axis] *= 1 + bulge[axis] * share[:, (axis + 1) % 3] * share[:, (axis + 2) % 3]
-    return closed(puffed, np.concatenate(faces))
+    return close_surface(puffed, np.concatenate(faces))
 
 
 def cushion(size: ArrayLike, puff: float = 0.25, inner: int = 6) -> Surface:

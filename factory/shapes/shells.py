@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 
 
 def shell(points: ArrayLike, thickness: float, times: int = 2) -> Surface:
@@ -39,4 +39,4 @@ def shell(points: ArrayLike, thickness: float, times: int = 2) -> Surface:
     # The sheet runs i then j; its rim runs j first: the wall's sense is the sheet's own
     surface = np.concatenate([faces, (faces + size)[:, ::-1], wall])
     vertices, faces = subdivide_loop(both, surface, times)
-    return closed(vertices, faces)
+    return close_surface(vertices, faces)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import LEFT_RIGHT, closed
+from factory.shapes.closed_surface import LEFT_RIGHT, close_surface
 from factory.shapes.curves import rounded_path, smooth_path
 from factory.shapes.lofts import ellipsoid, rod, tube
 from factory.shapes.rounded_boxes import cushion, rounded_box
@@ -53,7 +53,7 @@ def back_body(a: Assembly, rng: np.random.Generator, p: Plan, kind: str) -> None
         v[:, 2] -= share**2 * 0.22 * np.clip(np.abs(across) - 0.55, 0, None) ** 2 / 0.2
     a.add(
         "back",
-        closed(v, body.faces)
+        close_surface(v, body.faces)
         .turned("y", -p.lean)
         .moved(-p.depth / 2 - p.thick / 2 - p.lean * tall * 0.4, 0, (p.back + p.low) / 2),
         SOFT,
@@ -111,7 +111,7 @@ def arms(a: Assembly, rng: np.random.Generator, p: Plan, kind: str, chaise: int 
             arm = tube(path, half, around=32, square=6.0, bevel=0.3)
             v = arm.vertices.copy()
             v[:, 1] += side * lean * ((v[:, 2] - p.low) / (high - p.low)) ** 2
-            a.add("arm", closed(v, arm.faces), SOFT)
+            a.add("arm", close_surface(v, arm.faces), SOFT)
     return p.width / 2 + thick
 
 

@@ -76,11 +76,13 @@ def node_difference(sample: Sample, index: np.ndarray, mixtures: Sequence[Mixtur
     for number in segment.unique().tolist():
         m = sample.material[number - 1].double().reshape(dsbrdf.SHAPE)
         here = segment == number
-        out[here.numpy()] = converged(sample, m, mixtures[number - 1], n[here], view[here])
+        out[here.numpy()] = converged_difference(
+            sample, m, mixtures[number - 1], n[here], view[here]
+        )
     return out
 
 
-def converged(
+def converged_difference(
     sample: Sample, m: torch.Tensor, mixture: Mixture, n: torch.Tensor, view: torch.Tensor
 ) -> np.ndarray:
     """Return `node_difference` of one material m (3, 3, 2, 6) at normals n and views (p, 3).
@@ -88,17 +90,20 @@ def converged(
     It is summed over texels, or over more and more sample directions until it converges.
     """
     if not narrow(m):
-        return summed(*texels(sample), m, mixture, n, view)
-    result = summed(*lobe_samples(sample, m, SAMPLE_COUNTS[0]), m, mixture, n, view)
+        return sum_difference(*texels(sample), m, mixture, n, view)
+    result = sum_difference(*lobe_samples(sample, m, SAMPLE_COUNTS[0]), m, mixture, n, view)
     for count in SAMPLE_COUNTS[1:]:
-        coarser, result = result, summed(*lobe_samples(sample, m, count), m, mixture, n, view)
+        coarser, result = (
+            result,
+            sum_difference(*lobe_samples(sample, m, count), m, mixture, n, view),
+        )
         change = np.square(result - coarser).sum()
         if change <= LARGEST_CHANGE**2 * np.square(result).sum():
             break
     return result
 
 
-def summed(
+def sum_difference(
     places: Directions,
     count: int,
     m: torch.Tensor,
@@ -156,7 +161,7 @@ def lobe_samples(sample: Sample, m: torch.Tensor, count: int) -> tuple[Direction
     def places(
         n: torch.Tensor, view: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
-        w, weight, _ = half_vectors.place(
+        w, weight, _ = half_vectors.place_samples(
             n, view, half, solid_angle, rotation, (sample.light.shape[0], sample.light.shape[1])
         )
         texel, share = half_vectors.footprint(w @ rotation, weight, *sample.light.shape[:2])

@@ -88,7 +88,7 @@ def verdict(direct: Mapping) -> str:
             " cannot be judged."
         )
     fit = direct.get("node_fit")
-    like = uncertainty.written(
+    like = uncertainty.as_text(
         direct["like_net"],
         direct.get("like_net_error"),
         None if fit is None else direct["limit"] * fit,

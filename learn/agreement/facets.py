@@ -92,7 +92,7 @@ def closed_forms(sample: Sample, mixtures: Sequence[Mixture]) -> ClosedForms | N
     if facets is None or camera.fov_deg is not None:
         return None
     n = sample.n.numpy()
-    interpolated = facets.interpolated(n)
+    interpolated = facets.interpolated_normals(n)
     segments = sample.segments.numpy()
     leaning = (interpolated * facets.normals).sum(-1) < COS_LEANING
     away = (segments > 0) & (facets.cosine < FACING)

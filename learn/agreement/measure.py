@@ -123,7 +123,7 @@ class Layer:
     cos_o: np.ndarray
 
 
-def rendered(sample: Sample, tolerance: float, device: str | torch.device = "cpu") -> Layer:
+def render_sample(sample: Sample, tolerance: float, device: str | torch.device = "cpu") -> Layer:
     """Return the Layer of a Sample, rendered on a device; tolerance: of the converged integral."""
     arguments = sample.for_layer(device)
     with torch.no_grad():

@@ -8,7 +8,7 @@ import numpy as np
 from learn.agreement import uncertainty
 from learn.agreement.plots import NAMES
 from learn.agreement.summary import FIGURES, LIMIT
-from learn.figures.html import encoded, encoded_picture, image, page, paragraph, table
+from learn.figures.html import encode, encode_picture, image, page, paragraph, table
 from manifests.provenance import in_one_line, readable
 
 TITLES = {
@@ -92,7 +92,7 @@ def verdict(head: Mapping) -> str:
         else (head["node_fit_measured"], "measured here")
     )
     judged = "within" if head["holds"] else "beyond"
-    like = uncertainty.written(head["like_net"], head["like_net_error"], head["limit"] * fit)
+    like = uncertainty.as_text(head["like_net"], head["like_net_error"], head["limit"] * fit)
     return (
         "Direct tier, inside the silhouette, both renderers over the same part of each pixel:"
         f" display L2 net of noise {like}; the materials' own node fit {whose} is {fit:.3g}:"
@@ -109,7 +109,7 @@ def whole_verdict(whole: Mapping) -> str:
         return "The catalogue states no node fit: the limit over the whole mask cannot be judged."
     judged = "within" if whole["holds"] else "beyond"
     fit = whole["node_fit_catalogue"]
-    predicted = uncertainty.written(whole["predicted"], whole["predicted_error"], LIMIT * fit)
+    predicted = uncertainty.as_text(whole["predicted"], whole["predicted_error"], LIMIT * fit)
     return (
         "Over the whole mask, with what Cycles does at facets and at pixels that show several"
         f" surfaces ({100 * whole['beside']:.1f} % of them): display L2 net of noise"
@@ -120,7 +120,7 @@ def whole_verdict(whole: Mapping) -> str:
 
 def whole_rows(whole: Mapping) -> list[tuple[str, str]]:
     """Return the rows (what, L2) of the table of the whole mask."""
-    predicted = uncertainty.written(whole["predicted"], whole["predicted_error"])
+    predicted = uncertainty.as_text(whole["predicted"], whole["predicted_error"])
     return [
         (title, predicted if key == "predicted" else number(key, whole[key]))
         for key, title in WHOLE.items()
@@ -201,7 +201,7 @@ def web(
             "soft",
         ),
         "<div class=plots>",
-        *(_figure(image(encoded(png)), caption) for png, caption in plots),
+        *(_figure(image(encode(png)), caption) for png, caption in plots),
         "</div>",
         *_whole(summary.get("whole")),
         "<h2>Pictures, the worst first</h2>",
@@ -234,7 +234,7 @@ def _figure(content: str, caption: str) -> str:
 
 def _panel(caption: str, cycles: np.ndarray, layer: np.ndarray) -> str:
     pictures = (cycles, layer, 128 + DIFFERENCE_GAIN * (layer - cycles))
-    images = "".join(image(encoded_picture(picture)) for picture in pictures)
+    images = "".join(image(encode_picture(picture)) for picture in pictures)
     return _figure(f"<div class=triple>{images}</div>", caption)
 
 
@@ -254,7 +254,7 @@ def cards(summary: Mapping) -> str:
     judged = "" if head["holds"] is None else " good" if head["holds"] else " bad"
     fit = head["node_fit_measured"] if head["node_fit"] is None else head["node_fit"]
     limit = None if fit is None else head["limit"] * fit
-    like = uncertainty.written(head["like_net"], head["like_net_error"], limit)
+    like = uncertainty.as_text(head["like_net"], head["like_net_error"], limit)
     shown: Sequence[tuple[str, str, str]] = [
         (judged, like, "direct tier inside, L2 − noise"),
         ("", number("node_fit", fit), "node fit of its materials"),

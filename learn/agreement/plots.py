@@ -56,7 +56,7 @@ def draw(summary: Mapping, rows: Iterable[Row]) -> dict[str, tuple[bytes, str]]:
             (
                 "grazing.png",
                 "By angle between normal and view, inside the silhouette, net of noise",
-                lambda ax: grazing(ax, summary["grazing"]),
+                lambda ax: plot_grazing(ax, summary["grazing"]),
             ),
             (
                 "highlight.png",
@@ -129,7 +129,7 @@ def materials(ax: Axes, summary: Mapping) -> bool:
     return True
 
 
-def grazing(ax: Axes, bins: Iterable[Mapping]) -> bool:
+def plot_grazing(ax: Axes, bins: Iterable[Mapping]) -> bool:
     """Draw the error by grazing angle. Return whether there were pixels."""
     seen = [cell for cell in bins if cell["pixels"]]
     if not seen:

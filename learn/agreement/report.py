@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from learn.agreement import causes, facets, page, plots
-from learn.agreement.measure import Layer, Row, measure, rendered
+from learn.agreement.measure import Layer, Row, measure, render_sample
 from learn.agreement.scenes import Condition, scenes
 from learn.agreement.summary import summarise
 from learn.data.records import Records, Sample
@@ -63,7 +63,7 @@ class Worst:
         return [(caption, *pictures) for _, _, caption, pictures in sorted(self.heap, reverse=True)]
 
 
-def limited(groups: list[list[Condition]], limit: int | None) -> list[list[Condition]]:
+def limit_scenes(groups: list[list[Condition]], limit: int | None) -> list[list[Condition]]:
     """Return scenes, spread over the dataset, of at most `limit` pictures; at least one scene."""
     if limit is None:
         return groups
@@ -92,7 +92,7 @@ def compare(options: Options) -> tuple[list[Row], list[Panel]]:
             "none",
             "render some with: python -m factory render JOB --out DIR",
         )
-    groups = limited(scenes(records.records), options.limit)
+    groups = limit_scenes(scenes(records.records), options.limit)
     rows, worst = [], Worst()
     total = sum(len(condition.records) for group in groups for condition in group)
     with tqdm(total=total, unit="picture", desc="agree") as bar:
@@ -101,7 +101,7 @@ def compare(options: Options) -> tuple[list[Row], list[Panel]]:
             if not sample.mask.any():
                 bar.update(sum(len(condition.records) for condition in group))
                 continue
-            layer = rendered(sample, options.tolerance, options.device)
+            layer = render_sample(sample, options.tolerance, options.device)
             entries = [records.material(name) for name in group[0].records[0].materials]
             forms = None
             if any(condition.direct and len(condition.records) > 1 for condition in group):

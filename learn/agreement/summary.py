@@ -70,7 +70,7 @@ def breakdown(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, dict[
     )
 
 
-def grazing(rows: Sequence[Row]) -> list[dict]:
+def bin_by_grazing_angle(rows: Sequence[Row]) -> list[dict]:
     """Return for each bin of surface.GRAZING_DEG its pixels, mean L2 and mean signed error.
 
     All pixels have equal weights; the signed error is relative.
@@ -176,7 +176,7 @@ def summarise(rows: Sequence[Row]) -> dict:
         "direct": headline(rows),
         "causes": causes(own),
         "whole": whole(own),
-        "grazing": grazing(own),
+        "grazing": bin_by_grazing_angle(own),
         "breakdowns": (
             {"tier and light resolution": breakdown(rows, DIMENSIONS["tier and light resolution"])}
             | {

@@ -24,7 +24,7 @@ def noise_may_decide(figure: float | None, error: float | None, limit: float | N
     return bool(abs(figure - limit) <= STANDARD_ERRORS * error)
 
 
-def written(figure: float | None, error: float | None, limit: float | None = None) -> str:
+def as_text(figure: float | None, error: float | None, limit: float | None = None) -> str:
     """Return a figure as "0.37 ± 0.20 (limit 0.37)", rounded as its standard error asks.
 
     The error has two digits and the limit at least two. Without an error the figure has three, and

@@ -2,7 +2,7 @@
 
 The terms, weighed as a run's `losses` say:
 target           mean (O' − c(O))² over the mask's pixels and channels,
-                 c = learn.networks.coding.compressed
+                 c = learn.networks.coding.compress
 target_features  the same two pictures compared by features (learn.networks.features): the paper's
                  perceptual loss
 material         mean (code' − code)² of the input's material, read from f_m, and of the target's,
@@ -23,7 +23,7 @@ from learn.data.settings import Losses
 from learn.figures.montage import grid
 from learn.layer import render
 from learn.metrics.pictures import display_l2
-from learn.networks.coding import Ranges, compressed
+from learn.networks.coding import Ranges, compress
 from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
 from learn.networks.features import Features
 from learn.networks.prediction import require_part
@@ -95,12 +95,12 @@ class SwapTraining(Training):
         return terms(prediction, batch, loss_weights, self.network.ranges, self.features)
 
     def _validate(self) -> dict[str, float]:
-        run, network = self.run, self.averaged()
+        run, network = self.run, self.averaged_network()
         data_split = self.data_splits["validation"]
         source = PairedDataset(data_split, run.data, run.schedule.batch, run.size, 20)
         with torch.no_grad():
             batches = [source[k].to(self.device) for k in range(VALIDATION_BATCHES)]
-            edits = [self._predicted(network, batch) for batch in batches]
+            edits = [self._predict_finite(network, batch) for batch in batches]
         write_montage(self._sheet_path(), batches[0], edits[0])
         self._save_weights()
         results = [
@@ -121,7 +121,7 @@ def terms(
     features  needed where target_features has a weight
     """
     inside = (batch.segments > 0)[:, None] * batch.mask
-    truth = compressed(require_part(batch.target))
+    truth = compress(require_part(batch.target))
     read = ((edited.code - ranges.code(batch.label[:, :1])) ** 2).mean()
     embedded = ((edited.embedded - ranges.code(batch.target_label[:, :1])) ** 2).mean()
     result = {"material": read + embedded}

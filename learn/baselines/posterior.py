@@ -4,7 +4,7 @@ Normals are given; material and light are estimated.
 
     −log p(z_m, z_L | I) = P/(2 σ²) · mean (c(I') − c(I))² + ½ Σ z_m² + ½ Σ z_L²
 
-c is learn.networks.coding.compressed, σ = priors.NOISE; P pixels count as PIXELS, for neighbours
+c is learn.networks.coding.compress, σ = priors.NOISE; P pixels count as PIXELS, for neighbours
 are no independent evidence. z_m are the material's coordinates (S, K), z_L the light's (J, 3); the
 picture I' is the layer's under a coarse map. The initialisation is the mean light with the typical
 training material that fits best. Then L-BFGS with strong Wolfe conditions follows, under 16×32
@@ -21,7 +21,7 @@ from learn.baselines import priors as fitted
 from learn.baselines.priors import Priors
 from learn.data.batch import ExampleBatch
 from learn.layer import predictions
-from learn.networks.coding import compressed
+from learn.networks.coding import compress
 from learn.networks.prediction import Prediction
 
 PIXELS = 192
@@ -54,7 +54,7 @@ class Posterior:
         ]
         self.n = batch.n[0].flatten(1).T[self.where][None, None]
         self.segments = batch.segments[0].flatten()[self.where][None, None]
-        self.seen = compressed(batch.image[0].flatten(1).T[self.where])
+        self.seen = compress(batch.image[0].flatten(1).T[self.where])
 
     def energy(self, z_m: torch.Tensor, z_L: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
         """Return the energy, a scalar; z_m (S, K), z_L (J, 3), float64; size of the light's map."""
@@ -68,7 +68,7 @@ class Posterior:
             self.batch.elevation,
             predictions.PIXEL_LOSS,
         )
-        fit = ((compressed(picture[0, 0]) - self.seen) ** 2).mean().double()
+        fit = ((compress(picture[0, 0]) - self.seen) ** 2).mean().double()
         return PIXELS * fit / (2 * fitted.NOISE**2) + 0.5 * (z_m**2).sum() + 0.5 * (z_L**2).sum()
 
     def start(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -95,7 +95,7 @@ def estimate(batch: ExampleBatch, priors: Priors) -> Estimate:
     posterior = Posterior(batch, priors)
     point = first = posterior.start()
     for size, evaluations in STAGES:
-        point = lowered(posterior, point, size, evaluations)
+        point = descend_from(posterior, point, size, evaluations)
     with torch.no_grad():
         before, after = (float(posterior.energy(*z, size=STAGES[-1][0])) for z in (first, point))
         if not after <= before:  # in this form NaN is refused too
@@ -104,7 +104,7 @@ def estimate(batch: ExampleBatch, priors: Priors) -> Estimate:
     return Estimate(label, light, before, after)
 
 
-def lowered(
+def descend_from(
     posterior: Posterior,
     point: tuple[torch.Tensor, torch.Tensor],
     size: tuple[int, int],

@@ -72,7 +72,7 @@ class Priors:
         return unit_mean(log.clamp(-10, 10).exp()[None], solid_angle)
 
 
-def fitted(labels: Sequence[np.ndarray], maps: Sequence[np.ndarray]) -> Priors:
+def fit(labels: Sequence[np.ndarray], maps: Sequence[np.ndarray]) -> Priors:
     """Return the Priors of training labels [(108,)] and maps [(64, 128, 3)]."""
     mean, directions = _principal(np.stack(labels).astype(np.float64))
     z = (np.stack(labels) - mean) @ np.linalg.pinv(directions)

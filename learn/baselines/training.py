@@ -9,7 +9,7 @@ import torch
 from learn.baselines import FILES, priors
 from learn.baselines.material_swap import SwapTraining
 from learn.data import seen, settings, sources
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.networks import tensor_file
 from learn.training import loop, processes
 from manifests.files import write_bytes
@@ -38,9 +38,9 @@ def make(
     if target.exists():
         return f"{target} is there already"
     options.out.mkdir(parents=True, exist_ok=True)
-    run = None if preset is None else resolved(settings.read_run(preset), options)
+    run = None if preset is None else resolve_preset(settings.read_run(preset), options)
     data_splits = sources.load_data_splits(
-        held_out(options, settings.Data() if run is None else run.data),
+        hold_out(options, settings.Data() if run is None else run.data),
         options.data,
         options.lights,
     )
@@ -48,9 +48,9 @@ def make(
         data_split = data_splits["train"]
         priors.save(
             target,
-            priors.fitted(list(data_split.labels.values()), data_split.maps),
+            priors.fit(list(data_split.labels.values()), data_split.maps),
             {"materials": sorted(data_split.labels), "maps": len(data_split.maps)},
-            fitted_to(data_split),
+            what_priors_saw(data_split),
         )
         materials = number_of(len(data_split.labels), "material")
         return f"{target}: {materials}, {number_of(len(data_split.maps), 'light map')}"
@@ -62,7 +62,7 @@ def make(
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())
 
 
-def fitted_to(data_split: DataSplit) -> seen.Seen:
+def what_priors_saw(data_split: DataSplit) -> seen.Seen:
     """Return what priors saw of a split: materials and light maps, but no shapes."""
     return seen.make_seen(
         {
@@ -73,16 +73,16 @@ def fitted_to(data_split: DataSplit) -> seen.Seen:
     )
 
 
-def resolved(run: settings.Run, options: argparse.Namespace) -> settings.Run:
+def resolve_preset(run: settings.Run, options: argparse.Namespace) -> settings.Run:
     """Return a preset with the steps and the held-out lights of the options."""
     if options.steps is not None:
         run = msgspec.structs.replace(
             run, schedule=msgspec.structs.replace(run.schedule, steps=options.steps)
         )
-    return msgspec.structs.replace(run, data=held_out(options, run.data))
+    return msgspec.structs.replace(run, data=hold_out(options, run.data))
 
 
-def held_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
+def hold_out(options: argparse.Namespace, data: settings.Data) -> settings.Data:
     """Return data with the lights and the materials of the weights options.like, if any.
 
     options.materials, where it is given, takes precedence over the weights' materials.

@@ -115,7 +115,7 @@ def refinement_of_photographs(
             remedy = "leave it out: nothing is refined"
             raise InputError(name, "refinement", f"{method} without it", remedy)
         return None
-    return PHOTOGRAPHS.rendered_by(method or "auto")
+    return PHOTOGRAPHS.with_method(method or "auto")
 
 
 def mask_files(given: Iterable[str]) -> list[Path]:

@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError(
             "--light-rotation", "--light with it", "none", "give the light that it rotates"
         )
-    paths = transfer.listed(arguments.pictures, arguments.list)
+    paths = transfer.list_pictures(arguments.pictures, arguments.list)
     transfer.run(
         paths,
         arguments.mask_dir,

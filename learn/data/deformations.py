@@ -163,15 +163,15 @@ def _within(values: np.ndarray, mask: np.ndarray, source: np.ndarray) -> np.ndar
 
     Beside the mask's rim they are those of the nearest pixel.
     """
-    inside = _sampled(mask[..., None], source, "bilinear") > 1 - 1e-4
-    return np.where(inside, _sampled(values, source, "bilinear"), _nearest(values, source))
+    inside = _sample(mask[..., None], source, "bilinear") > 1 - 1e-4
+    return np.where(inside, _sample(values, source, "bilinear"), _nearest(values, source))
 
 
 def _nearest(values: np.ndarray, source: np.ndarray) -> np.ndarray:
-    return _sampled(values, source, "nearest")
+    return _sample(values, source, "nearest")
 
 
-def _sampled(values: np.ndarray, source: np.ndarray, mode: str) -> np.ndarray:
+def _sample(values: np.ndarray, source: np.ndarray, mode: str) -> np.ndarray:
     """Return values (H, W, C) at places (H, W, 2); 0 outside the picture."""
     height, width = values.shape[:2]
     size = np.array([width, -height]) / max(height, width)

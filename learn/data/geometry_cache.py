@@ -48,7 +48,7 @@ class GeometryCache:
 
     def skipped(self) -> dict[str, str]:
         """Return {hash: what is wrong} of files that were left out when the cache was made."""
-        known = self._remembered("skipped.json")
+        known = self._read_small_file("skipped.json")
         return (
             known
             if isinstance(known, dict) and all(isinstance(text, str) for text in known.values())
@@ -60,9 +60,9 @@ class GeometryCache:
 
         None where the cache was made of other files, is damaged, or is not there.
         """
-        if self._remembered("views.json") != list(hashes):
+        if self._read_small_file("views.json") != list(hashes):
             return None
-        sums = self._remembered("sums.json")
+        sums = self._read_small_file("sums.json")
         try:
             if not isinstance(sums, dict) or any(
                 _checksum(self._at(name)) != sums.get(name) for name in self._names
@@ -134,7 +134,7 @@ class GeometryCache:
             }
             np.lib.format.write_array_header_1_0(file, header)
 
-    def _remembered(self, name: str) -> Any:
+    def _read_small_file(self, name: str) -> Any:
         """Return the content of a small file of the cache; None if it is missing or damaged."""
         try:
             require_file(self._at(name), "a part of the cache", maximum_bytes=LARGEST_JSON)

@@ -55,7 +55,7 @@ class LabelAugmentation:
             np.tile(bound, 3).reshape(SHAPE) for bound in (by_channel.min(0), by_channel.max(0))
         )
 
-    def drawn(
+    def draw(
         self, rng: np.random.Generator, name: str, label: np.ndarray, admitted: Sequence[str]
     ) -> tuple[str, np.ndarray]:
         """Return the name and label of a material that takes the place of a training material.

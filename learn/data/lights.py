@@ -43,7 +43,7 @@ def read_maps(path: str | Path) -> dict[str, np.ndarray]:
         return _library(path)
     rule, remedy = "an .npz of (64, 128, 3) light maps", "write it by numpy.savez(path, name=map)"
     require_file(path, rule, remedy, LARGEST_FILE)
-    with archives.opened_zip(path, rule, remedy) as archive:
+    with archives.open_zip(path, rule, remedy) as archive:
         members = archive.infolist()
         if len(members) > MOST_MAPS:
             raise InputError(
@@ -108,12 +108,12 @@ def draw(rng: np.random.Generator, maps: Sequence[np.ndarray], real: float) -> n
     """
     kind = rng.random()
     if maps and kind < real:
-        L = _rotated(rng, maps)
+        L = _rotate(rng, maps)
     elif maps and kind < (1 + real) / 2:
         share = rng.uniform(0.1, 0.9)
-        L = share * _rotated(rng, maps) * _tint(rng, 0.3) + (1 - share) * _rotated(
-            rng, maps
-        ) * _tint(rng, 0.3)
+        L = share * _rotate(rng, maps) * _tint(rng, 0.3) + (1 - share) * _rotate(rng, maps) * _tint(
+            rng, 0.3
+        )
     else:
         L = draw_computed(rng)
     return envmap.unit_mean((L * _tint(rng, 0.15)).astype(np.float32))[0].astype(np.float32)
@@ -153,7 +153,7 @@ def draw_computed(rng: np.random.Generator) -> np.ndarray:
     return L
 
 
-def _rotated(rng: np.random.Generator, maps: Sequence[np.ndarray]) -> np.ndarray:
+def _rotate(rng: np.random.Generator, maps: Sequence[np.ndarray]) -> np.ndarray:
     """Return one of the maps, rotated, perhaps mirrored, its colours exchanged."""
     L = envmap.roll(maps[rng.integers(len(maps))], int(rng.integers(WIDTH)))
     L = L[:, ::-1] if rng.random() < 0.5 else L

@@ -113,15 +113,15 @@ def edits_by_picture(records: Iterable[Record], seed: int) -> list[list[EditPair
     for id_, of_picture in edits.items():
         by_shape[of_picture[0].source.shape].append(id_)
     for ids in by_shape.values():
-        ids.sort(key=lambda id_: _shuffled(seed, id_))
-    shapes = sorted(by_shape, key=lambda name: _shuffled(seed, name))
+        ids.sort(key=lambda id_: _shuffle(seed, id_))
+    shapes = sorted(by_shape, key=lambda name: _shuffle(seed, name))
     rounds = range(max(map(len, by_shape.values())))
     return [
         edits[by_shape[shape][k]] for k in rounds for shape in shapes if k < len(by_shape[shape])
     ]
 
 
-def _shuffled(seed: int, name: str) -> bytes:
+def _shuffle(seed: int, name: str) -> bytes:
     return hashlib.sha256(f"{seed} {name}".encode()).digest()
 
 

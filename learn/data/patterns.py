@@ -41,7 +41,7 @@ PAINT = 0.25  # share of paint where the material could be dyed
 Weights = np.ndarray  # (K, H, W)
 
 
-def printed(
+def add_prints(
     rng: np.random.Generator,
     images: np.ndarray,
     n: torch.Tensor,
@@ -169,7 +169,7 @@ def cover(rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.
     """
     if not mask.any():
         return np.zeros((1, *mask.shape), np.float32)
-    uv = _projected(rng, points, n)
+    uv = _project(rng, points, n)
     pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
     weights = np.stack(pattern(rng, uv, mask))
     opacity = rng.uniform(0.7, 1) if rng.random() < 0.5 else 1.0
@@ -184,7 +184,7 @@ def cover(rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.
     return weights * min(1.0, (1 - LEAST_BASE) / max(float(weights[:, mask].sum(0).mean()), 1e-6))
 
 
-def _projected(rng: np.random.Generator, points: np.ndarray, n: np.ndarray) -> np.ndarray:
+def _project(rng: np.random.Generator, points: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Return uv of a projection from a random direction; the object is about 2 across."""
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
     p, facing = points @ turn, np.abs(n @ turn)
@@ -217,14 +217,14 @@ def _end(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> np.ndarr
     return _edge(t - np.quantile(t[mask], rng.uniform(0.25, 0.65)))
 
 
-def _placed(rng: np.random.Generator, uv: np.ndarray, low: float, high: float) -> np.ndarray:
+def _place(rng: np.random.Generator, uv: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return uv in periods, turned and shifted; low to high periods in a unit of length."""
     angle, frequency = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(np.log(low), np.log(high)))
     c, s = frequency * np.cos(angle), frequency * np.sin(angle)
     return uv @ np.array([[c, -s], [s, c]], np.float32) + rng.random(2).astype(np.float32)
 
 
-def _sampled(texture: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _sample(texture: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return a periodic texture (h, w) at t (H, W, 2) in texels, between texels smoothly."""
     whole = np.floor(t).astype(np.int64)
     f = t - whole
@@ -240,7 +240,7 @@ def _sampled(texture: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _noise(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     """Return noise (H, W) of two octaves at t (H, W, 2) in periods."""
     first, second = rng.normal(size=(2, 16, 16)).astype(np.float32)
-    return _sampled(first, t) + 0.5 * _sampled(second, 2 * t)
+    return _sample(first, t) + 0.5 * _sample(second, 2 * t)
 
 
 def _above(upper: np.ndarray, *lower: np.ndarray) -> list[np.ndarray]:
@@ -254,7 +254,7 @@ def _above(upper: np.ndarray, *lower: np.ndarray) -> list[np.ndarray]:
 
 def stripes(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return one broad stripe in a period, and at times a narrow one beside it."""
-    t = _placed(rng, uv, 1, 5)[..., 0]
+    t = _place(rng, uv, 1, 5)[..., 0]
     layers = [_edge(rng.uniform(0.1, 0.3) - _distance(t))]
     if rng.random() < 0.5:
         layers.append(_edge(rng.uniform(0.05, 0.12) - _distance(t + 0.5)))
@@ -263,14 +263,14 @@ def stripes(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[
 
 def checks(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return the dark squares of a chessboard."""
-    t = _placed(rng, uv, 0.7, 3)
+    t = _place(rng, uv, 0.7, 3)
     a, b = (_edge(0.25 - _distance(t[..., i])) for i in range(2))
     return [a + b - 2 * a * b]
 
 
 def plaid(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return woven bands: threads of two directions each show in half of the cloth."""
-    t = _placed(rng, uv, 0.7, 3)
+    t = _place(rng, uv, 0.7, 3)
     broad, narrow, place = rng.uniform(0.12, 0.3), rng.uniform(0.03, 0.08), rng.uniform(0.3, 0.5)
     bands, lines = (
         (_edge(width - _distance(t[..., 0] + shift)) + _edge(width - _distance(t[..., 1] + shift)))
@@ -282,7 +282,7 @@ def plaid(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np
 
 def dots(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return discs on a square or a staggered grid, of one ink or of two in turn."""
-    t = _placed(rng, uv, 1, 4)
+    t = _place(rng, uv, 1, 4)
     row = np.rint(t[..., 1])
     t = t + np.stack([rng.integers(2) * 0.5 * row, 0 * row], -1)
     radius = np.hypot(_distance(t[..., 0]), _distance(t[..., 1]))
@@ -295,7 +295,7 @@ def dots(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.
 
 def camouflage(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return two or three layers of patches with smooth, irregular edges."""
-    t = _placed(rng, uv, 0.8, 3)
+    t = _place(rng, uv, 0.8, 3)
     layers = []
     for _ in range(int(rng.integers(2, 4))):
         noise = _noise(rng, t)
@@ -307,12 +307,12 @@ def glyphs(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[n
     """Return rows of shapes like letters, each on five by five texels."""
     cells = np.zeros((8, 7, 8, 7), np.float32)
     cells[:, 1:6, :, 1:6] = rng.random((8, 5, 8, 5)) < 0.55
-    return [_edge(_sampled(cells.reshape(56, 56), 7 * _placed(rng, uv, 0.5, 2)) - 0.5)]
+    return [_edge(_sample(cells.reshape(56, 56), 7 * _place(rng, uv, 0.5, 2)) - 0.5)]
 
 
 def gradient(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return a smooth change from the base to an ink across the object, or to another ink."""
-    t = _placed(rng, uv, 0.5, 1)[..., 0]
+    t = _place(rng, uv, 0.5, 1)[..., 0]
     low, middle, high = np.quantile(t[mask], (0.05, rng.uniform(0.3, 0.7), 0.95))
     layers = [np.clip((t - middle) / (high - middle + 1e-6), 0, 1)]
     if rng.random() < 0.4:
@@ -325,7 +325,7 @@ def logo(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.
     rows, columns = np.nonzero(mask)
     at = int(rng.integers(len(rows)))
     t = (uv - uv[rows[at], columns[at]]) / rng.uniform(0.25, 0.6)
-    t = np.abs(_placed(rng, t, 1, 1.01) - 0.5)
+    t = np.abs(_place(rng, t, 1, 1.01) - 0.5)
     power = (1.0, 2.0, 6.0)[int(rng.integers(3))]
     radius = ((t**power).sum(-1)) ** (1 / power)
     patch = _edge(1 - radius)
@@ -334,7 +334,7 @@ def logo(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.
     else:
         texels = np.zeros((7, 7), np.float32)
         texels[1:6, 1:6] = rng.random((5, 5)) < 0.5
-        mark = _edge(_sampled(texels, 4 * (uv - uv[rows[at], columns[at]]) + 3) - 0.5)
+        mark = _edge(_sample(texels, 4 * (uv - uv[rows[at], columns[at]]) + 3) - 0.5)
     return [patch * (1 - mark), patch * mark]
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.data.picture_decoding import decoded
+from learn.data.picture_decoding import decode
 from manifests import exr
 from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
@@ -33,7 +33,7 @@ def holds_radiance(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".exr"
 
 
-def saturated(radiance: np.ndarray) -> np.ndarray:
+def find_saturated(radiance: np.ndarray) -> np.ndarray:
     """Return (H, W, 3) bool: channels of linear values from a file of 8 or 16 bits that are white.
 
     Such a value says no more than "at least this bright". NEAR_WHITE is the limit.
@@ -110,7 +110,7 @@ def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
         raise InputError(
             path, "a picture of whole numbers, one for each region", "an EXR", "save it as PNG"
         )
-    values = decoded(path, _label_values)
+    values = decode(path, _label_values)
     _require_size(path, values.shape[:2], size, "regions")
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
@@ -164,7 +164,7 @@ def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray,
         # an EXR's colours are multiplied by its alpha; where that is 0, they are light of their own
         straight = radiance / np.where(alpha > 0, alpha, 1)[..., None]
         return np.minimum(straight, LARGEST_RADIANCE), alpha
-    values = decoded(path, _display_values, most_pixels)
+    values = decode(path, _display_values, most_pixels)
     if values.ndim == 2:
         low, high = values.min(), values.max()
         if low < 0 or high > 65535:

@@ -59,7 +59,7 @@ def _is_heic(path: str | Path) -> bool:
     return head[4:8] == b"ftyp" and head[8:] in (b"heic", b"heix", b"mif1", b"msf1", b"hevc")
 
 
-def decoded(
+def decode(
     path: str | Path,
     values_of: Callable[[Image.Image], np.ndarray],
     most_pixels: int | None = None,

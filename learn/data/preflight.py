@@ -19,7 +19,7 @@ from manifests.files import write_text
 from manifests.inputs import require_file
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import inside
+from manifests.store_paths import inside
 from manifests.wording import number_of
 
 LARGEST_FILE = 256 << 20  # bytes: a hundred of a picture
@@ -40,7 +40,7 @@ def check_records(
     Raises    InputError that names the record's file and the remedy
     """
     path = records.folder / "packed" / "pictures.json"
-    known, good, skipped = _remembered(path), [], {}
+    known, good, skipped = _remembered_stamps(path), [], {}
     usable = {view.hash for view in geometry.views}
     for record in tqdm(
         chosen, "checking pictures", unit="picture", disable=not progress, leave=False
@@ -108,7 +108,7 @@ def _stamp(path: Path) -> list[int] | None:
     return [stat.st_size, stat.st_mtime_ns]
 
 
-def _remembered(path: Path) -> dict[str, Any]:
+def _remembered_stamps(path: Path) -> dict[str, Any]:
     """Return {record id: stamp} of the records that were good when they were last read."""
     try:
         require_file(path, "what was checked before", maximum_bytes=LARGEST_FILE)

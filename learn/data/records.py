@@ -28,8 +28,8 @@ from manifests.errors import InputError
 from manifests.facets import Facets
 from manifests.materials import Material, material, read_catalogue
 from manifests.schema import Record, View
-from manifests.store import inside
-from manifests.verification.contents import turned_away
+from manifests.store_paths import inside
+from manifests.verification.contents import count_turned_away
 from manifests.verification.lines import Judge
 from shaders.dsbrdf import SIZE
 from shaders.envmap import roll
@@ -216,7 +216,7 @@ class Records(torch.utils.data.Dataset):
             record.geometry_hash,
         )
         segments = geometry.segments
-        if away := turned_away(geometry, record.camera):
+        if away := count_turned_away(geometry, record.camera):
             raise InputError(
                 path, "normals that face the viewer", f"{away} turned away", "render it again"
             )

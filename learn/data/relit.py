@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,61 +16,18 @@ import torch
 
 from learn.data import augmentation, deformations, lights, patterns, shadows
 from learn.data.batch import ExampleBatch, collate
+from learn.data.data_split import DataSplit, gloss
 from learn.data.devices import to_numpy
-from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation
 from learn.data.settings import Data
 from learn.layer import render
 from manifests.errors import InputError, closest
-from shaders.dsbrdf import SHAPE
-
-if TYPE_CHECKING:
-    from learn.data.rendered import RenderedSplit
 
 SIDES = {"train": 0, "validation": 1, "test": 2}
 # of a SeedSequence's key, after side, batch and group: draws of their own, so that pictures without
 # them are the same in a run that has them
 LABELS, PATTERNS, DEFORMATIONS = 1, 2, 3
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
-
-
-@dataclass(frozen=True)
-class DataSplit:
-    """The shapes, materials and lights of one side of the split: train, validation or test.
-
-    views     indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
-    rendered_split   this side's pictures by Cycles, or None
-    skipped   {name: what is wrong} of materials that were left out
-    copies    hashes (learn.data.seen) of further copies of these maps, which were left out
-    map_names of the maps; () where they have none
-    """
-
-    geometry: Geometry
-    views: np.ndarray
-    labels: dict[str, np.ndarray]
-    maps: list[np.ndarray]
-    side: str
-    rendered_split: RenderedSplit | None = None
-    skipped: dict[str, str] = field(default_factory=dict)
-    copies: tuple[str, ...] = ()
-    map_names: tuple[str, ...] = ()
-
-    def sizes(self) -> dict[str, int]:
-        """Return {"shapes": number, …} of what examples are drawn from."""
-        shapes = {self.geometry.views[v].shape for v in self.views}
-        result = {
-            "shapes": len(shapes),
-            "views": len(self.views),
-            "materials": len(self.labels),
-            "lights": len(self.maps),
-        }
-        return result | ({"pictures": len(self.rendered_split)} if self.rendered_split else {})
-
-
-def gloss(label: np.ndarray) -> float:
-    """Return the largest γ max(κ, 1) of a label (108,), a measure of its narrowest highlight."""
-    kappa, gamma = np.exp(label.reshape(SHAPE)).transpose(2, 0, 1, 3)
-    return float((gamma * np.maximum(kappa, 1)).max())
 
 
 class RelitDataset:
@@ -173,7 +128,7 @@ class RelitDataset:
         images = self._pictures(n, segments, label, L)
         rng_of_patterns = self._generator(k, g, PATTERNS)
         if self.printed and rng_of_patterns.random() < self.printed:
-            images = patterns.printed(
+            images = patterns.add_prints(
                 rng_of_patterns,
                 images,
                 n,
@@ -236,7 +191,7 @@ class RelitDataset:
             return names, labels
         rng, admitted = self._generator(k, g, LABELS), self.names[: self._admitted(k)]
         drawn = [
-            self.augmentation.drawn(rng, name, label, admitted)
+            self.augmentation.draw(rng, name, label, admitted)
             for name, label in zip(names, labels, strict=True)
         ]
         return [name for name, _ in drawn], np.stack([label for _, label in drawn])

@@ -14,10 +14,11 @@ import torch
 
 from learn.data import augmentation
 from learn.data.batch import ExampleBatch, collate
+from learn.data.data_split import DataSplit
 from learn.data.devices import to_numpy
 from learn.data.geometry import Geometry
 from learn.data.records import Records
-from learn.data.relit import BRIGHTEST, SIDES, DataSplit, RelitDataset
+from learn.data.relit import BRIGHTEST, SIDES, RelitDataset
 from learn.data.settings import Data
 from learn.layer import render
 from manifests.errors import InputError

@@ -31,7 +31,7 @@ from manifests.errors import InputError
 from manifests.reading import decode
 
 if TYPE_CHECKING:
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
 
 DIGITS = 16
 MOST = 20_000  # hashes of a kind in a file's metadata: 400 KB
@@ -62,7 +62,7 @@ class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     complete: bool = True
     reconstructed: Reason | UnsetType = UNSET
 
-    def joined(self, other: Seen | None) -> Seen:
+    def join(self, other: Seen | None) -> Seen:
         """Return the lists of both; None stands for weights that do not say what they saw."""
         if other is None:
             return msgspec.structs.replace(self, complete=False)

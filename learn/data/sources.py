@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from learn.data import preflight
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry, PackedView
 from learn.data.light_copies import KnownLights, Maps, join_maps, without_duplicates
 from learn.data.lights import read_maps
 from learn.data.records import Records
-from learn.data.relit import SIDES, DataSplit, RelitDataset
+from learn.data.relit import SIDES, RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.seen import map_hash
 from learn.data.settings import Data, Run
@@ -68,7 +69,9 @@ def load_data_splits(
     records = Records(folder)
     all_maps = _all_maps(data, records, maps_file)
     maps = without_duplicates(all_maps, (*data.validation_lights, *data.test_lights))
-    held = {} if data.all_materials_and_lights else _held_out(data, maps, records.dataset.lights)
+    held = (
+        {} if data.all_materials_and_lights else _held_out_maps(data, maps, records.dataset.lights)
+    )
     materials, bad = split_materials(data, records, skip_bad)
     sides = [_side(view) for view in geometry.views]
     rendered_splits: dict[str, RenderedSplit] = {}
@@ -126,9 +129,11 @@ def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dic
 
 
 def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
-    """Return the sorted names of the maps that light a side; held: {name: side} of `_held_out`.
+    """Return the sorted names of the maps that light a side.
 
     Without maps training draws computed light, never a held-out map.
+
+    held  {name: side} as `_held_out_maps` returns it
     """
     names = [name for name in maps if held.get(name, "train") == side]
     if not names and side == "validation":
@@ -169,7 +174,7 @@ def list_skipped(data_splits: Mapping[str, DataSplit]) -> dict[str, str]:
     return result
 
 
-def _held_out(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
+def _held_out_maps(data: Data, maps: Maps, entries: Mapping[str, Any]) -> dict[str, str]:
     """Return {name: "validation" or "test"} for the maps that training must not see.
 
     entries  the lights of dataset.json

@@ -106,7 +106,9 @@ class Compositor:
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
-                picture[inside] = self.brightness(row, read) * reflectance_store.at_normals(
+                picture[inside] = self.brightness(
+                    row, read
+                ) * reflectance_store.radiance_at_normals(
                     row,
                     to_numpy(self.n)[inside],
                     light,

@@ -34,7 +34,7 @@ def resolve_light(
     Raises        InputError: no such file, a map of other proportions, a black one
     """
     if text.startswith(COMPUTED):
-        L = _computed(text)
+        L = _compute(text)
     elif ".npz" in text.lower():
         L = _of_collection(text)
     elif text.lower().endswith(".exr"):
@@ -45,7 +45,7 @@ def resolve_light(
     return envmap.unit_mean(turned.astype(np.float32))[0].astype(np.float32)
 
 
-def _computed(text: str) -> np.ndarray:
+def _compute(text: str) -> np.ndarray:
     seed = text.removeprefix(COMPUTED)
     if not (seed.isascii() and seed.isdigit() and int(seed) <= LARGEST_SEED):
         raise InputError(f"--light {text}", "a whole number after computed:", seed, "computed:7")

@@ -73,7 +73,7 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
         _, label, light = require_parts(prediction)
         sphere = spheres.sphere_normals(SPHERE)
         inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
-        picture[inside] = reflectance_store.at_normals(
+        picture[inside] = reflectance_store.radiance_at_normals(
             to_numpy(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
         )
         tiles.append((f"{what}, {name}", tone.display(picture, exposure)))

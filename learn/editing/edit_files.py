@@ -122,7 +122,7 @@ def write(
         )
         for name, text in (texts or {}).items():
             files.write_text(out / name, text)
-        report["files"] = earlier_results.written()
+        report["files"] = earlier_results.written_hashes()
         files.write_json(out / "edit.json", report)
         if inputs is not None:
             line = earlier_results.remove(

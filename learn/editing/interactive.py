@@ -115,27 +115,31 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
         for L in lights.values():
             scene = make_scene(compositor, L)._replace(
-                checked=checked_of(n), finest=reflectance_store.SIDES[-1], nodes=nodes, coded=True
+                checked=normals_to_check(n),
+                finest=reflectance_store.SIDES[-1],
+                nodes=nodes,
+                coded=True,
             )
             maps.append([])
             for label in labels:
                 exposure = scene.exposure * compositor.brightness(label, read)
-                maps[-1].append(
-                    interactive_maps.tried_maps(label, scene._replace(exposure=exposure))
-                )
+                maps[-1].append(interactive_maps.try_maps(label, scene._replace(exposure=exposure)))
                 progress.update()
     header["parts"] = [
-        {"caption": caption, "picture": html.encoded_picture(montage.fitted(picture, SMALL))}
+        {
+            "caption": caption,
+            "picture": html.encode_picture(montage.fit_into_square(picture, SMALL)),
+        }
         for caption, picture in draw_decomposition(result)
     ]
     # four characters of base64 hold three bytes
-    left = LARGEST_FILE - len(assembled(header, chunks).encode()) - FRAME
+    left = LARGEST_FILE - len(assemble(header, chunks).encode()) - FRAME
     interactive_maps.reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
     header["lights"] = [
         {"name": name} | interactive_maps.light_data(each, L, chunks)
         for (name, L), each in zip(lights.items(), maps, strict=True)
     ]
-    result_page = assembled(header, chunks)
+    result_page = assemble(header, chunks)
     if len(result_page.encode()) > LARGEST_FILE:
         size = f"{len(result_page) / 1e6:.1f} MB"
         raise InputError(
@@ -162,7 +166,7 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
     exposure = drawing.display_exposure(opened)
 
     def small(picture: np.ndarray) -> np.ndarray:
-        return reduced(montage.eight_bit(picture), size)
+        return reduce_picture(montage.eight_bit(picture), size)
 
     frame = np.zeros((height, width), np.float32)
     coverage = framing.paste_square(frame, compositor.coverage, box)
@@ -225,7 +229,7 @@ def normals_shown(codes: np.ndarray, box: Sequence[float], covered: np.ndarray) 
     return result / np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-9)
 
 
-def reduced(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def reduce_picture(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return a picture (H, W, C) uint8 averaged to a size (height, width)."""
     if picture.shape[:2] == size:
         return picture
@@ -245,11 +249,11 @@ def make_scene(compositor: Compositor, light: torch.Tensor) -> reflectance_store
         decomposed.batch.elevation,
         drawing.display_exposure(decomposed.photograph) / decomposed.exposure,
         compositor.tolerance,
-        checked_of(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
+        normals_to_check(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
     )
 
 
-def checked_of(n: np.ndarray, count: int = CHECKED) -> np.ndarray:
+def normals_to_check(n: np.ndarray, count: int = CHECKED) -> np.ndarray:
     """Return `count` of unit normals (N, 3), drawn among those that face the viewer."""
     facing = n[n[:, 2] > 1e-2]
     return facing[np.random.default_rng(0).integers(len(facing), size=count)]
@@ -333,7 +337,7 @@ def draw_decomposition(result: "EditResult") -> list[tuple[str, np.ndarray]]:
     ]
 
 
-def assembled(header: dict, chunks: Chunks) -> str:
+def assemble(header: dict, chunks: Chunks) -> str:
     """Return the page: its files and the data as one HTML text."""
     text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
     parts = {

@@ -33,7 +33,7 @@ class TriedMap(NamedTuple):
     packed: bytes
 
 
-def tried_maps(label: np.ndarray, scene: reflectance_store.Scene) -> list[TriedMap]:
+def try_maps(label: np.ndarray, scene: reflectance_store.Scene) -> list[TriedMap]:
     """Return the maps of a label (108,), from coarse to fine, each with a smaller error."""
     result: list[TriedMap] = []
     for values, error in reflectance_store.maps_of(label, scene):
@@ -77,5 +77,5 @@ def light_data(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chun
         "sides": [map_.side for map_ in chosen],
         "errors": [round(map_.error, 2) for map_ in chosen],
         "data": chunks.add(np.concatenate([*low, *high]).tobytes()),
-        "picture": html.encoded_picture(picture[:: len(picture) // 32, :: len(picture) // 32]),
+        "picture": html.encode_picture(picture[:: len(picture) // 32, :: len(picture) // 32]),
     }

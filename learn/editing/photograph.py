@@ -10,6 +10,7 @@ balance   (3,) factors by which colours are multiplied before the network sees t
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -72,7 +73,7 @@ class Photograph:
     @property
     def clipped(self) -> np.ndarray | None:
         """Channels (H, W, 3) bool that are white in the file; None if the file holds radiance."""
-        return None if self.linear else photographs.saturated(self.radiance)
+        return None if self.linear else photographs.find_saturated(self.radiance)
 
     @property
     def elevation(self) -> float:
@@ -157,9 +158,8 @@ def open_photograph(
     cut_out = not masks and regions is None
     is_transparency = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
-    return _assembled(
-        path, radiance, coverage, labels, alpha, balance, exposure, cut_out, is_transparency, linear
-    )
+    contents = _Contents(path, radiance, coverage, labels, alpha, cut_out, is_transparency, linear)
+    return _assemble(contents, balance, exposure)
 
 
 def from_arrays(
@@ -198,50 +198,56 @@ def from_arrays(
         coverage = region_masks.without_unlabelled(coverage, labels)
     cut_out = mask is None and regions is None
     is_transparency = mask is None and bool((alpha < 0.5).any())
-    return _assembled(
-        Path(name),
-        radiance,
-        coverage,
-        labels,
-        alpha,
-        balance,
-        exposure,
-        cut_out,
-        is_transparency,
-        linear,
+    contents = _Contents(
+        Path(name), radiance, coverage, labels, alpha, cut_out, is_transparency, linear
     )
+    return _assemble(contents, balance, exposure)
 
 
-def _assembled(
-    path: Path,
-    radiance: np.ndarray,
-    coverage: np.ndarray,
-    labels: np.ndarray,
-    alpha: np.ndarray,
-    balance: str | Sequence[float],
-    exposure: float | None,
-    cut_out: bool,
-    is_transparency: bool,
-    linear: bool,
+class _Contents(NamedTuple):
+    """What was read of a photograph and its masks.
+
+    path             of the picture, or its name
+    radiance         (H, W, 3) linear
+    coverage         (H, W) in [0, 1]; labels: (H, W) 0 … S
+    alpha            (H, W) the picture's own transparency, 1 where it has none
+    cut_out          whether no mask and no regions were given
+    is_transparency  whether the coverage is the picture's own transparency
+    linear           whether the file or the array holds radiance
+    """
+
+    path: Path
+    radiance: np.ndarray
+    coverage: np.ndarray
+    labels: np.ndarray
+    alpha: np.ndarray
+    cut_out: bool
+    is_transparency: bool
+    linear: bool
+
+
+def _assemble(
+    contents: _Contents, balance: str | Sequence[float], exposure: float | None
 ) -> Photograph:
     """Return the Photograph of what was read, after softening its mask and finding its balance.
 
-    is_transparency  whether the coverage is the picture's own transparency, which is not softened
+    Transparency of the picture's own is not softened.
     """
-    if not is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
+    coverage, radiance = contents.coverage, contents.radiance
+    if not contents.is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
         coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
-    factors = _balance(balance, radiance, coverage, not cut_out)
-    framing.resolve_exposure(radiance * factors, labels > 0, exposure, path)
-    own = alpha if not cut_out and (alpha < 1).any() else None
+    factors = _balance(balance, radiance, coverage, not contents.cut_out)
+    framing.resolve_exposure(radiance * factors, contents.labels > 0, exposure, contents.path)
+    own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
     return Photograph(
-        path.stem,
+        contents.path.stem,
         radiance,
         coverage,
-        labels,
+        contents.labels,
         factors,
         exposure,
-        cut_out=cut_out,
-        linear=linear,
+        cut_out=contents.cut_out,
+        linear=contents.linear,
         alpha=own,
     )
 

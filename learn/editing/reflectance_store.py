@@ -1,17 +1,29 @@
-"""Reflectance maps of many materials under one light, small enough to be sent.
+"""Reflectance maps of materials: tables of radiance by normal, as small as a picture allows.
 
-For a distant viewer, one material and one light, radiance is a function of the normal alone. Nodes
-are those of learn.methods.reflectance_map: p = (n_x, n_y) / √(1 + n_z), on a grid of `side`
-intervals across the disk |p| ≤ 1 and MARGIN nodes beyond it. A material has as few nodes as keep
-its picture: sides are tried from coarse to fine until Catmull–Rom interpolation at normals of the
-picture differs from the layer's radiance there by LIMIT grey levels at most. A fine map may be
-rendered only where a given picture reads it: elsewhere it repeats its nearest node, of which every
-side / COARSE-th is rendered. `at_normals` uses such maps for a picture that is rendered at once.
+A viewer that is far away sees one material under one light as a function of the normal alone. Its
+reflectance map holds that radiance at the nodes of a square grid, and radiance at any other normal
+is interpolated. Pages for trying materials (learn.editing.interactive) hold one for each material.
 
-values  (side + 5, side + 5, 3) float32, radiance times the exposure of the display: 1 is white
-codes   the same shape, uint16: STEPS · log(1 + BEND · values) / log(1 + BEND), so that a step is
-        about as visible in the dark as in the light, and highlights far above white remain, which
-        blends of two materials need
+grid    The unit normal n, camera frame, lies at p = (n_x, n_y) / √(1 + n_z), a point of the disk
+        |p| ≤ 1. `side` intervals stand across the disk. Catmull–Rom interpolation near its rim
+        reads nodes outside it, so that MARGIN nodes more stand at either end of each row. Nodes
+        are those of learn.methods.reflectance_map.
+values  (side + 5, side + 5, 3) float32: the layer's radiance times the display's exposure; 1 is
+        white.
+codes   The same shape, uint16, by which a map is sent: STEPS · log(1 + BEND · values) /
+        log(1 + BEND). A step is about as visible in the dark as in the light. Highlights far above
+        white are kept, which blends of two materials need.
+error   Root mean square difference from the layer at the normals that a picture shows, in grey
+        levels of the display, from 0 to 255.
+
+How fine a map must be is tried: `maps_of` renders the sides of SIDES, the coarsest first, until the
+error is at most LIMIT; sides that cannot suffice are left out. A fine map may be rendered at fewer
+nodes, those that a given picture reads and every (side / COARSE)-th of the others; each node that
+is left out has the value of the nearest one (`nodes_read`).
+
+Narrow lobes are integrated, and broad ones summed over the light's texels, which is cheaper and
+then as good (`separate_lobes`). `radiance_at_normals` uses two such maps to render a single picture
+of many pixels in less time.
 """
 
 import functools
@@ -39,7 +51,7 @@ LIMIT = 1.2  # grey levels, root mean square
 LIMIT_OF_FINEST = 1.8
 STEPS, BEND, BRIGHTEST = 256, 32.0, 1e4
 NOTHING = -40.0  # natural logarithm of κ: a lobe that reflects nothing
-# Many normals are looked up: from so many on, in maps of two sides
+# so many normals or more are looked up in two maps, of these sides
 LOOKED_UP = ((40_000, (64, 128)), (10_000, (32, 64)))
 # Where the coarse map is off by more grey levels, the normals are rendered; all of them, where that
 # would be a larger share.
@@ -71,7 +83,7 @@ class Scene(NamedTuple):
 
 
 def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
-    """Return the reflectance map of a label (108,), and its error in grey levels."""
+    """Return the reflectance map of a label (108,) that suffices, and its error in grey levels."""
     return maps_of(label, scene)[-1]
 
 
@@ -83,7 +95,7 @@ def maps_of(label: np.ndarray, scene: Scene) -> list[tuple[np.ndarray, float]]:
     truth = radiance(scene.checked, label, scene, "")
     shown, error = tone.display(truth, 1.0), 0.0
     # where the cheaper method shows the same, nodes are rendered by it
-    cheaper = _distance(radiance(scene.checked, label, scene, "auto"), shown)
+    cheaper = _grey_levels_apart(radiance(scene.checked, label, scene, "auto"), shown)
     parts = [(label, "auto")] if cheaper < LIMIT / 2 else separate_lobes(label)
     results = []
     for side in (side for side in SIDES if side <= scene.finest):
@@ -93,15 +105,15 @@ def maps_of(label: np.ndarray, scene: Scene) -> list[tuple[np.ndarray, float]]:
             continue
         values = np.sum([rendered(part, scene, side, method) for part, method in parts], 0)
         if scene.coded:
-            values = decoded(codes_of(values))
-        error = _distance(interpolated(values, scene.checked), shown)
+            values = values_of_codes(codes_of(values))
+        error = _grey_levels_apart(interpolated(values, scene.checked), shown)
         results.append((values, error))
         if error <= (LIMIT_OF_FINEST if 2 * side == SIDES[-1] else LIMIT):
             break
     return results
 
 
-def at_normals(
+def radiance_at_normals(
     label: np.ndarray,
     n: np.ndarray,
     light: torch.Tensor,
@@ -130,15 +142,18 @@ def at_normals(
     )
     result = interpolated(fine, n)
     exposure = tone.auto_exposure(result[None], np.ones((1, len(n)), bool))
-    doubtful = _doubt(coarse, fine, exposure)[_nearest_node(n, len(fine))] > DOUBT
+    doubtful = _error_of_coarse_map(coarse, fine, exposure)[_nearest_node(n, len(fine))] > DOUBT
     if doubtful.mean() > MOST_RENDERED:
         return radiance(n, label, scene, "")
     result[doubtful] = radiance(n[doubtful], label, scene, "")
     return result
 
 
-def _doubt(coarse: np.ndarray, fine: np.ndarray, exposure: float) -> np.ndarray:
-    """Return grey levels by which a coarse map is off about each node of a fine one, flat."""
+def _error_of_coarse_map(coarse: np.ndarray, fine: np.ndarray, exposure: float) -> np.ndarray:
+    """Return the largest difference between two maps about each node of the fine one.
+
+    It is in grey levels, (size²,): what a coarse map is off by there.
+    """
     again = finer(coarse, len(fine))
     difference = tone.display(again, exposure) - tone.display(fine, exposure)
     return maximum_filter(np.abs(difference).max(-1), 3).ravel()
@@ -168,8 +183,8 @@ def separate_lobes(label: np.ndarray) -> list[tuple[np.ndarray, str]]:
     return result
 
 
-def _distance(values: np.ndarray, shown: np.ndarray) -> float:
-    """Return the root mean square difference in grey levels."""
+def _grey_levels_apart(values: np.ndarray, shown: np.ndarray) -> float:
+    """Return the root mean square difference of values (N, 3) and display values, grey levels."""
     return float(np.sqrt(np.mean((tone.display(values, 1.0) - shown) ** 2)))
 
 
@@ -273,7 +288,7 @@ def _nearest_of(kept: np.ndarray, size: int) -> np.ndarray:
 
 
 def rendered(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndarray:
-    """Return values of a map of `side` intervals, by a method of the layer."""
+    """Return the values of a map of `side` intervals, rendered by a method of the layer."""
     nodes, size = (scene.nodes or {}).get(side) or nodes_of(side), side + 5
     result = radiance(nodes.n, label, scene, method)
     first, second = len(nodes.inside), len(nodes.inside) + len(nodes.beyond)
@@ -320,11 +335,11 @@ def finer(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def codes_of(values: np.ndarray) -> np.ndarray:
-    """Return codes of values."""
+    """Return the codes (uint16) of a map's values."""
     scaled = np.log1p(BEND * np.clip(values, 0, BRIGHTEST)) * (STEPS / np.log1p(BEND))
     return np.rint(scaled).astype(np.uint16)
 
 
-def decoded(codes: np.ndarray) -> np.ndarray:
-    """Return the values of codes."""
+def values_of_codes(codes: np.ndarray) -> np.ndarray:
+    """Return the values (float32) that codes stand for, the inverse of `codes_of`."""
     return (np.expm1(codes * (np.log1p(BEND) / STEPS)) / BEND).astype(np.float32)

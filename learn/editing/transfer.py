@@ -42,7 +42,7 @@ MOST_PER_GRID = 10  # pictures: more become several grids
 PICTURES = re.compile(r".+-in-.+\.png|grid(-\d+)?(-under-.+)?\.png", re.DOTALL)
 
 
-def listed(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
+def list_pictures(paths: Iterable[Path], list_file: Path | None = None) -> list[Path]:
     """Return the requested pictures: paths, and the lines of a file of paths, relative to it.
 
     Raises  InputError for fewer than two pictures, or two of one name
@@ -105,7 +105,10 @@ def run(
             str(per_grid),
             "more become several grids",
         )
-    groups, labels = transfer_grids.grouped(paths, per_grid), transfer_grids.light_names(lights)
+    groups, labels = (
+        transfer_grids.group_pictures(paths, per_grid),
+        transfer_grids.light_names(lights),
+    )
     grids, names = transfer_grids.files_of(groups, labels)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
@@ -113,10 +116,10 @@ def run(
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.
     for path in (path for group in groups[1:] for path in group):
-        opened(path, mask_folder, edit_options)
+        open_with_mask(path, mask_folder, edit_options)
 
     def of_picture(path: Path) -> np.ndarray:
-        photo = opened(path, mask_folder, edit_options)
+        photo = open_with_mask(path, mask_folder, edit_options)
         return light_in(
             decomposition.decompose(photo, network, metadata["size"], edit_options.settings)
         )
@@ -130,7 +133,7 @@ def run(
     with files.transaction(), tqdm(total=count, unit="picture") as progress:
         for number, group in enumerate(groups):
             name = grids[number * max(len(maps), 1)]
-            pictures = {path: opened(path, mask_folder, edit_options) for path in group}
+            pictures = {path: open_with_mask(path, mask_folder, edit_options) for path in group}
             decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
             report += transfer_grids.metadata_of(decompositions, name)
             if maps:
@@ -141,10 +144,10 @@ def run(
                     )
                     save(out / grid, montage.contact_sheet(rows, drawing.TILE))
                 continue
-            rows = transfer_grids.edited_rows(out, pictures, decompositions, edit_options, progress)
+            rows = transfer_grids.edit_rows(out, pictures, decompositions, edit_options, progress)
             save(out / name, montage.contact_sheet(rows, drawing.TILE))
         about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
-        written = earlier_results.written()
+        written = earlier_results.written_hashes()
         files.write_json(
             out / "transfer.json",
             {"pictures": report} | about | edit_options.as_metadata() | {"files": written},
@@ -161,7 +164,7 @@ def light_in(decomposed: Decomposition) -> np.ndarray:
     return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)
 
 
-def opened(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
+def open_with_mask(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
     """Return the Photograph at a path, with its mask."""
     return photograph.open_photograph(
         path,

@@ -60,7 +60,7 @@ def relit_name(shape: Path, material: Path, light: str) -> str:
     return f"{shape.stem}-in-{material.stem}-under-{light}.png"
 
 
-def edited_rows(
+def edit_rows(
     out: Path,
     pictures: Mapping[Path, Photograph],
     decompositions: Mapping[Path, Decomposition],
@@ -118,7 +118,7 @@ def relit_rows(
     return rows
 
 
-def grouped(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
+def group_pictures(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
     """Return lists of at most `per_grid` pictures, in order, none with a single picture."""
     groups = [list(paths[i : i + per_grid]) for i in range(0, len(paths), per_grid)]
     if len(groups) > 1 and len(groups[-1]) == 1:

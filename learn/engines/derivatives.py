@@ -102,7 +102,7 @@ def last(backward: Backward) -> Backward:
     return without_graph
 
 
-def first_only(message: str, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+def forbid_second_derivatives(message: str, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
     """Return the tensors unchanged, but allow only one differentiation through them."""
     gated = [i for i, x in enumerate(tensors) if x.requires_grad]
     if not gated or not torch.is_grad_enabled():

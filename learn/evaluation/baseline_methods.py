@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from learn.baselines import FILES, posterior, priors
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
-from learn.evaluation.methods import Layered, Method, network
+from learn.evaluation.methods import Layered, Method, make_predictor
 from learn.networks import weights
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.prediction import Prediction
@@ -31,7 +31,7 @@ def load(name: str, path: Path, device: str | torch.device = "cpu") -> Method:
         return lombardi_like(path, device)
     net, metadata = weights.load_network(path, device)
     if name == "Baseline 2" and isinstance(net, Separate):
-        return Layered(name, predicting(net, metadata["size"]))
+        return Layered(name, make_predictor_at_size(net, metadata["size"]))
     if name == "Baseline 1" and isinstance(net, EncoderDecoder):
         return Swapped(name, net, metadata["size"])
     expected = Separate if name == "Baseline 2" else EncoderDecoder
@@ -63,20 +63,22 @@ def lombardi_like(
     )
 
 
-def predicting(net: Separate, size: int) -> Callable[[ExampleBatch], Prediction]:
+def make_predictor_at_size(net: Separate, size: int) -> Callable[[ExampleBatch], Prediction]:
     """Return ExampleBatch → Prediction of a network that was trained at `size`."""
-    predict = network(net)
+    predict = make_predictor(net)
 
     def at_size(batch: ExampleBatch) -> Prediction:
-        result = predict(resized(batch, size))
+        result = predict(resize_batch(batch, size))
         if result.n is None:
             raise ValueError("Baseline 2: expected predicted normals, found none")
-        return result._replace(n=F.normalize(interpolated(result.n, batch.image.shape[-2:]), dim=1))
+        return result._replace(
+            n=F.normalize(resize_pixels(result.n, batch.image.shape[-2:]), dim=1)
+        )
 
     return at_size
 
 
-def resized(batch: ExampleBatch, size: int) -> ExampleBatch:
+def resize_batch(batch: ExampleBatch, size: int) -> ExampleBatch:
     """Return the batch with its picture, mask and segments at another size.
 
     The object's colour is averaged over the object alone; the other truth stays as it is.
@@ -94,7 +96,7 @@ def resized(batch: ExampleBatch, size: int) -> ExampleBatch:
     return replace(batch, image=image * mask, mask=mask, segments=segments)
 
 
-def interpolated(pixels: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
+def resize_pixels(pixels: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
     """Return pixels (B, C, H, W) at another size (H, W)."""
     return (
         pixels
@@ -114,7 +116,7 @@ class Swapped:
 
     def parts(self, batch: ExampleBatch) -> Prediction:
         """Return a Prediction with nothing but the material."""
-        seen = resized(batch, self.size)
+        seen = resize_batch(batch, self.size)
         with torch.no_grad():
             read = [
                 self.net(seen.image * region, region, batch.label[:, :1])
@@ -127,7 +129,7 @@ class Swapped:
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return linear radiance (H, W, 3), zeros outside the mask."""
-        seen, picture = resized(batch, self.size), torch.zeros_like(batch.image)
+        seen, picture = resize_batch(batch, self.size), torch.zeros_like(batch.image)
         with torch.no_grad():
             for region, at_size, requested in zip(
                 regions(batch), regions(seen), label.to(batch.label.device), strict=True
@@ -135,7 +137,7 @@ class Swapped:
                 drawn = radiance(
                     self.net(seen.image * at_size, at_size, requested[None, None]).picture
                 )
-                picture += interpolated(drawn, picture.shape[-2:]) * region
+                picture += resize_pixels(drawn, picture.shape[-2:]) * region
         return to_numpy(picture[0].movedim(0, -1))
 
 

@@ -77,7 +77,7 @@ class Bench:
         if refine:
             from learn.refinement import refine as of_any
 
-            settings = RefinementSettings().rendered_by(refinement_method)
+            settings = RefinementSettings().with_method(refinement_method)
             work = functools.partial(of_any, settings=settings, labels=net.training_labels)
             still = replace(settings, order=("material", "light"))
             lit = functools.partial(work, settings=still)
@@ -156,7 +156,7 @@ class Bench:
             tensors = ("rendered", *map(id, three))
             if tensors not in done:
                 done[tensors] = metrics.compare(
-                    methods.rendered(three[0], three[1], three[2], batch),
+                    methods.render_by_layer(three[0], three[1], three[2], batch),
                     truth,
                     to_numpy(inside),
                     self.perceptual,
@@ -297,7 +297,7 @@ def with_truth(
     }
     for name, (n, light, same) in given.items():
         if not same:
-            picture = methods.rendered(n, label, light, batch)
+            picture = methods.render_by_layer(n, label, light, batch)
             result[name] = metrics.display_l2(picture, truth, mask)
     return result
 

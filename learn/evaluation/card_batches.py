@@ -23,14 +23,15 @@ import torch
 
 from learn.data import devices, sources
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.rendered import RenderedDataset
 from learn.data.settings import Run, decode_run
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction, require_part
 from learn.training import validation
 from manifests import ray_tasks
-from manifests.line_files import encoded
+from manifests.line_files import encode
 
 BATCH, SEED = 16, 77
 PATTERNS = {"plain": 0.0, "printed": 1.0}  # share of the pictures that have one
@@ -90,7 +91,7 @@ class Bench:
             )
         return batch, prediction
 
-    def measured(self, kind: str, k: int) -> list[Measured]:
+    def measure(self, kind: str, k: int) -> list[Measured]:
         """Return the figures of the k-th batch of a kind, by each network.
 
         Under patterns and without, they are {"angle_deg"} by the first network alone.
@@ -108,7 +109,7 @@ class Bench:
         return result
 
 
-def measured(
+def measure_batches(
     bench: Bench, counts: Mapping[str, int], cluster: Cluster | None = None
 ) -> dict[str, list[Measured]]:
     """Return {kind: figures of all its batches, by each network}.
@@ -123,14 +124,12 @@ def measured(
     for number, each in _here(bench, pieces) if cluster is None else _there(cluster, pieces):
         answers[pieces[number]] = each
     return {
-        kind: [
-            _joined(each) for each in zip(*(answers[kind, k] for k in range(count)), strict=True)
-        ]
+        kind: [_join(each) for each in zip(*(answers[kind, k] for k in range(count)), strict=True)]
         for kind, count in counts.items()
     }
 
 
-def _joined(batches: Sequence[Measured]) -> Measured:
+def _join(batches: Sequence[Measured]) -> Measured:
     values = {
         key: np.concatenate([figures[key] for figures, _ in batches]) for key in batches[0][0]
     }
@@ -142,7 +141,7 @@ Answers = Generator[tuple[int, list[Measured]], None, None]
 
 def _here(bench: Bench, pieces: Sequence[tuple[str, int]]) -> Answers:
     for number, piece in enumerate(pieces):
-        yield number, bench.measured(*piece)
+        yield number, bench.measure(*piece)
 
 
 def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
@@ -156,7 +155,7 @@ def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
         ray_tasks.results(cluster.address, f"{__name__}:on_worker", settings, pieces)
     ) as answers:
         for number, answer in answers:
-            yield number, [_unpacked(each) for each in msgspec.json.decode(answer)]
+            yield number, [_unpack(each) for each in msgspec.json.decode(answer)]
 
 
 def on_worker(settings: bytes) -> ray_tasks.Work:
@@ -172,7 +171,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     bench = Bench(networks, run, data_splits["test"], validation.mean_albedo(data_splits["train"]))
 
     def work(piece: bytes) -> bytes:
-        return encoded([_packed(each) for each in bench.measured(*msgspec.json.decode(piece))])
+        return encode([_pack(each) for each in bench.measure(*msgspec.json.decode(piece))])
 
     return work
 
@@ -183,13 +182,13 @@ def run_of(weights: Path) -> Run:
     return decode_run(json.dumps(metadata["run"]).encode(), weights)
 
 
-def _packed(measured: Measured) -> list[Any]:
+def _pack(measured: Measured) -> list[Any]:
     """Return figures as what JSON can hold; what is not finite becomes null."""
     values, names = measured
     return [{key: [str(each.dtype), each.tolist()] for key, each in values.items()}, names]
 
 
-def _unpacked(packed: Sequence[Any]) -> Measured:
+def _unpack(packed: Sequence[Any]) -> Measured:
     values, names = packed
     return {
         key: np.array([np.nan if each is None else each for each in numbers], dtype)

@@ -52,7 +52,7 @@ def of_lights(maps: Mapping[str, np.ndarray], training: Sequence[np.ndarray]) ->
     """Return {name: distance} of maps (64, 128, 3); {} without training maps."""
     if not training:
         return {}
-    known = torch.cat([_turned(L) for L in training])
+    known = torch.cat([_turn(L) for L in training])
     result = {}
     for name, L in maps.items():
         if any(envmap.is_same_source(L, other) for other in training):
@@ -182,7 +182,7 @@ def training_shapes(folder: Path | None, seen: Seen | None) -> dict[str, np.ndar
     return {name: np.stack(views) for name, views in result.items()}
 
 
-def _turned(L: np.ndarray) -> torch.Tensor:
+def _turn(L: np.ndarray) -> torch.Tensor:
     """Irradiance (T, 3, directions) of a map under all turns, and mirrored."""
     L = envmap.unit_mean(L)[0]
     both = (L, L[:, ::-1])

@@ -28,7 +28,7 @@ from manifests.cached_store import open_store
 from manifests.line_files import Lines
 from manifests.progress import tqdm
 from manifests.provenance import provenance
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 # a scene, the name of a rung, and whether it is refined too
 Piece = tuple[Scene, str, bool]
@@ -90,12 +90,12 @@ def make(options: Options) -> dict:
     records, out = Records(options.data), Path(options.out)
     job = ladder_design.preset(options.side)
     there = ladder_design.scenes(records.records, job, options.incomplete, options.measured_rungs)
-    scenes = per_group(there, options.scenes)
-    to_refine = {scene.id for scene in per_group(scenes, options.refined)}
+    scenes = choose_per_group(there, options.scenes)
+    to_refine = {scene.id for scene in choose_per_group(scenes, options.refined)}
     with lock.writing(out, patience=0):
         bench = Bench(records, options.weights, options.device)
         seen = overlap.sentences(
-            [options.weights], tested(records, scenes), options.data, options.allow_overlap
+            [options.weights], list_tested(records, scenes), options.data, options.allow_overlap
         )
         outputs.pin_settings(out / "settings.json", settings(options))
         measure(options, bench, scenes, to_refine)
@@ -118,7 +118,7 @@ def make(options: Options) -> dict:
         return ladder_report.write(out, lines, about)
 
 
-def per_group(scenes: Sequence[Scene], count: int | None) -> list[Scene]:
+def choose_per_group(scenes: Sequence[Scene], count: int | None) -> list[Scene]:
     """Return the first `count` scenes of each group in their order; None: all."""
     seen: dict[str, int] = {}
     result = []
@@ -129,7 +129,7 @@ def per_group(scenes: Sequence[Scene], count: int | None) -> list[Scene]:
     return result
 
 
-def tested(records: Records, scenes: Sequence[Scene]) -> overlap.Tested:
+def list_tested(records: Records, scenes: Sequence[Scene]) -> overlap.Tested:
     """Return what the scenes show, targets included, as {kind: {hash: name}}."""
     pictures = [
         record for scene in scenes for of in (scene.source, scene.truth) for record in of.values()

@@ -14,9 +14,9 @@ from learn.data.records import Records
 from learn.editing.decomposition import Parts, require_parts
 from learn.evaluation import methods
 from learn.evaluation.ladder_design import RUNGS, Scene
-from learn.evaluation.ladder_pictures import Shown, shown
+from learn.evaluation.ladder_pictures import Shown, load_scene
 from learn.evaluation.rows import Figure
-from learn.metrics.pictures import aligned, display_l2
+from learn.metrics.pictures import display_l2, l2_after_alignments
 from learn.metrics.radiometry import irradiance_error
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
@@ -82,14 +82,14 @@ class Bench:
     def __init__(self, records: Records, weights: Path, device: str = "cpu"):
         network, metadata = checkpoint.load_parts(weights, device)
         self.records, self.size, self.device = records, metadata["size"], torch.device(device)
-        self.predict = methods.network(network)
+        self.predict = methods.make_predictor(network)
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
         self.commit = provenance()["commit"]
 
     def line(self, scene: Scene, name: str, refined: bool) -> Line:
         """Return the figures of a scene on a rung; refined: whether those of refinement too."""
         (rung,) = (each for each in RUNGS if each.name == name)
-        picture = shown(self.records, scene, rung, self.size)
+        picture = load_scene(self.records, scene, rung, self.size)
         batch = picture.batch.to(self.device)
         source = to_numpy((batch.image * batch.mask)[0].movedim(0, -1))
         prediction = self.predict(batch)
@@ -98,7 +98,7 @@ class Bench:
         floor = None
         if not rung.eight_bit:
             true = Parts(batch.n, batch.label, batch.light)
-            floor = display_l2(_edited(true, picture, batch), picture.target, picture.mask)
+            floor = display_l2(_edit(true, picture, batch), picture.target, picture.mask)
         names = {key: of[rung.name].materials[0] for key, of in _sides(scene).items()}
         return Line(
             id=f"{scene.id}-{rung.name}",
@@ -114,9 +114,11 @@ class Bench:
             constant_irradiance=float(irradiance_error(torch.ones_like(batch.light), batch.light)),
             unchanged_l2=display_l2(source, picture.target, picture.mask),
             floor_l2=floor,
-            predicted=measured(require_parts(prediction), picture, batch),
+            predicted=measure_decomposition(require_parts(prediction), picture, batch),
             refined=(
-                measured(require_parts(self.refine(batch, prediction).prediction), picture, batch)
+                measure_decomposition(
+                    require_parts(self.refine(batch, prediction).prediction), picture, batch
+                )
                 if refined
                 else None
             ),
@@ -129,11 +131,11 @@ def _sides(scene: Scene) -> dict[str, Mapping]:
     return {"source": scene.source, "target": scene.truth}
 
 
-def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
+def measure_decomposition(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
     """Return the figures of a decomposition of a picture; batch: the picture's, on the device."""
     mean, median = angles(parts.n, batch)
-    edited = _edited(parts, picture, batch)
-    forgiving = aligned(edited, picture.target, picture.mask)
+    edited = _edit(parts, picture, batch)
+    forgiving = l2_after_alignments(edited, picture.target, picture.mask)
     return Measured(
         mean,
         median,
@@ -144,15 +146,15 @@ def measured(parts: Parts, picture: Shown, batch: ExampleBatch) -> Measured:
     )
 
 
-def rendered_again(prediction: Prediction, picture: Shown) -> float:
+def error_of_rerendering(prediction: Prediction, picture: Shown) -> float:
     """Return the display L2 of the picture's re-rendering by the integral against the picture."""
     parts, batch = require_parts(prediction), picture.batch
-    again = methods.rendered(parts.n, parts.label, parts.light, batch)
+    again = methods.render_by_layer(parts.n, parts.label, parts.light, batch)
     return display_l2(again, to_numpy((batch.image * batch.mask)[0].movedim(0, -1)), picture.mask)
 
 
-def _edited(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:
-    return methods.rendered(parts.n, torch.from_numpy(picture.label), parts.light, batch)
+def _edit(parts: Parts, picture: Shown, batch: ExampleBatch) -> np.ndarray:
+    return methods.render_by_layer(parts.n, torch.from_numpy(picture.label), parts.light, batch)
 
 
 def angles(n: torch.Tensor, batch: ExampleBatch) -> tuple[float, float]:

@@ -253,9 +253,9 @@ def scenes(
             "--data", f"scenes of {job.name} on every rung", "none", f"render them: {REMEDY}"
         )
     by_shape: dict[str, list[Scene]] = defaultdict(list)
-    for scene in sorted(chosen, key=lambda scene: _shuffled(scene.shape, scene.light)):
+    for scene in sorted(chosen, key=lambda scene: _shuffle(scene.shape, scene.light)):
         by_shape[scene.shape].append(scene)
-    order = sorted(by_shape, key=_shuffled)
+    order = sorted(by_shape, key=_shuffle)
     rounds = range(max(map(len, by_shape.values())))
     return [by_shape[shape][k] for k in rounds for shape in order if k < len(by_shape[shape])]
 
@@ -271,7 +271,7 @@ def _scene(
     ]
     if len(complete) < 2:
         return None
-    source, truth = sorted(complete, key=lambda name: _shuffled(shape, light, name))[:2]
+    source, truth = sorted(complete, key=lambda name: _shuffle(shape, light, name))[:2]
     first = pictures[rungs[0].name, source]
     group, family = group_of(shape, first.category)
     return Scene(
@@ -310,5 +310,5 @@ def _require_all(
         )
 
 
-def _shuffled(*names: str) -> bytes:
+def _shuffle(*names: str) -> bytes:
     return hashlib.sha256(" ".join(names).encode()).digest()

@@ -41,7 +41,7 @@ class Shown:
     exposure: float
 
 
-def shown(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
+def load_scene(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
     """Return a scene on a rung, at the network's size. Raises InputError for damaged files."""
     sample, truth = records.load(scene.source[rung.name]), records.image(scene.truth[rung.name])
     mask, image = sample.mask.numpy(), sample.image.numpy()
@@ -49,7 +49,7 @@ def shown(records: Records, scene: Scene, rung: Rung, size: int) -> Shown:
     if rung.eight_bit:
         framed = framing.frame_object(*through_png(image, mask), size)
         image, exposure = framed.radiance, framed.exposure
-        truth, normals = (_cropped(values, mask, framed, size) for values in (truth, normals))
+        truth, normals = (_crop(values, mask, framed, size) for values in (truth, normals))
         mask = framed.mask & (np.linalg.norm(normals, axis=-1) > 0)
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         normals = np.where(mask[..., None], normals / np.maximum(length, 1e-6), 0)
@@ -96,7 +96,7 @@ def ray_frame_normals(sample: Sample) -> np.ndarray:
     return turned_to_viewer(n, sample.view.numpy())
 
 
-def _cropped(values: np.ndarray, mask: np.ndarray, framed: framing.Framed, size: int) -> np.ndarray:
+def _crop(values: np.ndarray, mask: np.ndarray, framed: framing.Framed, size: int) -> np.ndarray:
     """Values (H, W, 3) in the square of a framed picture, as `framing.frame_object` crops it."""
     covered = framing.resize_square(framing.cut_square(mask.astype(np.float32), framed.box), size)
     inside = framing.cut_square((values * mask[..., None]).astype(np.float32), framed.box)

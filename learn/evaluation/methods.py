@@ -53,7 +53,7 @@ class Method(Protocol):
         """
 
 
-def rendered(
+def render_by_layer(
     n: torch.Tensor, label: torch.Tensor, light: torch.Tensor, batch: ExampleBatch
 ) -> np.ndarray:
     """Return radiance (H, W, 3) by the layer, rendered by learn.layer.predictions.MEASURED.
@@ -85,7 +85,7 @@ class Layered:
         n, light = self.parts(batch).n, self.parts(batch).light
         if n is None or light is None:
             raise ValueError(f"{self.name}: expected predicted normals and light, found fewer")
-        return rendered(n, label, light, batch)
+        return render_by_layer(n, label, light, batch)
 
 
 class Refined(Layered):
@@ -108,10 +108,10 @@ class AsEdited(Layered):
     """
 
     def __init__(self, method: Layered):
-        super().__init__(f"{method.name}, as edited", self._corrected)
+        super().__init__(f"{method.name}, as edited", self._correct)
         self.method = method
 
-    def _corrected(self, batch: ExampleBatch) -> Prediction:
+    def _correct(self, batch: ExampleBatch) -> Prediction:
         prediction = self.method.parts(batch)
         parts = remove_green(require_parts(prediction))
         return prediction._replace(label=parts.label, light=parts.light)
@@ -185,7 +185,7 @@ def training_labels(records: Records | None, materials: str) -> list[np.ndarray]
     ]
 
 
-def network(net: torch.nn.Module) -> Callable[[ExampleBatch], Prediction]:
+def make_predictor(net: torch.nn.Module) -> Callable[[ExampleBatch], Prediction]:
     """Return ExampleBatch → Prediction by a network, over regions where the picture has several."""
 
     def predict(batch: ExampleBatch) -> Prediction:
@@ -274,7 +274,7 @@ def entrants(
     baselines  a folder of weights, or None
     device     where the baselines compute
     """
-    ours = Layered(OURS, network(net))
+    ours = Layered(OURS, make_predictor(net))
     rows: list[Method] = []
     left_out: dict[str, str] = {}
     if baselines is None:

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.settings import decode_run
 from learn.evaluation import card_batches
 from learn.metrics import bootstrap
@@ -97,7 +97,7 @@ def make(
         _draw_sheet(bench, kind, count, out / SHEETS[kind])
     if printed:
         counts |= dict.fromkeys(card_batches.PATTERNS, batches)
-    results = card_batches.measured(bench, counts, cluster)
+    results = card_batches.measure_batches(bench, counts, cluster)
     for kind in [kind for kind in counts if kind in SHEETS]:
         report |= _under("" if kind == "relit" else kind, results[kind])
     if printed:

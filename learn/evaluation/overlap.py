@@ -10,9 +10,9 @@ from pathlib import Path
 from msgspec import UNSET
 
 from learn.baselines import FILES
+from learn.data.data_split import DataSplit
 from learn.data.pairs import EditPair
 from learn.data.records import Records
-from learn.data.relit import DataSplit
 from learn.data.seen import DIGITS, KINDS, Seen, label_hash, map_hash, names_in_pictures
 from learn.networks import weights as checkpoint
 from manifests.errors import InputError
@@ -79,7 +79,7 @@ def sentences(files: Sequence[Path], tested: Tested, data: Path, is_allowed: boo
             reconstructed.append(
                 f"Note: what {Path(path).name} saw was reconstructed: {seen.reconstructed}."
             )
-        if seen is None or not (shared := _shared(seen, tested)):
+        if seen is None or not (shared := _shared_names(seen, tested)):
             continue
         if not is_allowed:
             rule = f"shapes, materials and lights that {Path(path).name} never saw"
@@ -96,7 +96,7 @@ def sentences(files: Sequence[Path], tested: Tested, data: Path, is_allowed: boo
     return result
 
 
-def _shared(seen: Seen, tested: Tested) -> str:
+def _shared_names(seen: Seen, tested: Tested) -> str:
     """Return how many of each kind were seen, and the first names; "" where none was."""
     parts = []
     for kind in KINDS:

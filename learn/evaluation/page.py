@@ -8,7 +8,7 @@ from learn.evaluation import gallery
 from learn.evaluation.gallery import FULL
 from learn.evaluation.methods import GIVEN_TRUTH
 from learn.evaluation.table import Cell, Column, Table, TableRow
-from learn.figures.html import bullets, encoded_picture, image, page, paragraph
+from learn.figures.html import bullets, encode_picture, image, page, paragraph
 from manifests.wording import number_of
 
 TITLE = "Edits, their truth, and their parts"
@@ -175,8 +175,8 @@ def web_gallery(shown: Iterable[tuple[Mapping, Path]], names: Sequence[str]) -> 
         ]
         columns = []
         for (name, l2), (above, below) in zip(heads, gallery.cells(path, len(heads)), strict=True):
-            pictures = image(encoded_picture(above), name)
-            pictures += image(encoded_picture(below), "error") if l2 else ""
+            pictures = image(encode_picture(above), name)
+            pictures += image(encode_picture(below), "error") if l2 else ""
             columns.append(f"<div>{pictures}<b>{l2}</b>{html.escape(name)}</div>")
         width = f"grid-template-columns:repeat({len(columns)},minmax(84px,1fr))"
         parts.append(

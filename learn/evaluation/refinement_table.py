@@ -23,7 +23,7 @@ def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
     )
     results: list[TableRow] = []
     for title, names in groups.items():
-        get = partial(_gathered, rows, names)
+        get = partial(_gather, rows, names)
         before, after, seconds, finite = (
             get(("refinement", key)) for key in ("before", "after", "seconds", "finite")
         )
@@ -47,7 +47,7 @@ def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
         }
         if edits is not None:
             plain = [name.removesuffix(", refined") for name in names]
-            a, b = (_gathered(edits, each, ("l2",)) for each in (plain, names))
+            a, b = (_gather(edits, each, ("l2",)) for each in (plain, names))
             cells |= {"worse_edits": int((b > a).sum()), "edits": int(np.isfinite(a + b).sum())}
         results.append({"name": title, "cells": cells})
     columns = [
@@ -75,5 +75,5 @@ def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
     )
 
 
-def _gathered(rows: Rows, names: Iterable[str], path: Sequence[str]) -> np.ndarray:
+def _gather(rows: Rows, names: Iterable[str], path: Sequence[str]) -> np.ndarray:
     return np.concatenate([rows.values(name, path) for name in names])

@@ -16,7 +16,7 @@ from learn.metrics.pictures import Perceptual
 from manifests import files
 from manifests.provenance import provenance
 from manifests.schema import Record
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from manifests.wording import number_of
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def headline(results: Mapping[str, Table]) -> list[str]:
                 f"; after refinement by {after:.0f} [{low:.0f}, {high:.0f}]: {change:+.0f} %"
             )
         report.append(f"{sentence}.")
-        of_factor = _aligned(rows)
+        of_factor = _sentence_on_alignment(rows)
         report += [of_factor] if of_factor else []
         given = {row["name"]: row["cells"] for row in results.get("given", {"rows": []})["rows"]}
         report += [
@@ -152,10 +152,13 @@ def headline(results: Mapping[str, Table]) -> list[str]:
         report.append(f"Refinement made {every['worse']} of {every['edits']} edits worse.")
     if "differences" not in results:
         return report
-    return [*report, _judged(results, OURS_REFINED if OURS_REFINED in rows else OURS)]
+    return [
+        *report,
+        _sentence_on_intervals(results, OURS_REFINED if OURS_REFINED in rows else OURS),
+    ]
 
 
-def _aligned(rows: Mapping[str, Mapping[str, Cell]]) -> str | None:
+def _sentence_on_alignment(rows: Mapping[str, Mapping[str, Cell]]) -> str | None:
     """A sentence on the best of our rows after one and three factors; None without them."""
     cells = rows.get(OURS_REFINED, rows[OURS])
     if cells.get("l2_one_factor") is None:
@@ -174,7 +177,7 @@ def _interval(cell: Cell) -> list[float]:
     return cell
 
 
-def _judged(results: Mapping[str, Table], mine: str) -> str:
+def _sentence_on_intervals(results: Mapping[str, Table], mine: str) -> str:
     """A sentence on which methods `mine` is better or worse than by the intervals."""
     said: dict[str, list[str]] = {}
     for row in results["differences"]["rows"]:

@@ -31,10 +31,10 @@ from learn.refinement import RefinementSettings
 from manifests import lock, outputs, ray_tasks, subprocesses
 from manifests.cached_store import open_store
 from manifests.errors import InputError
-from manifests.line_files import Lines, encoded
+from manifests.line_files import Lines, encode
 from manifests.progress import tqdm
 from manifests.schema import Record
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 from manifests.wording import number_of
 
 # counts up when lines gain figures, so that no table mixes lines with and without them
@@ -192,7 +192,7 @@ def settings(options: Options) -> dict:
         "materials": file_hash(open_store(options.data).fetch("materials.json")),
         "weights": file_hash(options.weights) if Path(options.weights).is_file() else "none",
         "baselines": of_baselines,
-        "refine": asdict(RefinementSettings().rendered_by(method)) if options.refine else False,
+        "refine": asdict(RefinementSettings().with_method(method)) if options.refine else False,
         "tolerance": MEASURED.tolerance,
         "seed": options.seed,
         "lpips": None if options.lpips is None else file_hash(options.lpips),
@@ -306,7 +306,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     bench = Bench(**msgspec.json.decode(settings))
 
     def work(piece: bytes) -> bytes:
-        return encoded(bench.work(*msgspec.json.decode(piece, type=Unit)))
+        return encode(bench.work(*msgspec.json.decode(piece, type=Unit)))
 
     return work
 

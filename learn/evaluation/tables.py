@@ -110,7 +110,7 @@ def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Tab
         for _, columns, suffix in groups
         for c in columns
     ]
-    return table(title, note, columns, [row for row in results if not borrowed(row, results)])
+    return table(title, note, columns, [row for row in results if not is_borrowed(row, results)])
 
 
 def edits_by_method(rows: Rows, known: Families) -> Table | None:
@@ -137,7 +137,7 @@ def edits_by_method(rows: Rows, known: Families) -> Table | None:
     return table(result["title"], result["note"], [*result["columns"], *more], result["rows"])
 
 
-def borrowed(row: TableRow, rows: Iterable[TableRow]) -> bool:
+def is_borrowed(row: TableRow, rows: Iterable[TableRow]) -> bool:
     """Return whether all figures of a method "… of another" are that other's."""
     return any(
         other is not row

@@ -57,13 +57,13 @@ def map_error(size: int) -> dict[str, float]:
     n = n[(n != 0).any(-1)]
     points = []
     for L in chart_cases.computed_lights().values():
-        lights, E = light_tables.of_map(torch.as_tensor(L).float(), torch.eye(3))
+        lights, E = light_tables.lights_and_energy(torch.as_tensor(L).float(), torch.eye(3))
         for g in SHARPNESS:
             m = one_lobe(g)
             truth = directional.radiance(n, None, m, E, lights)
             for nodes in SIZES:
                 render = functools.partial(_radiance, m=m, E=E, lights=lights)
-                seen = reflectance_map.with_nodes(n, nodes, render)
+                seen = reflectance_map.radiance_by_nodes(n, nodes, render)
                 points.append(
                     (
                         2 * np.sqrt(2) / (nodes - 5),
@@ -101,9 +101,9 @@ def light_error(size: int) -> dict[str, float]:
             chart_cases.computed_lights()["one texel"].astype(np.float32),
             tuple(np.eye(3).ravel()),
         )
-        truth = scene.at(n, (0,)).radiance
+        truth = scene.list_lobes(n, (0,)).radiance
         for level in (1, 2):
-            error = np.abs(scene.at(n, (0,), level).radiance - truth).mean() / truth.mean()
+            error = np.abs(scene.list_lobes(n, (0,), level).radiance - truth).mean() / truth.mean()
             points.append((np.pi / 2 * 2**level / chart_cases.SIZE[0], g, error))
     h, g, error = np.array(points).T
     of_horizon = float(np.median((error / h**2)[g == min(SHARPNESS)]))
@@ -117,17 +117,19 @@ def seconds(size: int) -> dict[str, float]:
     """Return seconds of each kind of work, on one thread."""
     n = chart_cases.sphere(size)
     n = n[(n != 0).any(-1)]
-    lights, E = light_tables.of_map(
+    lights, E = light_tables.lights_and_energy(
         torch.as_tensor(chart_cases.computed_lights()["sky"]).float(), torch.eye(3)
     )
-    allowed = 0.1 * directional.scale(n, None, one_lobe(4.0), E, lights)
+    allowed = 0.1 * directional.mean_radiance(n, None, one_lobe(4.0), E, lights)
     took = [
-        timed(functools.partial(summed, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n)
+        time_rounds(
+            functools.partial(sum_culled, m=one_lobe(g), E=E, lights=lights, allowed=allowed), n
+        )
         for g in SUMMED
     ]
     whole = 0.5 * len(E) * len(n)  # a broad lobe sees half of all lights
-    call = timed(
-        functools.partial(summed, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64]
+    call = time_rounds(
+        functools.partial(sum_culled, m=one_lobe(1e5), E=E, lights=lights, allowed=allowed), n[:64]
     )
     pair = (took[0] - call) / whole
     share = np.clip((np.array(took[1:]) - call) / (pair * len(E) * len(n)), 1e-3, 0.49)
@@ -135,7 +137,7 @@ def seconds(size: int) -> dict[str, float]:
     slope, block = np.polyfit(1 / np.sqrt(SUMMED[1:]), cone, 1)
     nodes = reflectance_map.needed_nodes(n, 64)
     values = torch.rand(len(nodes), 3).requires_grad_()
-    look_up = timed(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
+    look_up = time_rounds(lambda a: reflectance_map.look_up(a, values, nodes, 64), n) / len(n)
     result = {
         "pair": pair,
         "look_up": look_up,
@@ -154,7 +156,7 @@ def _radiance(
     return directional.radiance(n, None, m, E, lights)
 
 
-def summed(
+def sum_culled(
     n: torch.Tensor,
     m: torch.Tensor,
     E: torch.Tensor,
@@ -165,7 +167,7 @@ def summed(
     return directional.radiance(n, None, m, E, lights, allowed)
 
 
-def timed(function: Callable[..., torch.Tensor], n: torch.Tensor, rounds: int = 3) -> float:
+def time_rounds(function: Callable[..., torch.Tensor], n: torch.Tensor, rounds: int = 3) -> float:
     """Return the least processor seconds of a few rounds, forward and backward."""
     best = np.inf
     for _ in range(rounds):

@@ -16,7 +16,8 @@ import torch
 
 from learn import methods
 from learn.experiments import chart_shapes
-from learn.layer.inputs import checked, compact
+from learn.layer.compaction import compact_pixels
+from learn.layer.inputs import check_inputs
 from learn.methods import Batch, hybrid, median_cut, reflectance_map, sampling, spherical_gaussians
 from manifests import arrays, exr, light_files
 from manifests.errors import InputError, closest
@@ -60,16 +61,18 @@ def settings() -> list[Setting]:
     return [
         *by_tolerance("exact", 1e-2),
         *by_tolerance("culled", 1e-1, 1e-2, 1e-4),
-        *by_count("reflectance_map", reflectance_map.with_size, 16, 32, 64, 96),
-        *by_count("median_cut", median_cut.with_lights, 64, 256, 1024, 4096),
-        *by_count("hybrid", lambda b, c: hybrid.with_lights(b, c, 1.0 / c), 64, 256, 1024),
+        *by_count("reflectance_map", reflectance_map.radiance_by_size, 16, 32, 64, 96),
+        *by_count("median_cut", median_cut.radiance_by_lights, 64, 256, 1024, 4096),
+        *by_count("hybrid", lambda b, c: hybrid.radiance_by_lights(b, c, 1.0 / c), 64, 256, 1024),
         *by_tolerance("quadrature", 1e-2),
         *by_tolerance("spherical_harmonics", 1e-2),
         *by_tolerance("split_sum", 1e-2),
-        *by_count("spherical_gaussians", spherical_gaussians.with_lights, 64),
-        *by_count("monte_carlo", lambda b, c: sampling.sampled(b, c // 2, c // 2), 16, 64),
-        *by_count("monte_carlo_light", lambda b, c: sampling.sampled(b, c, 0), 16),
-        *by_count("monte_carlo_brdf", lambda b, c: sampling.sampled(b, 0, c), 16),
+        *by_count("spherical_gaussians", spherical_gaussians.radiance_by_lights, 64),
+        *by_count(
+            "monte_carlo", lambda b, c: sampling.radiance_by_samples(b, c // 2, c // 2), 16, 64
+        ),
+        *by_count("monte_carlo_light", lambda b, c: sampling.radiance_by_samples(b, c, 0), 16),
+        *by_count("monte_carlo_brdf", lambda b, c: sampling.radiance_by_samples(b, 0, c), 16),
         *by_tolerance("auto", 5e-2, 1e-2, 1e-3, 1e-4, 1e-5),
     ]
 
@@ -180,4 +183,4 @@ def batch_of(
         n = torch.where((n * view).sum(-1, keepdim=True) > 1e-3, n, torch.zeros(()))
     leaves = [x.requires_grad_(with_gradients) for x in (n, m, L)]
     mask = (n != 0).any(-1).detach()
-    return compact(checked(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves
+    return compact_pixels(check_inputs(n, m, L, view, None, mask, 1e-2, ELEVATION))[0], leaves

@@ -81,7 +81,7 @@ def relative_error(seen: np.ndarray, truth: np.ndarray) -> float:
     return float(np.abs(seen - truth).mean() / truth.mean())
 
 
-def measured(
+def measure_rows(
     cases: Sequence[Case],
     folder: Path,
     with_torch: bool = True,
@@ -125,10 +125,10 @@ def warm_up(with_torch: bool) -> None:
     label = catalogue.find(chart_cases.MATERIALS[0]).label
     small = Case("", label, "", light, "orthographic", 12)
     for setting in chart_cases.settings():
-        timed(setting, small, True)
+        time_picture(setting, small, True)
     if with_torch:
         for formula in torch_rival.formulas().values():
-            torch_rival.timed(formula, small.batch()[0])
+            torch_rival.time_formula(formula, small.batch()[0])
 
 
 def one_case(case: Case, with_torch: bool, methods: Sequence[str] | None = None) -> dict[str, Any]:
@@ -146,14 +146,14 @@ def one_case(case: Case, with_torch: bool, methods: Sequence[str] | None = None)
             continue
         if case.camera == "perspective" and "orthographic" in load(setting.method).CARD.needs:
             continue
-        seconds, seen = timed(setting, case, True)
-        forward, picture = timed(setting, case, False)
+        seconds, seen = time_picture(setting, case, True)
+        forward, picture = time_picture(setting, case, False)
         names = {"method": setting.method, "knob": setting.knob}
         clocks = {"seconds": seconds, "forward": forward}
         errors = truth.errors(seen.numpy()[truth.pick], picture.numpy()[truth.pick])
         rows.append(case.names() | names | clocks | errors | pixels)
     for name, formula in torch_rival.formulas().items() if with_torch else ():
-        result = torch_rival.timed(formula, batch)
+        result = torch_rival.time_formula(formula, batch)
         clocks = {"seconds": result.seconds, "forward": result.forward}
         errors = truth_at(batch, result.pick).errors(result.radiance.numpy())
         rows.append(case.names() | {"method": name, "knob": "float32"} | clocks | errors | pixels)
@@ -163,8 +163,8 @@ def one_case(case: Case, with_torch: bool, methods: Sequence[str] | None = None)
 
 def truth_at(batch: Batch, pick: torch.Tensor) -> Truth:
     """Return what pictures are compared with, at pixels pick (S,)."""
-    few = picked(batch, pick)
-    paper, integral = load("exact").radiance(few, 1e-2), converged(few)
+    few = pick_pixels(batch, pick)
+    paper, integral = load("exact").radiance(few, 1e-2), converged_radiance(few)
     return Truth(pick.numpy(), paper.numpy(), integral.numpy())
 
 
@@ -184,7 +184,9 @@ def mitsuba_rows(group: Sequence[tuple[Case, dict[str, list[Any]]]]) -> dict[str
     return {"rows": rows}
 
 
-def timed(setting: chart_cases.Setting, case: Case, backward: bool) -> tuple[float, torch.Tensor]:
+def time_picture(
+    setting: chart_cases.Setting, case: Case, backward: bool
+) -> tuple[float, torch.Tensor]:
     """Return seconds, and the picture (P, 3)."""
     batch, leaves = case.batch(with_gradients=backward)
     with torch.set_grad_enabled(backward):
@@ -195,13 +197,13 @@ def timed(setting: chart_cases.Setting, case: Case, backward: bool) -> tuple[flo
         return time.thread_time() - start, seen.detach()
 
 
-def picked(batch: Batch, pick: torch.Tensor) -> Batch:
+def pick_pixels(batch: Batch, pick: torch.Tensor) -> Batch:
     """Return a batch of some of its pixels."""
     view = None if batch.view is None else batch.view[pick]
     return replace(batch, n=batch.n[pick], view=view, counts=(len(pick),))
 
 
-def converged(batch: Batch) -> torch.Tensor:
+def converged_radiance(batch: Batch) -> torch.Tensor:
     """Return radiance (P, 3), the integral over the piecewise-constant map."""
     fine = batch.light.repeat_interleave(FINE_PARTS, 1).repeat_interleave(FINE_PARTS, 2)
     return load("quadrature").radiance(replace(batch, light=fine), 1e-6)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from learn.data.batch import ExampleBatch
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
 
 ON_RAY = True
 TREATMENTS = ("at its value", "one-sided")
@@ -59,11 +59,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.settings import Data
     from learn.data.sources import load_data_splits
-    from learn.evaluation.methods import network
+    from learn.evaluation.methods import make_predictor
     from learn.networks import weights as checkpoint
     from learn.refinement import RefinementSettings, refine
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     weights = arguments.weights
@@ -72,7 +72,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}
     outputs.pin_settings(arguments.out / "settings.json", about)
     split = load_data_splits(Data(), arguments.data)["test"]
-    predict = network(net)
+    predict = make_predictor(net)
     cases = {
         k: case_of(split, k, arguments.seed, metadata["size"]) for k in range(arguments.pictures)
     }
@@ -105,7 +105,8 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
 
     from learn.data import framing, photographs
     from learn.data.batch import collate
-    from learn.data.relit import RelitDataset, gloss
+    from learn.data.data_split import gloss
+    from learn.data.relit import RelitDataset
     from learn.data.settings import Data
     from shaders import tone
 
@@ -132,7 +133,7 @@ def case_of(split: DataSplit, number: int, seed: int, size: int) -> Case:
         [(file * np.float32(guessed), mask, n[0], segments[0], label, light, label, name)],
         split.geometry.elevation,
     )
-    clipped = photographs.saturated(file) & mask[..., None]
+    clipped = photographs.find_saturated(file) & mask[..., None]
     batch = replace(
         batch, clipped=torch.from_numpy(clipped.astype(np.float32)).movedim(-1, 0)[None]
     )

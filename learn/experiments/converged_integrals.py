@@ -28,7 +28,7 @@ BY_TEXELS = quadrature.BROAD * max(quadrature.SPLITS) ** 2
 ROUNDS = 3
 
 
-def compared(
+def compare_lobes(
     tolerance: float, threads: int, gammas: tuple[float, ...], size: int
 ) -> list[dict[str, Any]]:
     """Return a row per lobe: γ, and seconds and error of both methods.
@@ -40,7 +40,7 @@ def compared(
     n, rows = chart_cases.sphere(size), []
     for gamma in tqdm(gammas, unit="lobe"):
         m = material(gamma)
-        right, nearly = converged(n, m, light, gamma)
+        right, nearly = converge(n, m, light, gamma)
         level = right.mean()
         row: dict[str, Any] = {
             "gamma": gamma,
@@ -63,7 +63,7 @@ def material(gamma: float) -> torch.Tensor:
     return m.reshape(1, 108)
 
 
-def converged(
+def converge(
     n: torch.Tensor, m: torch.Tensor, light: torch.Tensor, gamma: float
 ) -> list[torch.Tensor]:
     """Return the picture by the finest means, and by the next finest."""

@@ -58,7 +58,7 @@ def opened(
     from learn.evaluation import ladder, overlap
     from learn.experiments import ladder_scenes
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)
@@ -71,7 +71,7 @@ def opened(
     )
     is_one = isinstance(arguments.weights, Path)
     weights = [arguments.weights] if is_one else arguments.weights
-    seen = overlap.sentences(weights, ladder.tested(records, scenes), arguments.data, True)
+    seen = overlap.sentences(weights, ladder.list_tested(records, scenes), arguments.data, True)
     hashes = [file_hash(path) for path in weights]
     about = {
         "data": file_hash(arguments.data / "materials.json"),
@@ -102,10 +102,10 @@ def refined_row(
     from learn.editing.decomposition import require_parts
     from learn.evaluation import ladder_bench
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
+    from learn.evaluation.ladder_pictures import load_scene
 
     known = next(each for each in RUNGS if each.name == rung)
-    picture = shown(bench.records, scene, known, bench.size)
+    picture = load_scene(bench.records, scene, known, bench.size)
     began = time.process_time()
     start = bench.predict(picture.batch)
     if true_light:
@@ -120,8 +120,10 @@ def refined_row(
         "target": target,
         "metal": bench.records.material(target).family == "metal",
     } | {
-        name: to_builtins(ladder_bench.measured(require_parts(parts), picture, picture.batch))
-        | {"seconds": seconds[name], "image_l2": ladder_bench.rendered_again(parts, picture)}
+        name: to_builtins(
+            ladder_bench.measure_decomposition(require_parts(parts), picture, picture.batch)
+        )
+        | {"seconds": seconds[name], "image_l2": ladder_bench.error_of_rerendering(parts, picture)}
         for name, parts in (("predicted", start), ("refined", refined))
     }
 

@@ -28,7 +28,7 @@ def plain(
     return torch.einsum("ptk,tk,pt->pk", f, E, (n @ w.T).clamp(min=0))
 
 
-def tuned(
+def tune(
     n: torch.Tensor, view: torch.Tensor, m: torch.Tensor, E: torch.Tensor, w: torch.Tensor
 ) -> torch.Tensor:
     """Return the same by log2 and exp2.

@@ -69,10 +69,10 @@ def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
     """
     from learn.editing.decomposition import require_parts
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
+    from learn.evaluation.ladder_pictures import load_scene
 
     known = next(each for each in RUNGS if each.name == rung)
-    picture = shown(bench.records, scene, known, bench.size)
+    picture = load_scene(bench.records, scene, known, bench.size)
     predicted = bench.predict(picture.batch)
     refined = bench.refine(picture.batch, predicted).prediction
     target = scene.truth[rung].materials[0]
@@ -94,11 +94,11 @@ def figures(parts: Parts, picture: Shown) -> dict[str, Any]:
     import numpy as np
     import torch
 
-    from learn.evaluation.methods import rendered
-    from learn.metrics.pictures import aligned, display_l2
+    from learn.evaluation.methods import render_by_layer
+    from learn.metrics.pictures import display_l2, l2_after_alignments
     from shaders.tone import LUMINANCE
 
-    edited = rendered(parts.n, torch.from_numpy(picture.label), parts.light, picture.batch)
+    edited = render_by_layer(parts.n, torch.from_numpy(picture.label), parts.light, picture.batch)
     mine, its = (
         float((each[picture.mask] @ np.asarray(LUMINANCE)).mean())
         for each in (edited, picture.target)
@@ -106,7 +106,7 @@ def figures(parts: Parts, picture: Shown) -> dict[str, Any]:
     return {
         "stops": float(np.log2(mine / its)),
         "l2": [display_l2(edited * factor, picture.target, picture.mask) for factor in FACTORS],
-        "l2_one_factor": aligned(edited, picture.target, picture.mask)["l2_one_factor"],
+        "l2_one_factor": l2_after_alignments(edited, picture.target, picture.mask)["l2_one_factor"],
     }
 
 

@@ -154,11 +154,11 @@ def methods_of(
         # a run's folder names its weights, which are all called weights.safetensors
         name = path.parent.name if path.stem == "weights" else path.stem
         sizes[name] = metadata["size"]
-        predicted = functools.partial(methods.Layered, name, methods.network(network))
+        predicted = functools.partial(methods.Layered, name, methods.make_predictor(network))
         result[f"{name}, predicted"] = predicted
         known = getattr(network, "training_labels", None)
         for caption, settings in amounts().items():
-            result[f"{name}, {caption}"] = functools.partial(_refined, predicted, settings, known)
+            result[f"{name}, {caption}"] = functools.partial(_refine, predicted, settings, known)
     if len(set(sizes.values())) > 1:
         raise InputError("--weights", "networks of one size", str(sizes), "measure them apart")
     if baselines is not None:
@@ -175,7 +175,7 @@ def _constant_facing() -> Layered:
     return methods.constant_light(methods.facing_viewer())
 
 
-def _refined(start: Callable[[], Layered], settings: RefinementSettings, labels: Any) -> Layered:
+def _refine(start: Callable[[], Layered], settings: RefinementSettings, labels: Any) -> Layered:
     from learn.evaluation.methods import Refined
     from learn.refinement import refine
 
@@ -193,10 +193,10 @@ def row_of(records: Records, method: Method, scene: Any, rung: str, size: int) -
     import torch
 
     from learn.evaluation.ladder_design import RUNGS as ALL
-    from learn.evaluation.ladder_pictures import shown
-    from learn.metrics.pictures import aligned, display_l2
+    from learn.evaluation.ladder_pictures import load_scene
+    from learn.metrics.pictures import display_l2, l2_after_alignments
 
-    picture = shown(records, scene, next(each for each in ALL if each.name == rung), size)
+    picture = load_scene(records, scene, next(each for each in ALL if each.name == rung), size)
     label = torch.from_numpy(picture.label)
     began = time.process_time()
     edited = method.edit(picture.batch, label)
@@ -209,7 +209,9 @@ def row_of(records: Records, method: Method, scene: Any, rung: str, size: int) -
         "target": target,
         "seconds": seconds,
         "edit_l2": display_l2(edited, picture.target, picture.mask),
-        "edit_l2_aligned": aligned(edited, picture.target, picture.mask)["l2_one_factor"],
+        "edit_l2_aligned": l2_after_alignments(edited, picture.target, picture.mask)[
+            "l2_one_factor"
+        ],
     }
 
 

@@ -54,7 +54,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         arguments.rounds,
         arguments.eager_pixels,
     )
-    rows = [dataclasses.asdict(row) for row in engine_timing.timed(settings)]
+    rows = [dataclasses.asdict(row) for row in engine_timing.time_rows(settings)]
     return {"settings": dataclasses.asdict(settings), "rows": rows}
 
 

@@ -116,7 +116,7 @@ def eager_task(
     return run, len(facing) / pixels
 
 
-def clocked(run: Callable[[], None]) -> np.ndarray:
+def time_call(run: Callable[[], None]) -> np.ndarray:
     """Return wall and processor seconds of one call."""
     wall, processor = time.perf_counter(), time.process_time()
     run()
@@ -135,13 +135,13 @@ def row(
     torch.set_num_threads(threads)
     place = scene(material, perspective)
     tasks = {"engine": (engine_task(place, backward), 1.0)}
-    for name, formula in (("torch, tuned", eager_sum.tuned), ("torch, plain", eager_sum.plain)):
+    for name, formula in (("torch, tuned", eager_sum.tune), ("torch, plain", eager_sum.plain)):
         tasks[name] = eager_task(place, backward, settings.eager_pixels, formula)
     tasks["engine"][0]()  # compiled, tables of the map made
     rounds: dict[str, list[np.ndarray]] = {name: [] for name in tasks}
     for _ in range(settings.rounds):
         for name, (run, factor) in tasks.items():
-            rounds[name].append(clocked(run) * factor)
+            rounds[name].append(time_call(run) * factor)
         progress.update()
     seconds = {name: np.array(times).T for name, times in rounds.items()}
     middle = [
@@ -162,7 +162,7 @@ def row(
     )
 
 
-def timed(settings: Settings) -> list[Row]:
+def time_rows(settings: Settings) -> list[Row]:
     """Return all rows; torch's number of threads is put back."""
     before = torch.get_num_threads()
     cases = [

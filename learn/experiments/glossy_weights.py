@@ -119,14 +119,14 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     from learn.editing.decomposition import require_parts
     from learn.evaluation import ladder_bench
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
+    from learn.evaluation.ladder_pictures import load_scene
     from learn.training.validation import albedos
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    picture = of_size(shown(bench.records, scene, known, bench.size), bench.size)
+    picture = of_size(load_scene(bench.records, scene, known, bench.size), bench.size)
     prediction = bench.predict(picture.batch)
     parts = require_parts(prediction)
-    of_parts = ladder_bench.measured(parts, picture, picture.batch)
+    of_parts = ladder_bench.measure_decomposition(parts, picture, picture.batch)
     return {
         "shape": scene.shape,
         "light": scene.light,
@@ -135,7 +135,7 @@ def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
         "normals_mean_deg": of_parts.normals_mean_deg,
         "albedo": float(albedos(parts.label, picture.batch)["albedo"][0]),
         "irradiance": of_parts.irradiance,
-        "image_l2": ladder_bench.rendered_again(prediction, picture),
+        "image_l2": ladder_bench.error_of_rerendering(prediction, picture),
         "edit_l2": of_parts.edit_l2,
         "edit_l2_aligned": of_parts.edit_l2_aligned,
     }

@@ -50,14 +50,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     torch.set_num_threads(1)
     data = Data(test_lights=tuple(arguments.held_out))
     data_splits = sources.load_data_splits(data, arguments.data, arguments.lights)
-    tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
+    tests = variants.held_out_batches(data_splits, data, arguments.size, arguments.batches)
     seeds = range(arguments.seeds)
     todo = [(s, p, v) for s in seeds for p, of_part in VARIANTS.items() for v in of_part]
     results: dict[Part, dict[str, list]] = {}
     for seed, part, variant in tqdm(todo, "variants", unit="run"):
         run = settings(part, variant, data, arguments.size, arguments.seconds, seed)
         folder = arguments.out / f"{part}-{variant}-{seed}"
-        result = variants.trained(run, data_splits, tests, folder, arguments.workers)
+        result = variants.train_and_measure(run, data_splits, tests, folder, arguments.workers)
         results.setdefault(part, {}).setdefault(variant, []).append(result)
     about = {"seconds": arguments.seconds, "size": arguments.size, "seeds": arguments.seeds}
     return summary(results, about)
@@ -95,7 +95,7 @@ def settings(part: Part, variant: str, data: Data, size: int, seconds: float, se
 def summary(results: dict[Part, dict[str, list]], about: dict[str, Any]) -> runner.Report:
     """Return figures of each variant, and ratios of render L2 with 95 % intervals.
 
-    results  {part: {variant: [result of variants.trained, one per seed]}}
+    results  {part: {variant: [result of variants.train_and_measure, one per seed]}}
     """
     from learn.experiments import variants
 

@@ -109,9 +109,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments.kept_batches import KeptBatches
     from manifests import outputs
     from manifests.progress import tqdm
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
-    names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
+    names = variants.requested_variants(
+        arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE
+    )
     run = read_run(arguments.run_name)
     require_lights(run, arguments.run_name)
     torch.set_num_threads(1)
@@ -132,7 +134,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     )
     results = {}
     for name in tqdm(names, "variants", unit="run"):
-        results[name] = variants.trained(
+        results[name] = variants.train_and_measure(
             settings(name, run, arguments),
             data_splits,
             tests,
@@ -269,7 +271,7 @@ def summary(results: Mapping[str, variants.Result], about: Mapping[str, Any]) ->
 
     Intervals of 95 % are over shapes and materials.
 
-    results  {variant: result of learn.experiments.variants.trained}
+    results  {variant: result of learn.experiments.variants.train_and_measure}
     """
     from learn.experiments import variants
 

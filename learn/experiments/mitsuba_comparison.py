@@ -89,12 +89,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.data.records import Records
     from learn.evaluation import ladder, overlap
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
-    from learn.evaluation.methods import network
+    from learn.evaluation.ladder_pictures import load_scene
+    from learn.evaluation.methods import make_predictor
     from learn.experiments import ladder_scenes
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     weights = arguments.weights
@@ -103,7 +103,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rung = RUNGS[0]
     pictures = {rung.name: ladder_scenes.pictures_of(records)[rung.name]}
     scenes = ladder_scenes.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
+    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
     about = {
         "data": file_hash(arguments.data / "materials.json"),
         "weights": file_hash(weights),
@@ -111,20 +111,20 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "seed": arguments.seed,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    predict, labels = network(net), getattr(net, "training_labels", None)
+    predict, labels = make_predictor(net), getattr(net, "training_labels", None)
 
     def row(scene: Scene) -> dict[str, Any]:
-        picture = shown(records, scene, rung, metadata["size"])
+        picture = load_scene(records, scene, rung, metadata["size"])
         names = {"shape": scene.shape, "light": scene.light}
         names["target"] = scene.truth[rung.name].materials[0]
-        return names | compared(picture, predict, labels, arguments.longer)
+        return names | compare_picture(picture, predict, labels, arguments.longer)
 
     todo = [({"scene": scene.id}, scene) for scene in scenes]
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "scene")
     return {"rows": rows, "weights": weights.name, "seen": seen, "longer": arguments.longer}
 
 
-def compared(
+def compare_picture(
     picture: Any,
     predict: Callable[[ExampleBatch], Prediction],
     labels: np.ndarray | None,
@@ -157,7 +157,7 @@ def compared(
     image = batch.image[0].movedim(0, -1).numpy()
     result: dict[str, Any] = {}
     for name, each in parts.items():
-        again = methods.rendered(each.n, each.label, each.light, batch)
+        again = methods.render_by_layer(each.n, each.label, each.light, batch)
         result[name] = edit_figures(each.n, each.light, picture) | {
             "image": display_l2(again, image, picture.mask),
             "seconds": seconds[name],
@@ -183,13 +183,13 @@ def edit_figures(n: Any, light: Any, picture: Any) -> dict[str, float]:
     import torch
 
     from learn.evaluation import methods
-    from learn.metrics.pictures import aligned, display_l2
+    from learn.metrics.pictures import display_l2, l2_after_alignments
     from learn.metrics.radiometry import irradiance_error
 
-    edited = methods.rendered(n, torch.from_numpy(picture.label), light, picture.batch)
+    edited = methods.render_by_layer(n, torch.from_numpy(picture.label), light, picture.batch)
     return {
         "edit": display_l2(edited, picture.target, picture.mask),
-        "aligned": aligned(edited, picture.target, picture.mask)["l2_one_factor"],
+        "aligned": l2_after_alignments(edited, picture.target, picture.mask)["l2_one_factor"],
         "irradiance": float(irradiance_error(light, picture.batch.light)),
     }
 

@@ -196,7 +196,7 @@ class Sphere:
         return time.process_time() - began, np.stack([np.array(x) for x in picture], -1)
 
 
-def rendered(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def render_sphere(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return what OUT.npz holds: seconds and forward (C, S), pictures (C, S, P, 3)."""
     import drjit as dr
     import mitsuba as mi
@@ -222,4 +222,4 @@ def rendered(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 if __name__ == "__main__":
     with np.load(sys.argv[1], allow_pickle=False) as file:
         read = dict(file)
-    np.savez(sys.argv[2], **rendered(read))
+    np.savez(sys.argv[2], **render_sphere(read))

@@ -12,7 +12,7 @@ COVERED = np.sqrt(1.6 / np.pi)  # radius in half pictures of a sphere that cover
 DENTS, WAVE_NUMBER = 6, 4.0
 
 
-def dented(n: np.ndarray, depth: float, seed: int) -> np.ndarray:
+def dent(n: np.ndarray, depth: float, seed: int) -> np.ndarray:
     """Return a unit sphere's normals (…, 3) tilted by the slopes of random waves over it.
 
     depth  of a wave: its slope in radians
@@ -41,7 +41,7 @@ def near(
     root = along**2 - (distance**2 - 1)
     n = -(along - np.sqrt(np.maximum(root, 0.0)))[..., None] * view - middle
     if depth:
-        n = dented(n, depth, seed)
+        n = dent(n, depth, seed)
     seen = (root > 0) & ((n * view).sum(-1) > 1e-3)
     n = np.where(seen[..., None], n / np.linalg.norm(n, axis=-1, keepdims=True), 0.0)
     return torch.as_tensor(n)[None].float(), torch.as_tensor(view)[None].float()
@@ -52,6 +52,6 @@ def far(size: int, depth: float = 0.0) -> torch.Tensor:
     sphere = chart_cases.sphere(size)
     if not depth:
         return sphere
-    n = torch.as_tensor(dented(sphere[0].double().numpy(), depth, 0))[None].float()
+    n = torch.as_tensor(dent(sphere[0].double().numpy(), depth, 0))[None].float()
     seen = (sphere != 0).any(-1, keepdim=True) & (n[..., 2:] > 1e-3)
     return torch.where(seen, n, torch.zeros(()))

@@ -71,7 +71,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import distances
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -87,7 +87,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     for folder in arguments.data:
         records = Records(folder)
         shown = pictures_of(records, metadata["size"], arguments.pictures)
-        sentences += _said(arguments.weights, records, shown)
+        sentences += _what_weights_saw(arguments.weights, records, shown)
         same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
         degrees[folder.name] = distances.of_shapes(
             distances.rasters(records, shown), training, same
@@ -132,7 +132,7 @@ def pictures_of(records: Records, size: int, most: int) -> list[Record]:
     return [each for _, _, each in sorted(turns, key=lambda turn: turn[:2])[:most]]
 
 
-def _said(weights: Path, records: Records, shown: Sequence[Record]) -> list[str]:
+def _what_weights_saw(weights: Path, records: Records, shown: Sequence[Record]) -> list[str]:
     """Return what the report says at its top of what the weights saw of these pictures."""
     from learn.data.seen import DIGITS, map_hash
     from learn.evaluation import overlap

@@ -6,7 +6,7 @@ command continues; variants that are there are kept.
 
     L2           squared difference of normals alone, all training shapes
     pixels       with I' at sampled pixels, its gradient bounded at each pixel
-                 (learn.training.rerendering.bounded)
+                 (learn.training.rerendering.bound_gradient)
     all pixels   with I' at every pixel of the mask
     features     with I' compared by features of VGG16 (learn.networks.features), all pixels
     matte first  as pixels, but materials are admitted in order of gloss
@@ -26,7 +26,7 @@ from manifests.option_types import above_zero, whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from learn.data.relit import DataSplit
+    from learn.data.data_split import DataSplit
     from learn.data.settings import Data, Run
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -78,15 +78,15 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.experiments import variants
     from manifests.progress import tqdm
 
-    names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), "L2")
+    names = variants.requested_variants(arguments.variants or list(VARIANTS), list(VARIANTS), "L2")
     torch.set_num_threads(1)
     data = Data(sharing=8, test_lights=tuple(arguments.held_out))
     data_splits = sources.load_data_splits(data, arguments.data, arguments.lights)
-    tests = variants.held_out(data_splits, data, arguments.size, arguments.batches)
+    tests = variants.held_out_batches(data_splits, data, arguments.size, arguments.batches)
     results: dict[str, list] = {name: [] for name in names}
     todo = [(seed, name) for seed in range(arguments.seeds) for name in names]
     for seed, name in tqdm(todo, "variants", unit="run"):
-        results[name].append(_trained(name, seed, arguments, data, data_splits, tests))
+        results[name].append(_train(name, seed, arguments, data, data_splits, tests))
     about = {
         "pretraining": arguments.pretraining,
         "seconds": arguments.seconds,
@@ -98,7 +98,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return summary(results, about)
 
 
-def _trained(
+def _train(
     name: str,
     seed: int,
     arguments: argparse.Namespace,
@@ -110,10 +110,10 @@ def _trained(
     from learn.experiments import variants
 
     runs, size = arguments.out / "runs", arguments.size
-    of_shapes = _limited(data_splits, SHAPES.get(name))
+    of_shapes = _limit_shapes(data_splits, SHAPES.get(name))
     first = runs / f"{name.split()[0] + '-' if name in SHAPES else ''}pretraining-{seed}"
     pretraining = settings("pre-training", data, size, arguments.pretraining, seed, 2e-3)
-    variants.trained(pretraining, of_shapes, tests, first, arguments.workers)
+    variants.train_and_measure(pretraining, of_shapes, tests, first, arguments.workers)
     own = Pretrained(
         str(first / "weights.safetensors"),
         VARIANTS[name],
@@ -121,7 +121,7 @@ def _trained(
     )
     run = settings(name, data, size, arguments.seconds, seed + 1000, 1e-3, own)
     folder = runs / f"{name.replace(' ', '-')}-{seed}"
-    return variants.trained(run, of_shapes, tests, folder, arguments.workers)
+    return variants.train_and_measure(run, of_shapes, tests, folder, arguments.workers)
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _count(data_splits: dict[str, DataSplit]) -> int:
     return len({data_splits["train"].geometry.views[v].shape for v in data_splits["train"].views})
 
 
-def _limited(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, DataSplit]:
+def _limit_shapes(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, DataSplit]:
     """Return splits with so many training shapes, chosen by their names' hashes.
 
     Raises InputError if there are fewer.
@@ -207,7 +207,7 @@ def _limited(data_splits: dict[str, DataSplit], count: int | None) -> dict[str, 
 def summary(results: dict[str, list], about: dict[str, Any]) -> runner.Report:
     """Return each variant's figures, and its ratios to L2 alone, with 95 % intervals.
 
-    results  {variant: [result of variants.trained, one per seed]}
+    results  {variant: [result of variants.train_and_measure, one per seed]}
     """
     from learn.experiments import variants
 

@@ -144,14 +144,16 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests import outputs
     from manifests.progress import tqdm
 
-    names = variants.requested(arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE)
+    names = variants.requested_variants(
+        arguments.variants or list(VARIANTS), list(VARIANTS), REFERENCE
+    )
     _require_order(names)
     run = read_run(arguments.run_name)
     objective_training.require_all_terms(run, arguments.run_name)
-    left_out = _left_out(names, arguments.features)
+    left_out = _variants_left_out(names, arguments.features)
     names = [name for name in names if name not in left_out]
     torch.set_num_threads(1)
-    outputs.pin_settings(arguments.out / "settings.json", _pinned(run, arguments))
+    outputs.pin_settings(arguments.out / "settings.json", _settings_to_pin(run, arguments))
     data_splits = sources.load_data_splits(run.data, arguments.data, arguments.lights)
     policy, tested = predictions.VALIDATION, run
     if arguments.glossy:
@@ -185,7 +187,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         of_variant = settings(name, start, run, arguments, seconds)
         folder = arguments.out / "runs" / f"{name.replace(' ', '-')}-from-{start}"
         results[start][name] = [
-            variants.trained(
+            variants.train_and_measure(
                 of_variant,
                 data_splits,
                 tests,
@@ -205,11 +207,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return summary(results, _about(run, arguments) | sizes) | {"left_out": left_out, "seen": seen}
 
 
-def _pinned(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
+def _settings_to_pin(run: Run, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what determines the rows of a folder, and so may not change."""
     import msgspec
 
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     pinned = {
         "run": msgspec.to_builtins(run),
@@ -255,7 +257,7 @@ def _require_order(names: list[str]) -> None:
             raise InputError("--variants", rule, ", ".join(names), f'put "{first}" before it')
 
 
-def _left_out(names: list[str], path: str | None) -> dict[str, str]:
+def _variants_left_out(names: list[str], path: str | None) -> dict[str, str]:
     """Return {variant: why it cannot be trained here}. Raises InputError for features as given."""
     from learn.networks import features
     from manifests.errors import InputError

@@ -29,7 +29,7 @@ DIGITS = {"angle_deg": 2, "albedo": 3, "irradiance": 3, "image_l2": 0, "target_l
 def summary(results: Mapping[str, Mapping[str, list]], about: Mapping[str, Any]) -> runner.Report:
     """Return each variant's figures, and their ratios to all terms, with 95 % intervals.
 
-    results  {start: {variant: [result of variants.trained]}}
+    results  {start: {variant: [result of variants.train_and_measure]}}
     """
     from learn.experiments import variants
 

@@ -12,7 +12,7 @@ import msgspec
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.settings import Losses, Run
 from learn.experiments import variants
 from learn.layer import predictions
@@ -64,7 +64,7 @@ class ObjectiveTraining(loop.Training):
 def maker(
     source: processes.BatchSource, reflectance_map: bool, of_luminance: bool = False
 ) -> Callable[..., ObjectiveTraining]:
-    """Return what makes such a training, for learn.experiments.variants.trained."""
+    """Return what makes such a training, for learn.experiments.variants.train_and_measure."""
     return functools.partial(
         ObjectiveTraining,
         source=source,
@@ -142,12 +142,12 @@ def tests(
     """
     data = msgspec.structs.replace(run.data, sharing=1)
     return [
-        replace(batch, target=_rendered(batch, policy))
-        for batch in variants.held_out(data_splits, data, size, batches)
+        replace(batch, target=_render_truth(batch, policy))
+        for batch in variants.held_out_batches(data_splits, data, size, batches)
     ]
 
 
-def _rendered(batch: ExampleBatch, policy: predictions.Policy) -> torch.Tensor:
+def _render_truth(batch: ExampleBatch, policy: predictions.Policy) -> torch.Tensor:
     """Return the true O (B, 3, H, W)."""
     truth = validation.render_batch(batch.n, batch.target_label, batch.light, batch, policy)
     return torch.from_numpy(truth).movedim(-1, 1)

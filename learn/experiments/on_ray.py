@@ -23,7 +23,7 @@ import msgspec
 
 from manifests import ray_tasks
 from manifests.errors import InputError
-from manifests.line_files import encoded
+from manifests.line_files import encode
 
 Identity = dict[str, Any]  # what identifies a row
 
@@ -50,7 +50,7 @@ _wanted: Path | None = None  # in a worker: the file of the rows that it is ther
 
 
 @contextmanager
-def asking(
+def asked_of_cluster(
     address: str | None, experiment: object, arguments: argparse.Namespace
 ) -> Iterator[None]:
     """Have rows measured on the cluster at `address` within this block; None: in this process."""
@@ -70,7 +70,7 @@ def is_asking() -> bool:
     return _asking is not None
 
 
-def measured(
+def measure_on_cluster(
     path: Path, pieces: Sequence[Sequence[Identity]]
 ) -> Generator[tuple[Identity, dict[str, Any]], None, None]:
     """Yield (identity, the rest of its row) as the cluster measures them.
@@ -84,7 +84,7 @@ def measured(
     settings = {
         "experiment": _asking.experiment,
         "path": path,
-        "arguments": _packed(vars(_asking.arguments) | {"ray": None}),
+        "arguments": _pack(vars(_asking.arguments) | {"ray": None}),
     }
     values = [[list(each.values()) for each in piece] for piece in pieces]
     with contextlib.closing(
@@ -104,7 +104,7 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     experiment = importlib.import_module(given["experiment"])
     before, _wanted = _wanted, Path(given["path"])
     try:
-        experiment.measure(argparse.Namespace(**_unpacked(given["arguments"])))
+        experiment.measure(argparse.Namespace(**_unpack(given["arguments"])))
     except _Reached as reached:
         cases = {tuple(identity.values()): case for identity, case in reached.cases}
         measure = reached.measure
@@ -114,12 +114,12 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
         _wanted = before
 
     def work(piece: bytes) -> bytes:
-        return encoded([measure(cases[tuple(each)]) for each in msgspec.json.decode(piece)])
+        return encode([measure(cases[tuple(each)]) for each in msgspec.json.decode(piece)])
 
     return work
 
 
-def reached(
+def end_where_rows_are_requested(
     path: Path,
     cases: Sequence[tuple[Identity, Any]],
     measure: Callable[[Any], dict[str, Any]],
@@ -139,19 +139,19 @@ def reached(
         raise InputError(path, "all rows, on every node of the cluster", "some", remedy)
 
 
-def _packed(value: Any) -> Any:
+def _pack(value: Any) -> Any:
     """Return options as what JSON can hold; functions are left out, paths are marked."""
     if isinstance(value, dict):
-        return {key: _packed(each) for key, each in value.items() if not callable(each)}
+        return {key: _pack(each) for key, each in value.items() if not callable(each)}
     if isinstance(value, list | tuple):
-        return [_packed(each) for each in value]
+        return [_pack(each) for each in value]
     return {"path": value} if isinstance(value, Path) else value
 
 
-def _unpacked(value: Any) -> Any:
-    """Return options from what `_packed` made of them."""
+def _unpack(value: Any) -> Any:
+    """Return options from what `_pack` made of them."""
     if isinstance(value, dict):
         if set(value) == {"path"}:
             return Path(value["path"])
-        return {key: _unpacked(each) for key, each in value.items()}
-    return [_unpacked(each) for each in value] if isinstance(value, list) else value
+        return {key: _unpack(each) for key, each in value.items()}
+    return [_unpack(each) for each in value] if isinstance(value, list) else value

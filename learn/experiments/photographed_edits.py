@@ -105,7 +105,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
     from learn.evaluation.ladder_design import Scene
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)
@@ -116,7 +116,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         for target in case.targets
     ]
     seen = overlap.sentences(
-        [arguments.weights], ladder.tested(records, scenes), arguments.data, True
+        [arguments.weights], ladder.list_tested(records, scenes), arguments.data, True
     )
     about = {
         "data": file_hash(arguments.data / "materials.json"),

@@ -92,12 +92,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from manifests.progress import tqdm
     from shaders import principled_fit
-    from shaders.samples import HELD_OUT_DEG, held_out
+    from shaders.samples import HELD_OUT_DEG, held_out_samples
 
     rng = np.random.default_rng(arguments.seed)
-    materials = [drawn(rng) for _ in range(arguments.count)]
+    materials = [draw_material(rng) for _ in range(arguments.count)]
     principled_fit.fit(materials[0])  # tables of the held-out samples
-    samples = held_out()
+    samples = held_out_samples()
     matrix = rng.random((MATRIX, MATRIX))
     rows, views, product = [], [], []
     for number, material in enumerate(tqdm(materials, unit="material")):
@@ -124,7 +124,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
 
 
-def drawn(rng: np.random.Generator) -> PrincipledMaterial:
+def draw_material(rng: np.random.Generator) -> PrincipledMaterial:
     """Return a random material of the distribution that the module describes."""
     from shaders.principled import PrincipledMaterial
 
@@ -158,7 +158,7 @@ def least_error(material: PrincipledMaterial, samples: Samples) -> float:
     least L1. A label follows the same values by three lobes with six control values each. It is
     an upper bound, since the nodes and the rounds are finite.
 
-    samples  shaders.samples.held_out
+    samples  shaders.samples.held_out_samples
     """
     import numpy as np
 

@@ -55,12 +55,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"tolerance", "threads", "rows": [a row per lobe], "materials": [rows]}."""
     from learn.experiments import converged_integrals, quadrature_materials
 
-    measured = quadrature_materials.chosen(arguments.material)
-    rows = converged_integrals.compared(
+    measured = quadrature_materials.choose_materials(arguments.material)
+    rows = converged_integrals.compare_lobes(
         arguments.tolerance, arguments.threads, tuple(arguments.gamma), arguments.size
     )
     materials = (
-        quadrature_materials.compared(
+        quadrature_materials.compare_materials(
             arguments.tolerance, measured, MATERIALS_SIZE, arguments.out / "materials.jsonl"
         )
         if measured

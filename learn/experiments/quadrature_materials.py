@@ -56,7 +56,7 @@ def sun_at(degrees: float) -> np.ndarray:
     return chart_cases.sun_in((int(row), int(column)))
 
 
-def chosen(names: Sequence[str]) -> list[materials.Material]:
+def choose_materials(names: Sequence[str]) -> list[materials.Material]:
     """Return the built-in materials of these names, or all if one of them is `all`.
 
     Raises  InputError: an unknown name
@@ -65,7 +65,7 @@ def chosen(names: Sequence[str]) -> list[materials.Material]:
     return list(every.values()) if "all" in names else [materials.find(name) for name in names]
 
 
-def compared(
+def compare_materials(
     tolerance: float, of: Sequence[materials.Material], size: int, path: Path
 ) -> list[dict[str, Any]]:
     """Return a row per camera and material: seconds and error of both methods, and further errors.
@@ -89,12 +89,12 @@ def compared(
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     suns = [sun_at(degrees) for degrees in SUNS]
-    rows = runner.resume(path, cases, lambda case: _measured(case, tolerance, suns), "case")
+    rows = runner.resume(path, cases, lambda case: _measure(case, tolerance, suns), "case")
     torch.set_num_threads(before)
     return rows
 
 
-def _measured(
+def _measure(
     case: chart_measurement.Case, tolerance: float, suns: Sequence[np.ndarray]
 ) -> dict[str, Any]:
     """Return {method: {"seconds", "error"}, "further errors": [of each sun]}."""
@@ -106,7 +106,8 @@ def _measured(
             method, f"{tolerance:g}", partial(load(method).radiance, tolerance=tolerance)
         )
         seconds, pictures = zip(
-            *(chart_measurement.timed(setting, case, True) for _ in range(ROUNDS)), strict=True
+            *(chart_measurement.time_picture(setting, case, True) for _ in range(ROUNDS)),
+            strict=True,
         )
         errors = truth.errors(pictures[0].numpy()[truth.pick])
         row[method] = {"seconds": min(seconds), "error": errors["integral"]}
@@ -120,7 +121,7 @@ def _error(case: chart_measurement.Case, light: np.ndarray, tolerance: float) ->
     pick = sample(len(batch.n), chart_measurement.SAMPLE)
     with torch.no_grad():
         picture = load("quadrature").radiance(batch, tolerance)[pick]
-        right = chart_measurement.converged(chart_measurement.picked(batch, pick))
+        right = chart_measurement.converged_radiance(chart_measurement.pick_pixels(batch, pick))
     return float((picture - right).abs().mean() / right.mean())
 
 

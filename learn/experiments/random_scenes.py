@@ -60,7 +60,7 @@ def random_label(rng: np.random.Generator, labels: Sequence[np.ndarray]) -> np.n
     return label
 
 
-def compared(
+def compare_scenes(
     labels: Sequence[np.ndarray], count: int, size: int, seed: int
 ) -> list[dict[str, Any]]:
     """Return rows of case, camera, tolerance, error and kept; a quarter of cases in perspective."""

@@ -67,10 +67,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     import torch
 
     from learn.data.records import Records
-    from learn.evaluation.methods import network
+    from learn.evaluation.methods import make_predictor
     from learn.experiments import refinement_sweep
     from learn.networks import weights as checkpoint
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)  # times are reported for one thread
     weights = arguments.weights
@@ -83,7 +83,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     records = Records(arguments.data)
     refinement_sweep.pin_settings(arguments.out, about)
-    return _measure(arguments, network(net), records) | {"about": about}
+    return _measure(arguments, make_predictor(net), records) | {"about": about}
 
 
 def _measure(
@@ -101,12 +101,12 @@ def _measure(
         )
     batch = known[0].batch
     result["times"] = {
-        f"{len(b.image[0, 0])}": refinement_sweep.timed(predict, b)
-        for b in (batch, refinement_sweep.doubled(batch))
+        f"{len(b.image[0, 0])}": refinement_sweep.time_refinement(predict, b)
+        for b in (batch, refinement_sweep.double_size(batch))
     }
     if arguments.initialisations:
         labels = refinement_initialisations.labels_of(records, arguments.materials)
-        result["initialisations"] = refinement_initialisations.measured(
+        result["initialisations"] = refinement_initialisations.measure_refinements(
             predict, known[:needed], arguments.initialisations, arguments.out, labels
         )
     return result

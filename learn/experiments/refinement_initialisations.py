@@ -35,7 +35,7 @@ def labels_of(records: Records, materials: str) -> list[np.ndarray]:
     return [records.label(name) for name in sorted(records.materials)]
 
 
-def measured(
+def measure_refinements(
     predict: Predict,
     known: Sequence[Case],
     count: int,
@@ -53,7 +53,7 @@ def measured(
         kind = KINDS[i % len(KINDS)]
         batch = known[i // len(KINDS) % len(known)].batch
         rng = torch.Generator().manual_seed(i)
-        start = perturbed(predict(batch), kind, rng, labels)
+        start = perturb(predict(batch), kind, rng, labels)
         report = refine(batch, start, settings)
         parts = (report.prediction.label, report.prediction.light, report.prediction.n)
         seen = batch.image[0].movedim(0, -1).numpy()
@@ -95,7 +95,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def perturbed(
+def perturb(
     start: Prediction, kind: str, rng: torch.Generator, labels: Sequence[np.ndarray]
 ) -> Prediction:
     """Return a prediction of which one property does not depend on the picture.

@@ -61,7 +61,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "pictures", "weights", "seen"}.
 
     rows      as of `row_of`, and scene, rung, start (PREDICTED or TRUE_LIGHT), method
-    pictures  as of `compared_with_the_sum`, and scene, rung
+    pictures  as of `compare_with_sum`, and scene, rung
     Raises InputError for a data set without pictures in glossy materials beside others.
     """
     from dataclasses import asdict
@@ -96,7 +96,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     pictures = runner.resume(
         arguments.out / "pictures.jsonl",
         compared,
-        lambda case: compared_with_the_sum(bench, *case),
+        lambda case: compare_with_sum(bench, *case),
         "picture",
     )
     for method in METHODS:  # once without a clock, because kernels are compiled
@@ -137,7 +137,7 @@ def settings_of(rung: str, method: str) -> RefinementSettings:
 
     (known,) = (each for each in RUNGS if each.name == rung)
     settings = PHOTOGRAPHS if known.eight_bit else RefinementSettings()
-    return replace(settings, outer_iterations=1).rendered_by(method)
+    return replace(settings, outer_iterations=1).with_method(method)
 
 
 def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
@@ -172,7 +172,7 @@ def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict
     }
 
 
-def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+def compare_with_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names, and the display L2 between its renderings by sum and by integral.
 
     "true" are those of the true parts, "predicted" those of the predicted ones.
@@ -182,12 +182,12 @@ def compared_with_the_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]
     from learn.data.devices import to_numpy
     from learn.editing.decomposition import Parts, require_parts
     from learn.evaluation.ladder_design import RUNGS
-    from learn.evaluation.ladder_pictures import shown
+    from learn.evaluation.ladder_pictures import load_scene
     from learn.layer import predictions
     from learn.metrics.pictures import display_l2
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    batch = shown(bench.records, scene, known, bench.size).batch
+    batch = load_scene(bench.records, scene, known, bench.size).batch
     inside = to_numpy(batch.segments[0] > 0)
 
     def between_sum_and_integral(parts: Parts) -> float:

@@ -213,7 +213,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def timed(
+def time_refinement(
     predict: Predict,
     batch: ExampleBatch,
     settings: RefinementSettings = RefinementSettings(),  # noqa: B008 -- frozen
@@ -228,7 +228,7 @@ def timed(
     return dict(zip(("predict", "refine"), map(min, zip(*results, strict=True)), strict=True))
 
 
-def doubled(batch: ExampleBatch) -> ExampleBatch:
+def double_size(batch: ExampleBatch) -> ExampleBatch:
     """Return the same picture at twice the size, with each pixel four times."""
 
     def larger(x: torch.Tensor) -> torch.Tensor:

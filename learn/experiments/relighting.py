@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from learn.commands import options
 from learn.experiments import runner
 from learn.experiments.ladder_scenes import RUNGS, Key, pictures_of, remedy, rungs, scene_of
-from learn.experiments.relighting_tables import by_group, by_method, counted
+from learn.experiments.relighting_tables import by_group, by_method, count_values
 
 if TYPE_CHECKING:
     from learn.data.records import Records
@@ -72,10 +72,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.records import Records
     from learn.evaluation import ladder, overlap
-    from learn.evaluation.methods import network, training_labels
+    from learn.evaluation.methods import make_predictor, training_labels
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     weights = arguments.weights
@@ -85,7 +85,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     available = sorted(set.intersection(*(set(each) for each in pictures.values())))
     cases = cases_of(available, arguments.pictures, arguments.seed, arguments.data)
     scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
-    seen = overlap.sentences([weights], ladder.tested(records, scenes), arguments.data, True)
+    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
     about = {
         "data": file_hash(records.store.fetch("materials.json")),
         "weights": file_hash(weights),
@@ -93,7 +93,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     mean = torch.from_numpy(np.mean(training_labels(None, "built-in"), 0)).float()[None]
-    bench = Bench(records, pictures, network(net), metadata["size"], mean)
+    bench = Bench(records, pictures, make_predictor(net), metadata["size"], mean)
     todo = [
         ({"task": case.task, "rung": rung, "of": _name(case)}, (case, rung))
         for rung in pictures
@@ -194,7 +194,7 @@ class Bench:
 
     def row(self, case: Case, name: str) -> dict[str, Any]:
         """Return what a result is of, and {"l2", "one_factor": {method: value}}."""
-        from learn.metrics.pictures import aligned, display_l2
+        from learn.metrics.pictures import display_l2, l2_after_alignments
 
         shown, made = self.results(case, name)
         return {
@@ -207,7 +207,7 @@ class Bench:
             "to_light": _light(case.truth.light),
             "l2": {key: display_l2(each, shown.target, shown.mask) for key, each in made.items()},
             "one_factor": {
-                key: aligned(each, shown.target, shown.mask)["l2_one_factor"]
+                key: l2_after_alignments(each, shown.target, shown.mask)["l2_one_factor"]
                 for key, each in made.items()
             },
         }
@@ -218,7 +218,7 @@ class Bench:
         import torch
 
         from learn.data.devices import to_numpy
-        from learn.evaluation.methods import rendered
+        from learn.evaluation.methods import render_by_layer
         from learn.networks.prediction import require_part
         from shaders.envmap import roll
 
@@ -241,15 +241,15 @@ class Bench:
             "true": (batch.n, true_label),
         }
         made = {"unchanged": to_numpy((batch.image * batch.mask)[0].movedim(0, -1))}
-        made |= {key: rendered(*each, light, batch) for key, each in parts.items()}
+        made |= {key: render_by_layer(*each, light, batch) for key, each in parts.items()}
         return shown, made
 
     def decomposed(self, source: Key, truth: Key, name: str) -> tuple[Shown, Prediction]:
         """Return a picture on a rung beside its truth, and its prediction."""
-        from learn.evaluation.ladder_pictures import shown
+        from learn.evaluation.ladder_pictures import load_scene
 
         rung = next(rung for rung in rungs() if rung.name == name)
-        picture = shown(self.records, scene_of(self.pictures, source, truth), rung, self.size)
+        picture = load_scene(self.records, scene_of(self.pictures, source, truth), rung, self.size)
         return picture, self.predict(picture.batch)
 
 
@@ -264,8 +264,8 @@ def tables(report: runner.Report) -> str:
     result += [f"**{sentence}**\n" for sentence in report["seen"]]
     result.append(
         f"Weights {report['weights']}; {report['available']} pictures are there on every rung:"
-        f" {counted(rows, 'shape', 'shapes')}, {counted(rows, 'material', 'materials')},"
-        f" {counted(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
+        f" {count_values(rows, 'shape', 'shapes')}, {count_values(rows, 'material', 'materials')},"
+        f" {count_values(rows, 'to_light', 'lights')}. Errors are against Cycles' picture under the"
         " light that is given, which no input shows. *One factor free*: L2 after the factor on the"
         " result's radiance that makes it least. *Ratio*: of means, to the object's picture"
         " unchanged. Intervals draw shapes (in transfer those of both pictures), materials, and"

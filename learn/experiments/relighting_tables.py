@@ -21,7 +21,7 @@ METHODS = {
 }
 
 
-def counted(rows: Sequence[Mapping[str, Any]], key: str, what: str) -> str:
+def count_values(rows: Sequence[Mapping[str, Any]], key: str, what: str) -> str:
     """Return how many values of `key` there are, with the word for them."""
     return f"{len({row[key] for row in rows})} {what}"
 

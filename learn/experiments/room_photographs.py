@@ -99,7 +99,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.networks import weights as checkpoint
     from learn.refinement import PHOTOGRAPHS
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     cases = cases_of(arguments.data, arguments.scenes, arguments.after)

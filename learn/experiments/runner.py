@@ -114,7 +114,7 @@ def run(experiment: Experiment, arguments: argparse.Namespace) -> None:
     outputs.reserve_outputs(arguments.out, (REPORT, PAGE, CHART), overwrite=True, inputs=inputs)
     made_by = provenance()
     with lock.writing(arguments.out, patience=0):
-        with on_ray.asking(getattr(arguments, "ray", None), experiment, arguments):
+        with on_ray.asked_of_cluster(getattr(arguments, "ray", None), experiment, arguments):
             report = {"made_by": made_by} | experiment.measure(arguments)
         # first, so that a fault in the tables does not cost the measurement
         files.write_json(arguments.out / REPORT, report)
@@ -186,7 +186,7 @@ def resume(
     kept = [current(row) for row in outputs.read_lines(path)]
     done = {tuple(row[key] for key in keys): row for row in kept}
     missing = [(each, case) for each, case in cases if tuple(each.values()) not in done]
-    on_ray.reached(path, cases, measure, len(missing))
+    on_ray.end_where_rows_are_requested(path, cases, measure, len(missing))
     with (
         contextlib.closing(Lines(path)) as lines,
         contextlib.closing(_rest_of_rows(path, missing, measure, group)) as measured,
@@ -214,4 +214,4 @@ def _rest_of_rows(
     pieces: dict[Hashable, list[dict[str, Any]]] = {}
     for identity, case in missing:
         pieces.setdefault(group(case), []).append(identity)
-    yield from on_ray.measured(path, list(pieces.values()))
+    yield from on_ray.measure_on_cluster(path, list(pieces.values()))

@@ -44,7 +44,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     from learn.data.records import Records
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     records = Records(arguments.data)

@@ -11,7 +11,8 @@ import msgspec
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Losses, Run
 from learn.training import losses, schedule
 from learn.training.loop import Training

@@ -21,7 +21,7 @@ from learn.data import photographs
 from manifests import archives
 from manifests.errors import InputError
 from manifests.reading import read
-from manifests.store import inside
+from manifests.store_paths import inside
 from shaders import frames
 
 LARGEST_ARRAY = 256 << 20  # bytes of a disparity map
@@ -102,7 +102,7 @@ def _disparity(path: Path) -> np.ndarray:
         shown = 255 * photographs.tone.srgb(values[..., 0].astype(np.float64))
         return np.where(np.rint(shown) > 0, np.rint(shown), np.nan)
     rule, remedy = "an .npz of one map of disparities", "write it by numpy.savez"
-    with archives.opened_zip(path, rule, remedy) as archive:
+    with archives.open_zip(path, rule, remedy) as archive:
         (name, *rest) = archive.namelist()
         if rest:
             raise InputError(path, rule, f"{1 + len(rest)} arrays", remedy)
@@ -121,14 +121,14 @@ def _object(
     centre = (scene.centre[0] - left, scene.centre[1] - top)
     scene = msgspec.structs.replace(scene, centre=centre)
     known = (mask & np.isfinite(disparity))[part]
-    plane, defined = fitted_planes(disparity[part], known, scene.window)
+    plane, defined = fit_planes(disparity[part], known, scene.window)
     own = own_error(disparity[part], known, plane, defined, scene)
     normals, valid = np.zeros_like(picture, np.float64), np.zeros_like(mask)
     normals[part], valid[part] = normals_of(plane, scene), defined
     return StereoObject(name, picture, mask, normals, valid, own)
 
 
-def fitted_planes(
+def fit_planes(
     disparity: np.ndarray, known: np.ndarray, window: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return planes (H, W, 3) fitted about each pixel, and where there are any (H, W).
@@ -197,10 +197,10 @@ def own_error(
             again = scene.step * np.rint((smooth + shift) / scene.step) - shift
         else:
             again = smooth + rng.normal(0, deviation, smooth.shape)
-        measured, _ = fitted_planes(again, valid, scene.window)
-        base, fits = fitted_planes(smooth, valid, scene.window)
+        measured, _ = fit_planes(again, valid, scene.window)
+        base, fits = fit_planes(smooth, valid, scene.window)
         angles.append(angle(normals_of(measured, scene), normals_of(base, scene))[fits].mean())
-    narrow, fits = fitted_planes(disparity, known, scene.window / 2)
+    narrow, fits = fit_planes(disparity, known, scene.window / 2)
     both = valid & fits
     result = {
         "noise": float(np.mean(angles)),

@@ -27,7 +27,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     labels = [
         material.label for material in catalogue.load_catalogue(catalogue.BUILT_IN[0]).values()
     ]
-    rows = random_scenes.compared(labels, arguments.cases, arguments.size, arguments.seed)
+    rows = random_scenes.compare_scenes(labels, arguments.cases, arguments.size, arguments.seed)
     kept = {
         f"{t:g}": sum(row["kept"] for row in rows if row["tolerance"] == t) / arguments.cases
         for t in random_scenes.TOLERANCES

@@ -37,7 +37,7 @@ class Timed:
 @functools.cache
 def formulas() -> dict[str, eager_sum.Formula]:
     """Return {method: formula}; without torch.compile where this machine has no compiler for it."""
-    result: dict[str, eager_sum.Formula] = {"torch": eager_sum.tuned}
+    result: dict[str, eager_sum.Formula] = {"torch": eager_sum.tune}
     compiled = torch.compile(eager_sum.plain, dynamic=False)
     n, w = torch.tensor([[0.0, 0.0, 1.0]]).repeat(CHUNK, 1), torch.tensor([[0.0, 0.0, 1.0]])
     try:
@@ -48,7 +48,7 @@ def formulas() -> dict[str, eager_sum.Formula]:
     return result | {"torch.compile": compiled}
 
 
-def timed(formula: eager_sum.Formula, batch: Batch) -> Timed:
+def time_formula(formula: eager_sum.Formula, batch: Batch) -> Timed:
     """Time a formula on a batch of one material under one light, forward and with backward."""
     pick = sample(len(batch.n), PIXELS)
     pick = pick[: len(pick) // CHUNK * CHUNK]  # compiled for whole chunks
@@ -58,13 +58,13 @@ def timed(formula: eager_sum.Formula, batch: Batch) -> Timed:
     m = batch.m.detach().reshape(3, 3, 2, 6).float()
     w, energy = exact.texels(batch.light[0].detach(), batch.camera_from_light)
     inputs, g = (n, view, m, energy, w), torch.ones_like(n)
-    both, _ = _clocked(lambda: eager_sum.forward_backward(formula, *inputs, g, CHUNK, False))
-    forward, radiance = _clocked(lambda: eager_sum.forward(formula, *inputs, CHUNK))
+    both, _ = _time_once(lambda: eager_sum.forward_backward(formula, *inputs, g, CHUNK, False))
+    forward, radiance = _time_once(lambda: eager_sum.forward(formula, *inputs, CHUNK))
     scale = len(batch.n) / len(pick)
     return Timed(scale * both, scale * forward, pick, radiance)
 
 
-def _clocked(work: Callable[[], Result]) -> tuple[float, Result]:
+def _time_once(work: Callable[[], Result]) -> tuple[float, Result]:
     start = time.thread_time()
     result = work()
     return time.thread_time() - start, result

@@ -66,7 +66,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.evaluation import overlap
     from learn.networks import weights as checkpoint
     from manifests import outputs
-    from manifests.store import file_hash
+    from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     about = {
@@ -111,8 +111,9 @@ def photographs_of(folder: Path, weights: Path, sizes: Sequence[int]) -> dict[in
 
     import numpy as np
 
+    from learn.data.data_split import DataSplit
     from learn.data.geometry import Geometry
-    from learn.data.relit import DataSplit, RelitDataset
+    from learn.data.relit import RelitDataset
     from learn.data.settings import Data, decode_run
     from learn.data.sources import split_materials
     from learn.networks import weights as checkpoint

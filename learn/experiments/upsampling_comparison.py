@@ -25,7 +25,7 @@ from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings
 from manifests import outputs
 from manifests.errors import InputError
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 
 def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _row(records: Records, edit: pairs.EditPair, painters: dict[str, dict]) -> d
     for parts, strategies in painters.items():
         mask = strategies["normals enlarged"].decomposition.photograph.mask
         row[parts] = {
-            name: compared(painter.edited([label]), truth, mask)
+            name: compare_pictures(painter.edited([label]), truth, mask)
             for name, painter in strategies.items()
         }
     return row
@@ -112,7 +112,7 @@ def with_truth(records: Records, ours: decomposition.Decomposition) -> decomposi
     return replace(ours, start=Prediction(n, None, label, None, light), refined=None)
 
 
-def compared(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+def compare_pictures(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Return display L2 and SSIM over the mask."""
     figures = l2_and_ssim(picture, truth, mask)
     return {name: value for name in ("l2", "ssim") if (value := figures[name]) is not None}

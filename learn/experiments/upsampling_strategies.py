@@ -13,7 +13,7 @@ picture, guided filter    the same, as a local linear function of the photograph
 normals, joint bilateral  normals upsampled so, and rendered at the photograph's size
 
 h, w: the network's size; H, W: the photograph's. The guide is the photograph's compressed
-luminance (learn.networks.coding.compressed).
+luminance (learn.networks.coding.compress).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def joint_bilateral(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -
     return (result / total[..., None]).astype(np.float32)
 
 
-def guided(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -> np.ndarray:
+def upsample_guided(low: np.ndarray, guide_low: np.ndarray, guide: np.ndarray) -> np.ndarray:
     """Return (H, W, C) of low (h, w, C), locally a · guide + b.
 
     a and b are fitted at the network's size by least squares and upsampled bilinearly.
@@ -153,6 +153,6 @@ def painters(parts: Decomposition) -> dict[str, Compositor]:
         result[f"detail {detail:g}"] = painter
     result["picture, bilinear"] = NetworkSizeCompositor(parts)
     result["picture, joint bilateral"] = NetworkSizeCompositor(parts, joint_bilateral)
-    result["picture, guided filter"] = NetworkSizeCompositor(parts, guided)
+    result["picture, guided filter"] = NetworkSizeCompositor(parts, upsample_guided)
     result["normals, joint bilateral"] = GuidedNormals(parts)
     return result

@@ -18,7 +18,8 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run
 from learn.metrics import bootstrap
 from learn.metrics.pictures import l2_and_ssim
@@ -37,7 +38,7 @@ Result = dict[str, Any]  # of one training: steps, seconds, run, and rows of fig
 Row = dict[str, Any]  # of one picture: shape, material, and figures
 
 
-def requested(names: Sequence[str], known: Sequence[str], reference: str) -> list[str]:
+def requested_variants(names: Sequence[str], known: Sequence[str], reference: str) -> list[str]:
     """Return the names, if all are known and the one that others are compared with is there.
 
     Raises InputError.
@@ -57,7 +58,7 @@ def requested(names: Sequence[str], known: Sequence[str], reference: str) -> lis
     return list(names)
 
 
-def held_out(
+def held_out_batches(
     data_splits: dict[str, DataSplit], data: Data, size: int, batches: int
 ) -> list[ExampleBatch]:
     """Return batches of the test split; their pictures are the truth, as the layer made them."""
@@ -65,7 +66,7 @@ def held_out(
     return [replace(batch, picture=batch.image) for batch in (source[k] for k in range(batches))]
 
 
-def trained(
+def train_and_measure(
     run: Run,
     data_splits: dict[str, DataSplit],
     tests: Sequence[ExampleBatch],
@@ -94,7 +95,7 @@ def trained(
         run.size,
         seen=training.seen,
     )
-    network, of_batch = training.averaged(), measured or rows
+    network, of_batch = training.averaged_network(), measured or rows
     result = {
         "steps": training.step,
         "seconds": training.clock.used,
@@ -133,12 +134,12 @@ def rows(training: loop.Training, network: Coded, batch: ExampleBatch) -> Iterat
         own = {key: float(value[i]) for key, value in figures.items()}
         yield (
             {"shape": shape, "material": material}
-            | _compared(mine[i], truth[i], (batch.segments[i] > 0).numpy())
+            | _compare(mine[i], truth[i], (batch.segments[i] > 0).numpy())
             | own
         )
 
 
-def _compared(mine: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+def _compare(mine: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     """Display L2 over mask and frame, SSIM over the mask, at the truth's exposure."""
     figures = l2_and_ssim(mine, truth, mask)
     return {

@@ -71,12 +71,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     cases = [
         row
         for case in tqdm(range(arguments.cases), desc="tolerances", unit="case")
-        for row in _kept(case, labels, arguments.size, arguments.seed)
+        for row in _rows_by_tolerance(case, labels, arguments.size, arguments.seed)
     ]
     return {"light": arguments.light, "times": times, "cases": cases}
 
 
-def _rendered(
+def _time_rendering(
     n: torch.Tensor,
     label: np.ndarray,
     light: np.ndarray,
@@ -119,11 +119,11 @@ def _times(label: np.ndarray, light: np.ndarray, depth: float) -> dict[str, Any]
     n, view = near_shapes.near(SIZE, math.radians(FIELD_OF_VIEW), depth)
     seconds: dict[str, list[float]] = {"far": [], "near": [], "with view": []}
     for _ in range(ROUNDS):
-        seconds["far"].append(_rendered(far, label, light, None)[0])
-        seconds["near"].append(_rendered(n, label, light, view)[0])
-        took, picture, gradients = _rendered(n, label, light, view, True)
+        seconds["far"].append(_time_rendering(far, label, light, None)[0])
+        seconds["near"].append(_time_rendering(n, label, light, view)[0])
+        took, picture, gradients = _time_rendering(n, label, light, view, True)
         seconds["with view"].append(took)
-    _, truth, right = _rendered(n, label, light, view, True, "exact")
+    _, truth, right = _time_rendering(n, label, light, view, True, "exact")
     pairs = [(picture, truth), *zip(gradients, right, strict=True)]
     errors = [((a - b).abs().mean() / b.abs().mean()).item() for a, b in pairs]
     return {
@@ -134,7 +134,9 @@ def _times(label: np.ndarray, light: np.ndarray, depth: float) -> dict[str, Any]
     }
 
 
-def _kept(case: int, labels: list[np.ndarray], size: int, seed: int) -> list[dict[str, Any]]:
+def _rows_by_tolerance(
+    case: int, labels: list[np.ndarray], size: int, seed: int
+) -> list[dict[str, Any]]:
     """Rows of a random case, one for each tolerance."""
     import numpy as np
     import torch

@@ -130,7 +130,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for L, light in one.items()
         for camera in arguments.camera
     ]
-    rows = chart_measurement.measured(
+    rows = chart_measurement.measure_rows(
         cases,
         arguments.out,
         not arguments.no_torch and earlier is None,
@@ -157,7 +157,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
             if (shape, side) != ("sphere", size)
         },
     }
-    return report if earlier is None else renewed(earlier, report, arguments.renew)
+    return report if earlier is None else renew_report(earlier, report, arguments.renew)
 
 
 def _earlier(arguments: argparse.Namespace) -> runner.Report | None:
@@ -175,7 +175,7 @@ def _earlier(arguments: argparse.Namespace) -> runner.Report | None:
     return read(arguments.renew, dict[str, Any])
 
 
-def renewed(earlier: runner.Report, new: runner.Report, where: Path) -> runner.Report:
+def renew_report(earlier: runner.Report, new: runner.Report, where: Path) -> runner.Report:
     """Return an earlier report in which the settings of a new one take the place of its own.
 
     where   of the earlier report, for messages

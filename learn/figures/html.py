@@ -71,17 +71,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def image(source: str, description: str = "") -> str:
-    """Return an <img> of a source: an address, or what `encoded` or `encoded_picture` returns."""
+    """Return an <img> of a source: an address, or what `encode` or `encode_picture` returns."""
     return f"<img src='{source}' alt='{html.escape(description, quote=True)}'>"
 
 
-def encoded(png: bytes) -> str:
+def encode(png: bytes) -> str:
     """Return the source of an <img> that holds a PNG's bytes."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
-def encoded_picture(display: np.ndarray) -> str:
+def encode_picture(display: np.ndarray) -> str:
     """Return the source of an <img> that holds display values (H, W, 3) in [0, 255]."""
     buffer = io.BytesIO()
     Image.fromarray(eight_bit(display)).save(buffer, "PNG")
-    return encoded(buffer.getvalue())
+    return encode(buffer.getvalue())

@@ -22,7 +22,7 @@ def eight_bit(display: np.ndarray) -> np.ndarray:
     return np.clip(np.rint(display), 0, 255).astype(np.uint8)
 
 
-def fitted(display: np.ndarray, size: int) -> np.ndarray:
+def fit_into_square(display: np.ndarray, size: int) -> np.ndarray:
     """Return a display picture (H, W, 3) scaled into a square (size, size, 3)."""
     H, W = display.shape[:2]
     height, width = max(1, round(size * H / max(H, W))), max(1, round(size * W / max(H, W)))
@@ -50,7 +50,7 @@ def contact_sheet(rows: Sequence[Sequence[Tile]], size: int) -> np.ndarray:
             x, y = BORDER + j * step_x, BORDER + i * step_y
             captions.write_caption(draw, (x, y), caption, size, fill=(230, 230, 230))
             canvas.paste(
-                Image.fromarray(np.clip(fitted(picture, size), 0, 255).astype(np.uint8)),
+                Image.fromarray(np.clip(fit_into_square(picture, size), 0, 255).astype(np.uint8)),
                 (x, y + captions.LINE),
             )
     return np.asarray(canvas)

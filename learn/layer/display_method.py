@@ -14,7 +14,7 @@ FAINT = 2e-3  # of a lobe's albedo: a fainter one is not visible
 
 
 def method_for(label: torch.Tensor) -> str:
-    """The method's name for labels (..., 108): "quadrature" or "auto"."""
+    """Return the method's name for labels (..., 108): "quadrature" or "auto"."""
     kappa, gamma = label.exp().reshape(*label.shape[:-1], *SHAPE).unbind(-2)
     kappa = kappa.clamp(max=MAX_EXPONENT)
     sharpness = lobe_sharpness(kappa, gamma)

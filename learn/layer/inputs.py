@@ -1,4 +1,4 @@
-"""The rendering layer's arguments: checked, then compacted to the pixels that are seen.
+"""The rules that the rendering layer's arguments keep, and the check of all of them.
 
 Each rule raises a ValueError that names the argument, the rule and the value. Letters as in
 learn/layer/rendering.py.
@@ -10,14 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NoReturn, cast
 
-import numpy as np
 import torch
 
 from learn.engines import pixel_selection
 from learn.engines.layout import OUTSIDE, SEEN, WRONG
-from learn.methods import HORIZON, Batch
+from learn.methods import HORIZON
 from shaders.dsbrdf import SHAPE, SIZE
-from shaders.frames import camera_from_light
 
 # of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
 LENGTH_TOLERANCE = 1e-2
@@ -108,8 +106,10 @@ def require_beside(argument: str, tensor: torch.Tensor, n: torch.Tensor) -> None
         refuse(argument, f"the device of n, {n.device}", tensor.device)
 
 
-def number(argument: str, value: object, rule: str, right: Callable[[float], bool]) -> float:
-    """The value as a float, if it is a real number that keeps the rule.
+def require_number(
+    argument: str, value: object, rule: str, right: Callable[[float], bool]
+) -> float:
+    """Return the value as a float. Refuse what is no real number or breaks the rule.
 
     A tensor of one element is not a number here, nor is a bool.
     """
@@ -132,8 +132,8 @@ def number(argument: str, value: object, rule: str, right: Callable[[float], boo
     return converted
 
 
-def readable(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as kernels can read it.
+def make_readable(tensor: torch.Tensor) -> torch.Tensor:
+    """Return the tensor as kernels can read it.
 
     It has no pending negation, and is not from inference mode where a graph is recorded.
     """
@@ -153,15 +153,17 @@ def require_values(argument: str, values: torch.Tensor, rule: str, right: torch.
         refuse(argument, rule, f"{wrong[0].item():g} ({wrong.numel()} of {values.numel()} values)")
 
 
-def checked_settings(tolerance: object, elevation: object) -> tuple[float, float]:
-    """The tolerance, LEAST_TOLERANCE at least, and the elevation as floats."""
-    tolerance = number("tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf)
-    return max(tolerance, LEAST_TOLERANCE), number(
+def check_settings(tolerance: object, elevation: object) -> tuple[float, float]:
+    """Return the tolerance, LEAST_TOLERANCE at least, and the elevation in radians, as floats."""
+    tolerance = require_number(
+        "tolerance", tolerance, "a positive number", lambda x: 0 < x < math.inf
+    )
+    return max(tolerance, LEAST_TOLERANCE), require_number(
         "elevation", elevation, "radians in [-π/2, π/2]", lambda x: abs(x) <= math.pi / 2
     )
 
 
-def checked(
+def check_inputs(
     n: torch.Tensor,
     material: torch.Tensor,
     light: torch.Tensor,
@@ -171,8 +173,8 @@ def checked(
     tolerance: float,
     elevation: float,
 ) -> Inputs:
-    """The arguments of `render` as `Inputs`, or a ValueError."""
-    tolerance, elevation = checked_settings(tolerance, elevation)
+    """Return the arguments of `render` as `Inputs`. Raises ValueError for what breaks a rule."""
+    tolerance, elevation = check_settings(tolerance, elevation)
     require_alike(
         {"n": n, "material": material, "light": light} | ({} if view is None else {"view": view})
     )
@@ -218,28 +220,28 @@ def checked(
         )
     if segments is not None:
         require_beside("segments", segments, n)
-        segments = checked_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    n, material, light = readable(n), readable(material), readable(light)
-    view = None if view is None else readable(view)
+        segments = check_segments(segments, picture, material.shape[1] if layers == 2 else 1)
+    n, material, light = make_readable(n), make_readable(material), make_readable(light)
+    view = None if view is None else make_readable(view)
     if segments is not None:
         mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
     dtype = torch.promote_types(n.dtype, torch.float32)
     m = (material if layers == 2 else material[:, None]).to(dtype)
     check_values(material.detach(), light.detach())
     n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
-    mask, seen = read_by_kernel(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
+    mask, seen = find_seen_pixels(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
     mask = (n.detach() != 0).any(-1) if mask is None else mask
     if seen is None:  # no kernel, or a wrong length that the message has to name
         check_lengths(n.detach(), None if view is None else view.detach(), mask)
     return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
-def read_by_kernel(
+def find_seen_pixels(
     n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor | None
 ) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-    """The mask (or where n is not 0) and the seen pixels (B, H, W) bool, by one kernel.
+    """Return the mask and the pixels that are seen, each (B, H, W) bool, by one kernel.
 
-    seen is None if a length inside the mask is wrong.
+    Without a mask it is where n is not 0. The second is None if a length inside the mask is wrong.
     """
     states = pixel_selection.states(n, view, mask, LENGTH_TOLERANCE, HORIZON).reshape(n.shape[:3])
     if states.size and states.max() == WRONG:
@@ -248,8 +250,8 @@ def read_by_kernel(
     return mask, torch.from_numpy(states == SEEN)
 
 
-def checked_segments(segments: torch.Tensor, picture: torch.Size, materials: int) -> torch.Tensor:
-    """The segments as int64."""
+def check_segments(segments: torch.Tensor, picture: torch.Size, materials: int) -> torch.Tensor:
+    """Return the segments (B, H, W) as int64. Refuse ids that no material belongs to."""
     require_shape("segments", segments, f"shape {tuple(picture)}", segments.shape == picture)
     if segments.dtype not in INTEGERS:
         refuse("segments", "an integer dtype", segments.dtype)
@@ -280,7 +282,7 @@ def check_lengths(n: torch.Tensor, view: torch.Tensor | None, mask: torch.Tensor
 def check_values(material: torch.Tensor, light: torch.Tensor) -> None:
     """Refuse radiance or control values that are negative or not finite."""
     kappa, gamma = material.reshape(*material.shape[:-1], *SHAPE).unbind(-2)
-    if within(light) and within(kappa) and within(gamma, above=True):
+    if are_in_range(light) and are_in_range(kappa) and are_in_range(gamma, above=True):
         return
     require_values("light", light, "finite radiance ≥ 0", (light >= 0) & light.isfinite())
     require_values(
@@ -297,56 +299,11 @@ def check_values(material: torch.Tensor, light: torch.Tensor) -> None:
     )
 
 
-def within(values: torch.Tensor, above: bool = False) -> bool:
-    """Whether all values are finite and at least 0, or above it; NaN is neither."""
+def are_in_range(values: torch.Tensor, above: bool = False) -> bool:
+    """Return whether all values are finite, and at least 0 or, where `above`, larger than 0."""
     if not values.numel():
         return True
     if values.stride(0) == 0:  # one tensor expanded over the batch
         values = values[:1]
     low, high = (x.item() for x in values.aminmax())
     return (low > 0 if above else low >= 0) and high < math.inf
-
-
-def unit(vectors: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
-    """Unit vectors (N, 3) of pictures (B, H, W, 3) at flat places index (N,)."""
-    return pixel_selection.unit(vectors.reshape(-1, 3), index)
-
-
-def compact(inputs: Inputs) -> tuple[Batch, torch.Tensor]:
-    """The pixels inside the mask that face the viewer, sorted by image and segment.
-
-    Returns  a learn.methods.Batch of P pixels; index (P,) of each among the B·H·W pixels
-    """
-    # pixels that face the viewer first, so that the graph holds one selection only
-    if inputs.seen is None:
-        index = inputs.mask.reshape(-1).nonzero().squeeze(-1)
-        with torch.no_grad():
-            n = unit(inputs.n, index)
-            facing = n[:, 2] if inputs.view is None else (n * unit(inputs.view, index)).sum(-1)
-            index = index[facing > HORIZON]
-    else:
-        index = torch.from_numpy(np.flatnonzero(inputs.seen.numpy()))
-    pixels = inputs.mask.shape[1:].numel()
-    segments = inputs.m.shape[1]
-    if inputs.segments is None:  # by image, as they lie
-        ends = torch.arange(len(inputs.mask) + 1, device=index.device) * pixels
-        counts = torch.searchsorted(index, ends).diff()
-        present = counts.nonzero().squeeze(-1)
-        counts = counts[present]
-    else:
-        group = index // pixels * segments + inputs.segments.reshape(-1)[index] - 1
-        if segments > 1:
-            order = torch.argsort(group, stable=True)
-            index, group = index[order], group[order]
-        present, counts = torch.unique_consecutive(group, return_counts=True)
-    batch = Batch(
-        n=unit(inputs.n, index),
-        view=None if inputs.view is None else unit(inputs.view, index),
-        m=inputs.m.flatten(0, 1).unflatten(-1, SHAPE)[present],
-        light=inputs.light,
-        counts=tuple(counts.tolist()),
-        light_of=tuple((present // max(segments, 1)).tolist()),
-        camera_from_light=torch.as_tensor(camera_from_light(inputs.elevation)),
-        one_material=segments == 1 and inputs.m.stride(0) == 0,
-    )
-    return batch, index

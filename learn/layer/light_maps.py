@@ -8,7 +8,7 @@ import torch
 from shaders import envmap
 
 
-def reduced(light: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+def reduce_maps(light: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     """Return maps (B, 3, Hl, Wl) averaged over solid angle to `size` (h, w), energy preserved."""
     H, W = light.shape[-2:]
     if tuple(size) == (H, W):

@@ -24,7 +24,8 @@ import torch
 from learn import methods
 from learn.engines import pixel_selection
 from learn.layer import transforms
-from learn.layer.inputs import checked, checked_settings, compact
+from learn.layer.compaction import compact_pixels
+from learn.layer.inputs import check_inputs, check_settings
 from shaders.frames import ELEVATION
 
 
@@ -57,8 +58,8 @@ def render(
         return transforms.render(
             (n, material, light, view, segments, mask), (method, tolerance, elevation)
         )
-    inputs = checked(n, material, light, view, segments, mask, tolerance, elevation)
-    batch, index = compact(inputs)
+    inputs = check_inputs(n, material, light, view, segments, mask, tolerance, elevation)
+    batch, index = compact_pixels(inputs)
     chosen = methods.load(method)  # a misspelt name is refused even where nothing is to be rendered
     if batch.counts:
         work = chosen.radiance
@@ -100,7 +101,7 @@ class RenderLayer(torch.nn.Module):
     ):
         super().__init__()
         methods.load(method)
-        checked_settings(tolerance, elevation)
+        check_settings(tolerance, elevation)
         self.method, self.tolerance, self.elevation = method, tolerance, elevation
 
     def forward(
@@ -118,7 +119,7 @@ class RenderLayer(torch.nn.Module):
         )
 
     def extra_repr(self) -> str:
-        """The settings, for torch's printed form."""
+        """Return the settings, for torch's printed form."""
         return (
             f"method={self.method!r}, tolerance={float(self.tolerance):g},"
             f" elevation={float(self.elevation):.4f}"

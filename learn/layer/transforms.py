@@ -35,7 +35,7 @@ KINDS = torch._C._TorchDispatchModeKey
 
 
 def are_active() -> bool:
-    """Whether the caller is inside a transform of torch.func.
+    """Return whether the caller is inside a transform of torch.func.
 
     Raises  NotImplementedError inside a tracer, which records calls instead
     """
@@ -62,7 +62,7 @@ def render(tensors: Sequence[object], settings: Settings) -> torch.Tensor:
 
 
 @contextlib.contextmanager
-def hooks_allowed() -> Iterator[None]:
+def allow_hooks() -> Iterator[None]:
     """Allow hooks on saved tensors, which torch.func forbids within grad.
 
     A step's own inner graph does not concern torch.func.
@@ -81,13 +81,18 @@ def refuse_batch(g: torch.Tensor) -> None:
     derivatives.require_one_gradient(g)
 
 
-def leaf(x: torch.Tensor) -> torch.Tensor:
-    """The tensor without its graph; a copy if it is from inference mode and cannot join a graph."""
+def make_leaf(x: torch.Tensor) -> torch.Tensor:
+    """Return the tensor without its graph; a copy if it is from inference mode.
+
+    Such a tensor cannot join a graph.
+    """
     return x.detach().clone() if x.is_inference() else x.detach()
 
 
-def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[object]) -> list[object]:
-    """The tensors with their dimension of size `count` merged into the first one, the batch.
+def fold_batch(
+    count: int, dimensions: Sequence[int | None], tensors: Sequence[object]
+) -> list[object]:
+    """Return the tensors with their dimension of size `count` merged into the first, the batch.
 
     dimensions  of each tensor; None: it has none and is expanded
     """
@@ -106,8 +111,8 @@ def folded(count: int, dimensions: Sequence[int | None], tensors: Sequence[objec
     return [fold(dimension, x) for dimension, x in zip(dimensions, tensors, strict=True)]
 
 
-def parted(count: int, x: torch.Tensor) -> torch.Tensor:
-    """The reverse of `folded`: (count · B, …) as (count, B, …)."""
+def unfold_batch(count: int, x: torch.Tensor) -> torch.Tensor:
+    """Undo `fold_batch`: return (count · B, …) as (count, B, …)."""
     return x.unflatten(0, (count, x.shape[0] // count if count else 0))
 
 
@@ -117,7 +122,7 @@ class Picture(torch.autograd.Function):
     @staticmethod
     def forward(*inputs: Any) -> torch.Tensor:
         *tensors, settings = inputs
-        with hooks_allowed():
+        with allow_hooks():
             return layer.render(*tensors, *settings)
 
     @staticmethod
@@ -137,9 +142,9 @@ class Picture(torch.autograd.Function):
     ) -> tuple[torch.Tensor, int]:
         *tensors, settings = inputs
         return (
-            parted(
+            unfold_batch(
                 info.batch_size,
-                Picture.apply(*folded(info.batch_size, dimensions[:6], tensors), settings),
+                Picture.apply(*fold_batch(info.batch_size, dimensions[:6], tensors), settings),
             ),
             0,
         )
@@ -159,9 +164,9 @@ class Gradients(torch.autograd.Function):
     @staticmethod
     def forward(g: torch.Tensor, *inputs: Any) -> tuple[torch.Tensor, ...]:
         *tensors, settings, requested = inputs
-        with hooks_allowed(), torch.enable_grad():
+        with allow_hooks(), torch.enable_grad():
             leaves: list[torch.Tensor | None] = [
-                None if x is None else leaf(x).requires_grad_(each)
+                None if x is None else make_leaf(x).requires_grad_(each)
                 for x, each in zip(tensors[:4], requested, strict=True)
             ]
             arguments: list[Any] = [*leaves, *tensors[4:], *settings]
@@ -184,9 +189,9 @@ class Gradients(torch.autograd.Function):
     ) -> tuple[tuple[torch.Tensor, ...], tuple[int, ...]]:
         *tensors, settings, requested = inputs
         result = Gradients.apply(
-            *folded(info.batch_size, dimensions[:7], tensors), settings, requested
+            *fold_batch(info.batch_size, dimensions[:7], tensors), settings, requested
         )
-        return tuple(parted(info.batch_size, x) for x in result), (0,) * len(result)
+        return tuple(unfold_batch(info.batch_size, x) for x in result), (0,) * len(result)
 
     @staticmethod
     def jvp(ctx: Context, *tangents: torch.Tensor) -> None:

@@ -34,7 +34,7 @@ NAMES = (  # modules of this folder; what they need is imported when they are fi
     "monte_carlo_light",
     "monte_carlo_brdf",
 )
-# reasons, for `first_only`, why there is no second derivative
+# reasons, for `forbid_second_derivatives`, why there is no second derivative
 COMPILED = "whose compiled sums have first derivatives only"
 HELD_LIGHTS = "which holds the directions of its lights where the light changes"
 HELD_SAMPLES = "which holds its samples where the scene changes"
@@ -92,7 +92,7 @@ class Batch:
 
 
 def load(name: object) -> ModuleType:
-    """The module of a method."""
+    """Return the module of a method."""
     if not isinstance(name, str):
         raise ValueError(f"method: expected one of {', '.join(NAMES)}, found {type(name).__name__}")
     if name not in NAMES:
@@ -112,29 +112,29 @@ def refusal(name: str, why: str = COMPILED) -> str:
 
 
 def wants_gradient(*tensors: torch.Tensor | None) -> bool:
-    """Whether a derivative by any of the tensors (or None) can be requested."""
+    """Return whether a derivative by any of the tensors (or None) can be requested."""
     return torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in tensors)
 
 
-def first_only(batch: Batch, name: str, why: str) -> Batch:
-    """The batch for a method that has first derivatives only; it costs 0.1 ms."""
+def forbid_second_derivatives(batch: Batch, name: str, why: str) -> Batch:
+    """Return the batch for a method that has first derivatives only; it costs 0.1 ms."""
     tensors = [batch.n, batch.m, batch.light]
     if batch.view is not None:
         tensors.append(batch.view)
-    n, m, light, *views = derivatives.first_only(refusal(name, why), *tensors)
+    n, m, light, *views = derivatives.forbid_second_derivatives(refusal(name, why), *tensors)
     return replace(batch, n=n, m=m, light=light, view=views[0] if views else None)
 
 
-def by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
-    """Radiance (P, 3) by a function of one group.
+def radiance_by_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
+    """Return radiance (P, 3) by a function of one group.
 
     function  n (p, 3), view (p, 3) or None, m (3, 3, 2, 6), light (Hl, Wl, 3) → (p, 3)
     """
-    return per_group(batch, lambda _, *arguments: function(*arguments))
+    return radiance_by_numbered_group(batch, lambda _, *arguments: function(*arguments))
 
 
-def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
-    """As `by_group`, with the group's number as the first argument."""
+def radiance_by_numbered_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tensor:
+    """As `radiance_by_group`, with the group's number as the first argument."""
     # without a copy, for which torch would wake its threads (learn/engines/pixel_selection.py)
     if len(batch.counts) == 1:
         return function(0, batch.n, batch.view, batch.m[0], batch.light[batch.light_of[0]])
@@ -148,8 +148,8 @@ def per_group(batch: Batch, function: Callable[..., torch.Tensor]) -> torch.Tens
     )
 
 
-def merged(batch: Batch) -> Batch:
-    """The batch with neighbouring groups merged where they share one material and one light.
+def merge_groups(batch: Batch) -> Batch:
+    """Return the batch with neighbouring groups merged where they share one material and one light.
 
     Shared means one tensor expanded over the batch (stride 0 in memory). Groups whose material or
     light is merely equal stay separate, so that no picture's bits depend on the rest of the batch.

@@ -33,30 +33,30 @@ from learn.methods import (
     auto_views,
     block_lists,
     directional,
-    first_only,
+    forbid_second_derivatives,
     hybrid,
     load,
     lobe_shapes,
     median_cut,
-    merged,
-    per_group,
+    merge_groups,
     planned,
+    radiance_by_numbered_group,
     reflectance_map,
     wants_gradient,
 )
-from learn.methods.checked_plan import CHEAP, Miss, checked_sums
+from learn.methods.checked_plan import CHEAP, Miss, plan_and_check
 from learn.methods.cost_model import (
     CULL_NODES,
     CULL_PIXELS,
     GUARANTEED,
     LIGHT_SHARE,
     MAP_SHARE,
-    coarsest,
-    good,
-    grown,
+    choose_samples,
+    coarsest_level,
+    keeps_tolerance,
     map_size,
+    next_larger_map,
     node_count,
-    samples,
     sum_seconds,
 )
 
@@ -76,22 +76,26 @@ ALONE = 24  # size of the largest map below which all maps take it
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.n.device.type != "cpu":
         return load("exact").radiance(batch, tolerance)
     if not reflectance_map.has_kernel(batch.n):
         if batch.view is not None:
-            return per_group(batch, lambda g, *_: few_lights(part(batch, g), tolerance))
+            return radiance_by_numbered_group(
+                batch, lambda g, *_: radiance_by_few_lights(batch_of_group(batch, g), tolerance)
+            )
         return load("exact").radiance(batch, tolerance)
-    batch, rotation = merged(batch), tuple(batch.camera_from_light.flatten().tolist())
+    batch, rotation = merge_groups(batch), tuple(batch.camera_from_light.flatten().tolist())
     if batch.view is not None:
         return auto_views.radiance(batch, rotation, tolerance)
-    plan = functools.partial(planned_sums, rotation=rotation, tolerance=tolerance)
-    return per_group(batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan))
+    plan = functools.partial(plan_sums, rotation=rotation, tolerance=tolerance)
+    return radiance_by_numbered_group(
+        batch, lambda g, n, view, m, light: planned.radiance(n, m, light, plan)
+    )
 
 
-def part(batch: Batch, g: int) -> Batch:
-    """The batch of one group alone."""
+def batch_of_group(batch: Batch, g: int) -> Batch:
+    """Return the batch of one group alone."""
     n, view = (
         batch.n.split(batch.counts)[g],
         (None if batch.view is None else batch.view.split(batch.counts)[g]),
@@ -106,7 +110,7 @@ def part(batch: Batch, g: int) -> Batch:
     )
 
 
-def planned_sums(
+def plan_sums(
     n: np.ndarray,
     m: np.ndarray,
     light: np.ndarray,
@@ -114,7 +118,7 @@ def planned_sums(
     rotation: Rotation,
     tolerance: float,
 ) -> planned.Sums:
-    """Sums of one group for a distant viewer that keep the tolerance on the sample."""
+    """Return sums of one group for a distant viewer that keep the tolerance on the sample."""
     _, material_gradient, light_gradient = gradients
     scene = planned.Scene(n, m, light, rotation, light_gradient, material_gradient)
     lobes = (
@@ -125,22 +129,22 @@ def planned_sums(
     texels = light.shape[0] * light.shape[1]
     if len(n) < CHEAP or directional.is_small(len(n), texels, any(gradients)) or not lobes:
         return planned.Sums(scene, [planned.Strategy(lobes, 0, 0, 0.0)] if lobes else [], {})
-    return checked_sums(scene, lobes, tolerance, best_plan, better)
+    return plan_and_check(scene, lobes, tolerance, choose_strategies, improve_strategy)
 
 
-def better(part: planned.Sum, _: Miss) -> planned.Strategy:
+def improve_strategy(part: planned.Sum, _: Miss) -> planned.Strategy:
     """A strategy of smaller error: more lights, a larger map, less culling; the same if none is."""
     strategy, scene = part.strategy, part.scene
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:
-        strategy = replace(strategy, size=grown(strategy.size, len(scene.n)))
+        strategy = replace(strategy, size=next_larger_map(strategy.size, len(scene.n)))
     return replace(strategy, level=max(strategy.level - 1, 0), culled=culled)
 
 
-def best_plan(
+def choose_strategies(
     scene: planned.Scene, lobes: tuple[int, ...], tolerance: float
 ) -> list[planned.Strategy]:
-    """The strategy of each group of a scene's lobes.
+    """Return the strategy of each group of a scene's lobes.
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
@@ -150,7 +154,7 @@ def best_plan(
     sizes, levels, pixels = np.full(3, -1), np.zeros(3, int), len(scene.n)
     detail = scene.light.detail()
     for s in lobes:
-        levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
+        levels[s] = coarsest_level(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.light.size[0] * scene.light.size[1] >> 2 * levels[s]
         sizes[s] = map_size(sharp[s], MAP_SHARE * tolerance / share[s], detail, scene.light.size[0])
         by_map = sum_seconds(sharp[s], node_count(sizes[s]), lights, tolerance)
@@ -170,8 +174,8 @@ def best_plan(
     ]
 
 
-def few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Radiance (P, 3) of one group seen from a view per pixel."""
+def radiance_by_few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
+    """Return radiance (P, 3) of one group seen from a view per pixel."""
     exact, (height, width) = load("exact").radiance, batch.light.shape[1:3]
     if len(batch.n) < CHEAP or directional.is_small(
         len(batch.n), height * width, wants_gradient(batch.n, batch.view, batch.m)
@@ -180,13 +184,17 @@ def few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
     if wants_gradient(batch.light):
         return exact(batch, tolerance)
     with torch.no_grad():
-        checks = [Check(batch, pick, tolerance) for pick in samples(len(batch.n), height * width)]
+        checks = [
+            Check(batch, pick, tolerance) for pick in choose_samples(len(batch.n), height * width)
+        ]
         strategies = [
             strategy
             for count in CUTS
             for strategy in (
-                functools.partial(median_cut.with_lights, lights=count),
-                functools.partial(hybrid.with_lights, count=count, left_out=0.25 * tolerance),
+                functools.partial(median_cut.radiance_by_lights, lights=count),
+                functools.partial(
+                    hybrid.radiance_by_lights, count=count, left_out=0.25 * tolerance
+                ),
             )
         ]
         chosen = next(
@@ -200,7 +208,9 @@ def few_lights(batch: Batch, tolerance: float) -> torch.Tensor:
     if not chosen:
         return exact(batch, tolerance)
     return chosen(
-        first_only(batch, CARD.name, COMPILED) if directional.has_kernels(batch.n) else batch
+        forbid_second_derivatives(batch, CARD.name, COMPILED)
+        if directional.has_kernels(batch.n)
+        else batch
     )
 
 
@@ -222,8 +232,8 @@ class Check:
         return load("exact").radiance(self.batch, self.tolerance)
 
     def keeps_tolerance(self, strategy: Callable[[Batch], torch.Tensor]) -> bool:
-        """Whether strategy(batch) keeps the tolerance there."""
-        return good(
+        """Return whether strategy(batch) keeps the tolerance there."""
+        return keeps_tolerance(
             (strategy(self.batch) - self.truth).abs().numpy(),
             self.truth.mean().item(),
             self.tolerance,

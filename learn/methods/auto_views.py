@@ -18,23 +18,23 @@ from learn.methods import (
     block_lists,
     directional,
     lobe_shapes,
-    per_group,
     planned_views,
+    radiance_by_numbered_group,
     reflectance_map,
 )
-from learn.methods.checked_plan import CHEAP, Miss, checked_sums
+from learn.methods.checked_plan import CHEAP, Miss, plan_and_check
 from learn.methods.cost_model import (
     CULL_NODES,
     GUARANTEED,
     LIGHT_SHARE,
     MAP_SHARE,
-    coarsest,
-    grown,
+    coarsest_level,
     map_size,
+    next_larger_map,
     sum_seconds,
 )
 from learn.methods.planned import Strategy
-from learn.methods.view_maps import beside_level, beside_size
+from learn.methods.view_maps import slope_map_level, slope_map_size
 
 LOOK_UP = 1.1e-7  # seconds for each pixel and view, forward and backward
 DEARER = 2.1  # times as long as for a distant viewer, whose h and splines belong to the light
@@ -57,8 +57,8 @@ MORE_VIEWS = {(1, False): 3, (3, False): 6, (6, False): 0, (1, True): 3, (3, Tru
 
 
 def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch with a view per pixel, by the kernels."""
-    plan = functools.partial(planned_sums, rotation=rotation, tolerance=tolerance)
+    """Return outgoing radiance (P, 3) of a batch with a view per pixel, by the kernels."""
+    plan = functools.partial(plan_sums, rotation=rotation, tolerance=tolerance)
 
     def one_group(
         g: int, n: torch.Tensor, view: torch.Tensor, m: torch.Tensor, light: torch.Tensor
@@ -67,10 +67,10 @@ def radiance(batch: Batch, rotation: Rotation, tolerance: float) -> torch.Tensor
         clamped = torch.minimum(m, m.new_tensor(directional.LARGEST_CONTROL))
         return planned_views.radiance(n, view, clamped, light, plan)
 
-    return per_group(batch, one_group)
+    return radiance_by_numbered_group(batch, one_group)
 
 
-def planned_sums(
+def plan_sums(
     n: np.ndarray,
     view: np.ndarray,
     m: np.ndarray,
@@ -79,7 +79,7 @@ def planned_sums(
     rotation: Rotation,
     tolerance: float,
 ) -> planned_views.Sums:
-    """Sums of one group that keep the tolerance on the sample."""
+    """Return sums of one group that keep the tolerance on the sample."""
     material_gradient = gradients[2]
     scene = planned_views.Scene(n, view, m, light, rotation, tolerance, *gradients[1:])
     lobes = (
@@ -89,25 +89,25 @@ def planned_sums(
     )
     if len(n) < CHEAP or directional.is_small(len(n), scene.texels, any(gradients)) or not lobes:
         return scene.sums([Strategy(lobes, 0, 0, 0.0)] if lobes else [], {})
-    return checked_sums(scene, lobes, tolerance, best_plan, better)
+    return plan_and_check(scene, lobes, tolerance, choose_strategies, improve_strategy)
 
 
-def better(part: planned_views.Sum, miss: Miss) -> Strategy:
-    """A strategy of smaller error: more lights, and what `better_maps` or less culling gives."""
+def improve_strategy(part: planned_views.Sum, miss: Miss) -> Strategy:
+    """A strategy of smaller error: more lights, and what `improve_maps` or less culling gives."""
     strategy, scene = part.strategy, part.scene
     level = strategy.level
     if level:
         loss = scene.light_loss(strategy.lobes, level, miss.pick, miss.truth)
         level -= loss > LIGHT_SHARE * scene.budget
     if strategy.size:
-        return replace(better_maps(part, miss), level=level)
+        return replace(improve_maps(part, miss), level=level)
     error = part.error(miss.pick, miss.truth)
     share = min(max(1 - miss.excess / max(error, 1e-30), LEAST_KEPT), MOST_KEPT)
     return replace(strategy, level=level, culled=max(share * strategy.culled, GUARANTEED))
 
 
-def better_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
-    """More views or a larger map, by what the error on the sample comes from, or no maps."""
+def improve_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
+    """Return more views or a larger map, by what the error on the sample comes from, or no maps."""
     strategy, scene = part.strategy, part.scene
     by_view, by_map = part.causes(miss.pick, miss.truth)
     allowed = max(part.error(miss.pick, miss.truth) - miss.excess, 0.0)
@@ -117,18 +117,18 @@ def better_maps(part: planned_views.Sum, miss: Miss) -> Strategy:
         views = more
     else:
         growth = (by_map / max(allowed - by_view, 1e-30)) ** (1 / ORDER)
-        size = grown(size, len(scene.n), min(max(growth, LEAST_GROWTH), MOST_GROWTH))
+        size = next_larger_map(size, len(scene.n), min(max(growth, LEAST_GROWTH), MOST_GROWTH))
         culled = max(culled / 2.5, GUARANTEED)
     most = WORTHWHILE * len(scene.n)
-    if not size or nodes_of(scene, strategy.lobes, strategy.level, size, views) > most:
-        return Strategy(strategy.lobes, 0, strategy.level, culling(scene)[0])
+    if not size or count_nodes(scene, strategy.lobes, strategy.level, size, views) > most:
+        return Strategy(strategy.lobes, 0, strategy.level, initial_culling(scene)[0])
     return replace(strategy, size=size, views=views, culled=culled)
 
 
-def nodes_of(
+def count_nodes(
     scene: planned_views.Scene, lobes: tuple[int, ...], level: int, size: int, views: int
 ) -> float:
-    """Nodes of the maps for so many views, as if all saw a level of the light.
+    """Return the number of nodes of the maps for so many views, as if all saw a level of the light.
 
     size  of the main map
     """
@@ -136,38 +136,38 @@ def nodes_of(
     if scene.view_gradient:
         nodes *= views
     elif views > 1:
-        finer = 4.0 ** (level - max(beside_level(scene, lobes), level))
-        nodes += views * scene.node_count(beside_size(size)) * finer
+        finer = 4.0 ** (level - max(slope_map_level(scene, lobes), level))
+        nodes += views * scene.node_count(slope_map_size(size)) * finer
     return nodes
 
 
-def culling(scene: planned_views.Scene) -> tuple[float, float]:
+def initial_culling(scene: planned_views.Scene) -> tuple[float, float]:
     """`Strategy.culled` at pixels and at nodes, before the check."""
     factor = FINER_CULLING if scene.view_gradient else 1.0
     return factor * CULL_VIEWS, factor * CULL_NODES
 
 
-def best_plan(
+def choose_strategies(
     scene: planned_views.Scene, lobes: tuple[int, ...], tolerance: float
 ) -> list[Strategy]:
-    """The strategy of each group of a scene's lobes.
+    """Return the strategy of each group of a scene's lobes.
 
     Lobes that reflect nothing count only for derivatives by the material.
     """
     sharp, share = scene.sharpness, np.clip(3 * scene.shares, 0.1, 1.0)
     sizes, levels, views = np.zeros(3, int), np.zeros(3, int), np.ones(3, int)
-    mirrored, culled = sharp > BROAD, culling(scene)
+    mirrored, culled = sharp > BROAD, initial_culling(scene)
     least, map_share = (3, FINER_MAPS) if scene.view_gradient else (1, MAP_SHARE)
     detail, pixels = scene.light.detail(), len(scene.n)
     for s in lobes:
-        levels[s] = coarsest(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
+        levels[s] = coarsest_level(sharp[s], LIGHT_SHARE * tolerance / share[s], scene.light.size)
         lights = scene.texels >> 2 * levels[s]
         size = map_size(sharp[s], map_share * tolerance / share[s], detail, scene.light.size[0])
         if mirrored[s]:  # reflected directions turn faster than a distant viewer's, by V's part
             size = math.ceil(size * (1 + scene.views.steepness))
         count = view_count(scene, s, bool(mirrored[s]), least)
         if count and size <= reflectance_map.LARGEST:
-            nodes = nodes_of(scene, (s,), levels[s], size, count)
+            nodes = count_nodes(scene, (s,), levels[s], size, count)
             by_map = DEARER * sum_seconds(sharp[s], nodes, lights, tolerance)
             by_map += count * LOOK_UP * pixels
             if by_map < DEARER * sum_seconds(sharp[s], pixels, lights, tolerance):
@@ -197,7 +197,7 @@ def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int
 
 
 def view_error(scene: planned_views.Scene, lobe: int, count: int, mirrored: bool) -> float:
-    """Predicted error of a picture, of reading a lobe from maps of so many views.
+    """Return the predicted error of a picture, of reading a lobe from maps of so many views.
 
     It grows with what normals do not tell of the views. Fitted to 24 lobes under two lights, from
     two distances (docs/log.md, a view per pixel).

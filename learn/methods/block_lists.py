@@ -75,7 +75,7 @@ class Tables:
         self.backward_cones = self.with_dim_lobes() if material_gradient else self.cones
 
     def with_dim_lobes(self) -> np.ndarray:
-        """The cones, with no lobe lower than a part DIM of the highest.
+        """Return the cones, with no lobe lower than a part DIM of the highest.
 
         A lobe of almost no height adds almost nothing and so may be left out everywhere, but its
         derivative by κ, c^γ, does not depend on its height.
@@ -115,13 +115,13 @@ class Listing:
     """
 
     def __init__(self, n: np.ndarray, tables: Tables, left_out: float, stored_bytes: int = 0):
-        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.tables, self.left_out, self.order = tables, left_out, order_by_place(n)
         self.n, self.list_bytes = n.take(self.order, 0), 0
         self.lists: dict[int, Lists] = {}
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = self.n[start : start + PASS]
-            lists = select(part, tables, tables.cones, left_out)
+            lists = select_lists(part, tables, tables.cones, left_out)
             run_forward(part, tables, lists, out[start : start + PASS])
             if stored_bytes + self.list_bytes < CACHE_BYTES and (
                 tables.backward_cones is tables.cones
@@ -139,7 +139,7 @@ class Listing:
         by_E = np.zeros((3, len(self.tables.lights.w)), np.float32)
         for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
-            lists = self.lists.get(start) or select(
+            lists = self.lists.get(start) or select_lists(
                 self.n[part], self.tables, self.tables.backward_cones, self.left_out
             )
             energy_sums, lobe_sums = run_backward(
@@ -152,8 +152,8 @@ class Listing:
         return put_back(by_sorted_n, self.order), by_m, by_E
 
 
-def by_place(n: np.ndarray) -> np.ndarray:
-    """An order (P,) of pixels in which neighbours have similar unit normals (P, 3).
+def order_by_place(n: np.ndarray) -> np.ndarray:
+    """Return an order (P,) of pixels in which neighbours have similar unit normals (P, 3).
 
     It follows a Morton curve over the normals' x and y.
     """
@@ -165,19 +165,19 @@ def by_place(n: np.ndarray) -> np.ndarray:
 
 
 def put_back(values: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Values (P, 3) scattered to the places order (P,)."""
+    """Return values (P, 3) scattered to the places order (P,)."""
     result = np.empty_like(values)
     pixel_selection.run("pixels.spread", len(order), order, values, result)
     return result
 
 
 def tile_size(pixels: int) -> int:
-    """Pixels that share a list: few where there are few, for their normals are far apart."""
+    """Return how many pixels share a list: few where there are few, for their normals are far apart."""
     return 16 if pixels < 12288 else 32 if pixels < 24576 else CULLED_TILE
 
 
-def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) -> Lists:
-    """Each tile's list; cones: the tables' own, or those of their backward pass."""
+def select_lists(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) -> Lists:
+    """Return each tile's list; cones: the tables' own, or those of their backward pass."""
     size, capacity = tile_size(len(n)), tables.lights.blocks
     tiles = -(-len(n) // size)
     budget = np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
@@ -198,7 +198,7 @@ def select(n: np.ndarray, tables: Tables, cones: np.ndarray, left_out: float) ->
 
 
 def workers_for(lists: Lists, pixels: int) -> int:
-    """Number of threads that a sum over the pixels' lists deserves."""
+    """Return the number of threads that a sum over the pixels' lists deserves."""
     seconds = int(lists.lengths.sum()) * tile_size(pixels) * LISTED
     return threads.worth(torch.get_num_threads(), seconds)
 
@@ -225,7 +225,7 @@ def run_backward(
     by_n: np.ndarray,
     with_n: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Energy sums (blocks, 3, 16) and lobe sums (chunks, blocks, many, 3, 2, 16).
+    """Return energy sums (blocks, 3, 16) and lobe sums (chunks, blocks, many, 3, 2, 16).
 
     by_n  (P, 3) is written if with_n
     """
@@ -245,11 +245,11 @@ def run_backward(
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
-    return added(energy_sums), lobe_sums
+    return sum_first_axis(energy_sums), lobe_sums
 
 
-def added(parts: np.ndarray) -> np.ndarray:
-    """The sum over the first axis, in its order, into the first part."""
+def sum_first_axis(parts: np.ndarray) -> np.ndarray:
+    """Return the sum over the first axis, in its order, into the first part."""
     for part in parts[1:]:
         parts[0] += part
     return parts[0]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from learn.methods.cost_model import excess, good, samples
+from learn.methods.cost_model import choose_samples, excess, keeps_tolerance
 from learn.methods.planned import Strategy
 
 CHEAP = 24  # pixels below which nothing is worth planning
@@ -36,23 +36,23 @@ Plan = Callable[[Any, tuple[int, ...], float], list[Strategy]]
 Better = Callable[[Any, Miss], Strategy]
 
 
-def checked_sums(
+def plan_and_check(
     scene: Any, lobes: tuple[int, ...], tolerance: float, plan: Plan, better: Better
 ) -> Any:
-    """Sums of a scene's lobes whose error on the sample is within the tolerance.
+    """Return sums of a scene's lobes whose error on the sample is within the tolerance.
 
     Where it is not, the part with the largest error is computed again by a better strategy.
     """
     strategies: list[Strategy] = []
     known: dict[Strategy, Any] = {}
-    for pick in samples(len(scene.n), scene.texels):
+    for pick in choose_samples(len(scene.n), scene.texels):
         truth = scene.truth(pick, lobes)
         level = float(truth.mean())
         if not strategies:
             scene.budget = tolerance * level
             strategies = plan(scene, lobes, tolerance)
             sums = scene.sums(strategies, known)
-        while not good(error := np.abs(sums.at_sample(pick) - truth), level, tolerance):
+        while not keeps_tolerance(error := np.abs(sums.at_sample(pick) - truth), level, tolerance):
             too_much = excess(error, level, tolerance)
             parts = sums.parts()
             truths = [scene.truth(pick, part.strategy.lobes) for part in parts[1:]]

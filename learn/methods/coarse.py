@@ -22,7 +22,7 @@ from shaders.tone import LUMINANCE
 
 
 def has_level(height: int, width: int, level: int) -> bool:
-    """Whether a map divides into texels 2^level times as large, enough for interpolation."""
+    """Return whether a map divides into texels 2^level times as large, enough for interpolation."""
     step = 2**level
     return height % step == 0 and width % (2 * step) == 0 and height // step >= 8
 
@@ -40,7 +40,7 @@ def stencil(level: int) -> np.ndarray:
 
 
 def energy(E: np.ndarray, level: int) -> np.ndarray:
-    """Coarse energies (planes, coarse height, coarse width) of E (planes, height, width)."""
+    """Return coarse energies (planes, coarse height, coarse width) of E (planes, height, width)."""
     planes, height, width = E.shape
     result, along = (
         np.empty((planes, height >> level, width >> level), np.float32),
@@ -53,7 +53,7 @@ def energy(E: np.ndarray, level: int) -> np.ndarray:
 
 
 def gradient(by_coarse: np.ndarray, level: int) -> np.ndarray:
-    """Derivative (planes, height, width) by E, from the one by the coarse energies."""
+    """Return the derivative (planes, height, width) by E, from the one by the coarse energies."""
     planes, height, width = len(by_coarse), by_coarse.shape[1] << level, by_coarse.shape[2] << level
     result, along = np.empty((planes, height, width), np.float32), np.empty(width, np.float32)
     machine_code.call(
@@ -97,7 +97,7 @@ class Light:
         return self.levels[level]
 
     def detail(self) -> list[float]:
-        """The parts of the light (levels + 1,) by how fast they vary, with sum 1.
+        """Return the parts of the light (levels + 1,) by how fast they vary, with sum 1.
 
         Part k varies over texels of level k, too fast for those of level k + 1; the last part is
         the remainder. One lit texel loses twice its energy, so half of the loss counts.
@@ -120,7 +120,7 @@ class Light:
         return [*parts, 1.0 - sum(parts)]
 
     def places(self, level: int) -> tuple[Lights, np.ndarray]:
-        """A level's `Lights`, and the place of each in the flattened map."""
+        """Return a level's `Lights`, and the place of each in the flattened map."""
         return light_tables.map_lights(self.height >> level, self.width >> level, self.rotation)
 
     def gradient(self, by_E: np.ndarray, level: int) -> np.ndarray:
@@ -133,13 +133,13 @@ class Light:
 
 @functools.lru_cache(maxsize=8)
 def solid_angles(height: int, width: int) -> np.ndarray:
-    """Solid angles of a map's texels, (1, height, 1) or (1, height, width) float32."""
+    """Return solid angles of a map's texels, (1, height, 1) or (1, height, width) float32."""
     return directions(height, width)[1].astype(np.float32)[None]
 
 
 @functools.lru_cache(maxsize=8)
 def shares(height: int, width: int, level: int) -> np.ndarray:
-    """Solid angle (1, coarse height, coarse width) that each coarse place stands for."""
+    """Return the solid angle (1, coarse height, coarse width) that each coarse place stands for."""
     return energy(
         np.ascontiguousarray(np.broadcast_to(solid_angles(height, width), (1, height, width))),
         level,

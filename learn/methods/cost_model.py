@@ -32,23 +32,23 @@ SIZES = np.unique(np.geomspace(reflectance_map.SMALLEST, reflectance_map.LARGEST
 
 @functools.cache
 def calibration() -> dict[str, dict[str, float]]:
-    """Fitted numbers: error of a map, seconds of each kind of work."""
+    """Return fitted numbers: error of a map, seconds of each kind of work."""
     return json.loads((Path(__file__).parent / "calibration.json").read_text())
 
 
-def samples(pixels: int, texels: int) -> list[np.ndarray]:
-    """Pixels (S,) to plan by and to check; then more to check, where the map is small.
+def choose_samples(pixels: int, texels: int) -> list[np.ndarray]:
+    """Return the pixels (S,) to plan by and to check; then more to check, where the map is small.
 
     There they cost little.
     """
     few, many = (
-        directional.spread_over(pixels, count)
+        directional.spread_indices(pixels, count)
         for count in (SAMPLE, max(SAMPLE, SAMPLE_PAIRS // texels))
     )
     return [few] if len(many) == len(few) else [few, many]
 
 
-def good(error: np.ndarray, level: float, tolerance: float) -> bool:
+def keeps_tolerance(error: np.ndarray, level: float, tolerance: float) -> bool:
     """Whether errors (S, 3) on a sample keep the tolerance, with a margin by their spread."""
     by_pixel = error.mean(-1)
     uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
@@ -69,14 +69,14 @@ def excess(error: np.ndarray, level: float, tolerance: float) -> float:
     return mean - mean * AIM * tolerance * level / max(mean + uncertainty, 1e-30)
 
 
-def grown(size: int, pixels: int, growth: float = GROWTH) -> int:
-    """The next larger map; 0 where it would have more nodes than there are pixels."""
+def next_larger_map(size: int, pixels: int, growth: float = GROWTH) -> int:
+    """Return the next larger map; 0 where it would have more nodes than there are pixels."""
     larger = math.ceil(growth * size)
     return 0 if larger > reflectance_map.LARGEST or node_count(larger) > pixels else larger
 
 
-def coarsest(sharp: float, error: float, light_size: tuple[int, int]) -> int:
-    """The coarsest level of the light whose predicted error for a lobe is within `error`."""
+def coarsest_level(sharp: float, error: float, light_size: tuple[int, int]) -> int:
+    """Return the coarsest level of the light whose predicted error for a lobe is within `error`."""
     level = 0
     while (
         level < COARSEST
@@ -88,7 +88,7 @@ def coarsest(sharp: float, error: float, light_size: tuple[int, int]) -> int:
 
 
 def light_error(rows: int, sharp: float) -> float:
-    """Predicted relative error of a light interpolated between `rows` rows of texels.
+    """Return the predicted relative error of a light interpolated between `rows` rows of texels.
 
     One part depends on the lobe's width, one on the horizon's edge.
     """
@@ -132,12 +132,12 @@ def map_error(
 
 
 def node_count(size: int) -> float:
-    """Nodes of a map that a whole hemisphere of normals needs."""
+    """Return the number of nodes of a map that a whole hemisphere of normals needs."""
     return 0.72 * size * size
 
 
 def sum_seconds(sharp: float, pixels: float, lights: int, tolerance: float) -> float:
-    """Predicted seconds of the culled sum of one lobe, forward and backward.
+    """Return the predicted seconds of the culled sum of one lobe, forward and backward.
 
     They follow the number of lights in its cone for each pixel (or node).
     """

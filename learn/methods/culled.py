@@ -11,7 +11,7 @@ estimated. Derivatives leave out the same blocks, except those by a lobe that is
 
 import torch
 
-from learn.methods import Batch, Card, by_group, directional, light_tables
+from learn.methods import Batch, Card, directional, light_tables, radiance_by_group
 
 CARD = Card(
     name="culled",
@@ -28,13 +28,13 @@ SHARE = 0.5  # of the tolerance that may be left out
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        lights, E = light_tables.of_map(light, batch.camera_from_light)
-        left_out = SHARE * tolerance * directional.scale(n, view, m, E, lights)
+        lights, E = light_tables.lights_and_energy(light, batch.camera_from_light)
+        left_out = SHARE * tolerance * directional.mean_radiance(n, view, m, E, lights)
         seen = directional.radiance(n, view, m, E, lights, left_out, method=CARD.name)
         least = seen.detach().mean().item()
         if left_out > tolerance * least:
@@ -43,4 +43,4 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
             )
         return seen
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)

@@ -35,7 +35,7 @@ WHOLE = 2**19
 
 
 def has_kernels(n: torch.Tensor) -> bool:
-    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
+    """Return whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
@@ -50,7 +50,7 @@ def radiance(
     method: str = "directional",
     negligible: float = NEGLIGIBLE,
 ) -> torch.Tensor:
-    """Radiance (P, 3) of some lobes of one material m (3, 3, 2, 6) under lights of energy E.
+    """Return radiance (P, 3) of some lobes of one material m (3, 3, 2, 6) under lights of energy E.
 
     It is differentiable in n, view, m and E; by the kernels once.
     negligible  for a view per pixel, as in learn.engines.lights.cutoff
@@ -59,7 +59,7 @@ def radiance(
     if has_kernels(n) and view is None:
         return ListedSum.apply(n, m, E, lights, float(left_out), lobes, method)
     if lobes != ALL_LOBES:
-        m = lobe_shapes.only(m, np.isin(ALL_LOBES, lobes))
+        m = lobe_shapes.keep_lobes(m, np.isin(ALL_LOBES, lobes))
     if has_kernels(n) and view is not None:
         clamped = torch.minimum(m, m.new_tensor(LARGEST_CONTROL))
         return ViewedSum.apply(n, view.expand_as(n), clamped, E, lights, method, negligible)
@@ -75,7 +75,7 @@ def is_small(pixels: int, lights: int, with_gradients: bool = False) -> bool:
     return pixels * lights <= WHOLE or (with_gradients and lights <= FEW_TEXELS)
 
 
-def near(
+def approximate_radiance(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -85,10 +85,12 @@ def near(
     method: str = "directional",
 ) -> torch.Tensor:
     """Radiance (P, 3); each pixel may lack the part `error` of the picture's mean radiance."""
-    return radiance(n, view, m, E, lights, error * scale(n, view, m, E, lights), method=method)
+    return radiance(
+        n, view, m, E, lights, error * mean_radiance(n, view, m, E, lights), method=method
+    )
 
 
-def scale(
+def mean_radiance(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -96,19 +98,19 @@ def scale(
     lights: Lights,
     pixels: int = 32,
 ) -> float:
-    """Mean radiance of evenly chosen pixels: the measure of errors."""
+    """Return the mean radiance of evenly chosen pixels: the measure of errors."""
     with torch.no_grad():
         pick = sample(len(n), pixels, n.device)
         return radiance(n[pick], None if view is None else view[pick], m, E, lights).mean().item()
 
 
 def sample(count: int, pixels: int, device: torch.device | None = None) -> torch.Tensor:
-    """Indices (pixels,) spread evenly over range(count), the same every time."""
-    return torch.from_numpy(spread_over(count, pixels)).to(device)
+    """Return indices (pixels,) spread evenly over range(count), the same every time."""
+    return torch.from_numpy(spread_indices(count, pixels)).to(device)
 
 
 @functools.lru_cache(maxsize=64)
-def spread_over(count: int, pixels: int) -> np.ndarray:
+def spread_indices(count: int, pixels: int) -> np.ndarray:
     """As `sample`, in numpy; steps of the golden ratio fall into no pattern."""
     places = (np.arange(min(pixels, count)) * ((math.sqrt(5) - 1) / 2) + 0.5) % 1.0
     return np.unique((places * count).astype(np.int64))

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import torch
 
 from learn.engines.derivatives import THIRD, Context, Step, require_one_gradient
-from learn.methods import Batch, Card, by_group
+from learn.methods import Batch, Card, radiance_by_group
 from shaders.dsbrdf import MAX_EXPONENT, half_angles
 from shaders.envmap import directions
 from shaders.spline import basis, basis_slope
@@ -50,7 +50,7 @@ TEXELS, PAIRS = 2048, 32768
 def texels(
     light: torch.Tensor, camera_from_light: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Direction w (T, 3), camera frame, and E (T, 3) = radiance × solid angle of each texel.
+    """Return the direction w (T, 3), camera frame, and E (T, 3) = radiance × solid angle of each texel.
 
     light  (Hl, Wl, 3)
     """
@@ -61,7 +61,7 @@ def texels(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.n.dtype == torch.float32:
         from learn.methods import exact_operator  # here: a process that never renders pays nothing
 
@@ -74,7 +74,7 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         w, E = texels(light, batch.camera_from_light)
         return ExactSum.apply(n, view, m, E, w)
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
 class Half(NamedTuple):
@@ -93,7 +93,7 @@ class Half(NamedTuple):
 
 
 def half(v: torch.Tensor, w: torch.Tensor, m: torch.Tensor) -> Half:
-    """The `Half` of views v (p, 1, 3) or (1, 1, 3) and lights w (t, 3); m (3, 3, 2, 6)."""
+    """Return the `Half` of views v (p, 1, 3) or (1, 1, 3) and lights w (t, 3); m (3, 3, 2, 6)."""
     h, theta_d = half_angles(w[None], v)
     B = basis(theta_d)
     curves = torch.einsum("ptb,ksjb->jptks", B, m)
@@ -115,7 +115,7 @@ class Lobes(NamedTuple):
 
 
 def lobes(n: torch.Tensor, w: torch.Tensor, at: Half) -> Lobes:
-    """The BRDF of each pixel and texel; below the horizon μ is 0 and c is set to 1.
+    """Return the BRDF of each pixel and texel; below the horizon μ is 0 and c is set to 1.
 
     n (p, 3), w (t, 3)
     """
@@ -135,7 +135,7 @@ def lobes(n: torch.Tensor, w: torch.Tensor, at: Half) -> Lobes:
 
 
 def chunks(pixels: int, total: int, pairs: int = PAIRS) -> Iterator[tuple[slice, slice]]:
-    """Slices (of texels, of pixels) that cover all pairs, at most `pairs` at a time."""
+    """Return slices (of texels, of pixels) that cover all pairs, at most `pairs` at a time."""
     step = max(1, pairs // min(TEXELS, max(total, 1)))
     for t in range(0, total, TEXELS):
         for p in range(0, pixels, step):

@@ -49,7 +49,7 @@ def serves(batch: Batch) -> bool:
 
 
 def radiance(batch: Batch) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch that `serves` accepts."""
+    """Return outgoing radiance (P, 3) of a batch that `serves` accepts."""
     if not torch.compiler.is_compiling():
         # torch drops a tangent that an operator knows nothing of
         require_reverse_mode(batch.n, batch.view, batch.m, batch.light)
@@ -111,7 +111,7 @@ def _backward_on_cpu(
     light_of: Sequence[int],
     with_view: bool,
 ) -> tuple[torch.Tensor, ...]:
-    """Derivatives by n, view (empty unless with_view), m, light."""
+    """Return derivatives by n, view (empty unless with_view), m, light."""
     arrays = _numpy(g), _numpy(n), _optional(view), _numpy(m), _numpy(light)
     workers = torch.get_num_threads()
     result = cpu.gradients(*arrays, tuple(rotation), counts, light_of, workers, with_view)

@@ -47,7 +47,7 @@ def second(
     w: torch.Tensor,
     radial: bool,
 ) -> Derivatives:
-    """Gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes.
+    """Return gradients of S by g, n, view (None without one), m and E, in their shapes and dtypes.
 
     No graph is kept.
 
@@ -160,7 +160,7 @@ class HalfChange(NamedTuple):
 
 
 def distant_half(w: torch.Tensor, m: torch.Tensor, along_m: torch.Tensor) -> HalfChange:
-    """The `HalfChange` for a distant viewer."""
+    """Return the `HalfChange` for a distant viewer."""
     h, theta_d = half_angles(w[None], w.new_tensor([0.0, 0.0, 1.0]))
     B = basis(theta_d)
     return HalfChange(h, torch.zeros_like(h), curves(B, m), curves(B, along_m))
@@ -169,7 +169,7 @@ def distant_half(w: torch.Tensor, m: torch.Tensor, along_m: torch.Tensor) -> Hal
 def turning_half(
     v: torch.Tensor, along_v: torch.Tensor, w: torch.Tensor, m: torch.Tensor, along_m: torch.Tensor
 ) -> HalfChange:
-    """The `HalfChange` for a view v (p, 3) that changes along v' (p, 3)."""
+    """Return the `HalfChange` for a view v (p, 3) that changes along v' (p, 3)."""
     s, d = w + v[:, None], w - v[:, None]
     length_s = s.square().sum(-1, keepdim=True).clamp(min=1e-12).sqrt()  # w = −v is never lit
     square = d.square().sum(-1, keepdim=True)

@@ -10,9 +10,9 @@ sum then does not jump where a sample crosses a texel's border, and the error fa
 of N^−¾.
 
 Sample directions are constants in the backward pass: I = Σ_i f(w_i, v, n) L(w_i) μ(w_i, n) dω_i is
-differentiated with w_i and dω_i held (learn.engines.sample_directions does so, and `chunk` in plain
-torch is its reference), which estimates the true derivative ∫ ∂(f μ) L dω; moving the
-samples with n instead would lose the jumps of L between texels.
+differentiated with w_i and dω_i held (learn.engines.sample_derivatives does so, and
+`chunk_radiance` in plain torch is its reference), which estimates the true derivative
+∫ ∂(f μ) L dω; moving the samples with n instead would lose the jumps of L between texels.
 
 N samples, p pixel, i sample, k channel, s lobe; shapes (p, i, k, s).
 """
@@ -74,7 +74,7 @@ def spiral(m: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def place(
+def place_samples(
     n: torch.Tensor,
     view: torch.Tensor,
     around: torch.Tensor,
@@ -100,7 +100,7 @@ def place(
     )
 
 
-def chunk(
+def chunk_radiance(
     n: torch.Tensor,
     view: torch.Tensor,
     m: torch.Tensor,
@@ -109,9 +109,9 @@ def chunk(
     solid_angle: torch.Tensor,
     camera_from_light: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of a chunk of pixels by the samples of `place`."""
+    """Return radiance (p, 3) of a chunk of pixels by the samples of `place_samples`."""
     with torch.no_grad():
-        w, weight, _ = place(
+        w, weight, _ = place_samples(
             n, view, around, solid_angle, camera_from_light, (light.shape[0], light.shape[1])
         )
         texel, share = footprint(w @ camera_from_light.to(w), weight, *light.shape[:2])
@@ -134,7 +134,7 @@ def reflectance(
 def footprint(
     w: torch.Tensor, solid_angle: torch.Tensor, height: int, width: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The texels under each sample's footprint, and the part of it in each.
+    """Return the texels under each sample's footprint, and the part of it in each.
 
     The footprint is the square of the solid angle, at most a texel wide each way.
 
@@ -167,7 +167,7 @@ def border(x: torch.Tensor, width: torch.Tensor) -> tuple[torch.Tensor, torch.Te
 
 
 def frame_about(n: torch.Tensor) -> torch.Tensor:
-    """Rotations (p, 3, 3) that take z to n and turn smoothly with n (Duff et al. 2017)."""
+    """Return rotations (p, 3, 3) that take z to n and turn smoothly with n (Duff et al. 2017)."""
     x, y, z = n.unbind(-1)
     sign = torch.where(z < 0, -1.0, 1.0).to(n.dtype)
     a = -1 / (sign + z)
@@ -178,7 +178,7 @@ def frame_about(n: torch.Tensor) -> torch.Tensor:
 
 
 def texel_of(w: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Flat index of the texel that holds each direction w (..., 3), light frame.
+    """Return the flat index of the texel that holds each direction w (..., 3), light frame.
 
     As shaders.envmap.texel, for tensors.
     """

@@ -10,7 +10,15 @@ import functools
 import numpy as np
 import torch
 
-from learn.methods import Batch, Card, by_group, directional, light_tables, lobe_shapes, median_cut
+from learn.methods import (
+    Batch,
+    Card,
+    directional,
+    light_tables,
+    lobe_shapes,
+    median_cut,
+    radiance_by_group,
+)
 
 CARD = Card(
     name="hybrid",
@@ -24,14 +32,16 @@ BROAD = 60.0
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
-    return with_lights(
-        median_cut.held(batch, CARD.name), median_cut.count(tolerance), 0.25 * tolerance
+    """Return outgoing radiance (P, 3) of a batch."""
+    return radiance_by_lights(
+        median_cut.prepare_batch(batch, CARD.name),
+        median_cut.light_count(tolerance),
+        0.25 * tolerance,
     )
 
 
-def with_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
-    """Radiance with `count` lights for broad lobes; left_out: relative error by culling."""
+def radiance_by_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
+    """Return radiance with `count` lights for broad lobes; left_out: relative error by culling."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -39,19 +49,19 @@ def with_lights(batch: Batch, count: int, left_out: float) -> torch.Tensor:
         broad = lobe_shapes.sharpness(m) <= BROAD
         parts = []
         if broad.any():
-            lights, E = median_cut.cut(light, batch.camera_from_light, count)
-            parts.append(directional.radiance(n, view, m, E, lights, lobes=numbers(broad)))
+            lights, E = median_cut.cut_light(light, batch.camera_from_light, count)
+            parts.append(directional.radiance(n, view, m, E, lights, lobes=marked_lobes(broad)))
         if not broad.all():
-            lights, E = light_tables.of_map(light, batch.camera_from_light)
+            lights, E = light_tables.lights_and_energy(light, batch.camera_from_light)
             # relative to all lobes, not to the sharp ones
-            allowed = left_out * directional.scale(n, view, m, E, lights)
-            sharp = directional.radiance(n, view, m, E, lights, allowed, numbers(~broad))
+            allowed = left_out * directional.mean_radiance(n, view, m, E, lights)
+            sharp = directional.radiance(n, view, m, E, lights, allowed, marked_lobes(~broad))
             parts.append(sharp)
         return functools.reduce(torch.add, parts)
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
-def numbers(lobes: np.ndarray) -> tuple[int, ...]:
-    """The numbers, in a tuple, of lobes marked in an array (3,)."""
+def marked_lobes(lobes: np.ndarray) -> tuple[int, ...]:
+    """Return the numbers, in a tuple, of lobes marked in an array (3,)."""
     return tuple(np.flatnonzero(lobes).tolist())

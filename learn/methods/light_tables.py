@@ -47,21 +47,21 @@ class Lights:
     @functools.cached_property
     def general_geometry(self) -> np.ndarray:
         """The lights' geometry (blocks, 6, 16) for learn.engines.general."""
-        w = padded(self.w).T
+        w = pad_to_blocks(self.w).T
         return blocked(np.concatenate([w, w - w.astype(np.float32)]))
 
 
-def padded(w: np.ndarray) -> np.ndarray:
-    """Directions (T, 3) with the last one repeated up to whole blocks."""
+def pad_to_blocks(w: np.ndarray) -> np.ndarray:
+    """Return the directions (T, 3) with the last one repeated up to whole blocks."""
     return np.concatenate([w, np.broadcast_to(w[-1], (-len(w) % LANES, 3))])
 
 
 def lights_at(w: np.ndarray) -> Lights:
-    """The `Lights` of directions (T, 3), as a distant viewer at VIEWER sees them.
+    """Return the `Lights` of directions (T, 3), as a distant viewer at VIEWER sees them.
 
     Neighbours in order should be neighbours on the sphere.
     """
-    filled = padded(w)
+    filled = pad_to_blocks(w)
     h, theta_d = half_angles(filled, VIEWER)
     rest = h.T - h.T.astype(np.float32)
     cones = np.concatenate([cone(filled.reshape(-1, LANES, 3)), cone(h.reshape(-1, LANES, 3))], -1)
@@ -91,8 +91,8 @@ def cone(vectors: np.ndarray) -> np.ndarray:
     return np.concatenate([axis, np.cos(angle)[..., None], np.sin(angle)[..., None]], -1)
 
 
-def in_tiles(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """The order (T,) of texels in 4×4 tiles, by their rows and columns (T,)."""
+def order_in_tiles(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Return the order (T,) of texels in 4×4 tiles, by their rows and columns (T,)."""
     return np.lexsort((column, row, column // 4, row // 4))
 
 
@@ -102,12 +102,14 @@ def map_lights(height: int, width: int, camera_from_light: Rotation) -> tuple[Li
 
     All in numpy: a cached tensor from torch's inference mode could not join a graph later.
     """
-    order = in_tiles(*np.divmod(np.arange(height * width), width))
+    order = order_in_tiles(*np.divmod(np.arange(height * width), width))
     rotation = np.array(camera_from_light).reshape(3, 3)
     return lights_at(directions(height, width)[0].reshape(-1, 3)[order] @ rotation.T), order
 
 
-def of_map(light: torch.Tensor, camera_from_light: torch.Tensor) -> tuple[Lights, torch.Tensor]:
+def lights_and_energy(
+    light: torch.Tensor, camera_from_light: torch.Tensor
+) -> tuple[Lights, torch.Tensor]:
     """`Lights` and E (T, 3), differentiable in light (height, width, 3)."""
     height, width = light.shape[:2]
     lights, order = map_lights(height, width, tuple(camera_from_light.double().flatten().tolist()))

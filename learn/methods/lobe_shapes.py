@@ -71,7 +71,7 @@ def controls(m: torch.Tensor | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.minimum(m[:, :, 0], MAX_EXPONENT), m[:, :, 1]
 
 
-def only(m: torch.Tensor, lobes: np.ndarray) -> torch.Tensor:
+def keep_lobes(m: torch.Tensor, lobes: np.ndarray) -> torch.Tensor:
     """m with κ = 0 in all lobes but those marked (3,) bool; differentiable."""
     marked = torch.as_tensor(
         np.stack([lobes, np.ones_like(lobes)], -1).astype(np.float64),

@@ -19,10 +19,10 @@ from learn.methods import (
     HELD_LIGHTS,
     Batch,
     Card,
-    by_group,
     directional,
-    first_only,
+    forbid_second_derivatives,
     light_tables,
+    radiance_by_group,
 )
 from learn.methods.light_tables import Lights
 from shaders.envmap import directions
@@ -39,39 +39,41 @@ CARD = Card(
 LEAST, MOST = 64, 4096
 
 
-def count(tolerance: float) -> int:
+def light_count(tolerance: float) -> int:
     """Number of lights for a tolerance without sharp lobes: the error falls about as 1 / lights."""
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
-    return with_lights(held(batch, CARD.name), count(tolerance))
+    """Return outgoing radiance (P, 3) of a batch."""
+    return radiance_by_lights(prepare_batch(batch, CARD.name), light_count(tolerance))
 
 
-def held(batch: Batch, name: str) -> Batch:
-    """The batch for a method that cuts the light.
+def prepare_batch(batch: Batch, name: str) -> Batch:
+    """Return the batch for a method that cuts the light.
 
     Second derivatives exist in torch's own sums alone, while the light is constant.
     """
     if directional.has_kernels(batch.n):
-        return first_only(batch, name, COMPILED)
-    return first_only(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
+        return forbid_second_derivatives(batch, name, COMPILED)
+    return (
+        forbid_second_derivatives(batch, name, HELD_LIGHTS) if batch.light.requires_grad else batch
+    )
 
 
-def with_lights(batch: Batch, lights: int) -> torch.Tensor:
-    """Radiance (P, 3) with a cut light of at most `lights` regions."""
+def radiance_by_lights(batch: Batch, lights: int) -> torch.Tensor:
+    """Return radiance (P, 3) with a cut light of at most `lights` regions."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        few, E = cut(light, batch.camera_from_light, lights)
+        few, E = cut_light(light, batch.camera_from_light, lights)
         return directional.radiance(n, view, m, E, few)
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
-def cut(
+def cut_light(
     light: torch.Tensor, camera_from_light: torch.Tensor, count: int
 ) -> tuple[Lights, torch.Tensor]:
     """`Lights` of at most `count` regions, and their E (T, 3), differentiable in light.
@@ -81,7 +83,7 @@ def cut(
     """
     height, width = light.shape[:2]
     if height * width <= count:
-        return light_tables.of_map(light, camera_from_light)
+        return light_tables.lights_and_energy(light, camera_from_light)
     w, solid_angle = directions(height, width)
     brightness = light.detach().double().cpu().numpy() @ LUMINANCE
     # dark regions have a centre too
@@ -109,7 +111,7 @@ def cut(
 
 
 def regions(energy: np.ndarray, count: int) -> np.ndarray:
-    """The number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
+    """Return the number of each texel's region (height, width), 0 … R − 1 with R ≤ count.
 
     Neighbours in number are neighbours in the map.
     """
@@ -117,7 +119,7 @@ def regions(energy: np.ndarray, count: int) -> np.ndarray:
     table = np.pad(energy.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     boxes = np.array([[0, height, 0, width]])
     for _ in range(int(math.log2(count))):
-        boxes = halved(boxes, table)
+        boxes = halve_boxes(boxes, table)
     number = np.zeros((height + 1, width + 1), int)
     # Paint by differences: +k at a box's corners, so that two cumulative sums fill all boxes at
     # once.
@@ -133,7 +135,7 @@ def regions(energy: np.ndarray, count: int) -> np.ndarray:
     return number.cumsum(0).cumsum(1)[:height, :width]
 
 
-def halved(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
+def halve_boxes(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Each box (R, 4) replaced by two halves of equal energy, or by itself if it is one texel."""
     height = table.shape[0] - 1
     top, bottom, left, right = boxes.T
@@ -166,7 +168,7 @@ def halved(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
 def energy_up_to(
     boxes: np.ndarray, table: np.ndarray, by_rows: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
-    """Energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
+    """Return energy (R,) of each box's part before `place`, a row where by_rows, else a column."""
     top, bottom, left, right = boxes.T
     bottom, right = np.where(by_rows, place, bottom), np.where(by_rows, right, place)
     return table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]

@@ -5,7 +5,7 @@ The estimator is in learn/methods/sampling.py.
 
 import torch
 
-from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
+from learn.methods import HELD_SAMPLES, Batch, Card, forbid_second_derivatives, sampling
 
 CARD = Card(
     name="monte_carlo",
@@ -19,6 +19,8 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
-    half = sampling.count(tolerance) // 2
-    return sampling.sampled(first_only(batch, CARD.name, HELD_SAMPLES), half, half)
+    """Return outgoing radiance (P, 3) of a batch."""
+    half = sampling.sample_count(tolerance) // 2
+    return sampling.radiance_by_samples(
+        forbid_second_derivatives(batch, CARD.name, HELD_SAMPLES), half, half
+    )

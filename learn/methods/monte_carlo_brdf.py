@@ -5,7 +5,7 @@ The estimator is in learn/methods/sampling.py.
 
 import torch
 
-from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
+from learn.methods import HELD_SAMPLES, Batch, Card, forbid_second_derivatives, sampling
 
 CARD = Card(
     name="monte_carlo_brdf",
@@ -17,7 +17,9 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
-    return sampling.sampled(
-        first_only(batch, CARD.name, HELD_SAMPLES), 0, sampling.count(tolerance)
+    """Return outgoing radiance (P, 3) of a batch."""
+    return sampling.radiance_by_samples(
+        forbid_second_derivatives(batch, CARD.name, HELD_SAMPLES),
+        0,
+        sampling.sample_count(tolerance),
     )

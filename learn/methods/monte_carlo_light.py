@@ -5,7 +5,7 @@ The estimator is in learn/methods/sampling.py.
 
 import torch
 
-from learn.methods import HELD_SAMPLES, Batch, Card, first_only, sampling
+from learn.methods import HELD_SAMPLES, Batch, Card, forbid_second_derivatives, sampling
 
 CARD = Card(
     name="monte_carlo_light",
@@ -17,7 +17,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.light.requires_grad:  # the samples follow the light, and nothing else
-        batch = first_only(batch, CARD.name, HELD_SAMPLES)
-    return sampling.sampled(batch, sampling.count(tolerance), 0)
+        batch = forbid_second_derivatives(batch, CARD.name, HELD_SAMPLES)
+    return sampling.radiance_by_samples(batch, sampling.sample_count(tolerance), 0)

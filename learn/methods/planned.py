@@ -64,17 +64,17 @@ class Scene:
         return self.light.height * self.light.width
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """The sum over all lights (S, 3) at pixels pick (S,)."""
-        return self.at(self.n[pick], lobes).radiance
+        """Return the sum over all lights (S, 3) at pixels pick (S,)."""
+        return self.list_lobes(self.n[pick], lobes).radiance
 
     def sums(self, strategies: "Sequence[Strategy]", known: "dict[Strategy, Sum]") -> "Sums":
-        """The `Sums` of strategies; known: sums that have been made before."""
+        """Return the `Sums` of strategies; known: sums that have been made before."""
         return Sums(self, strategies, known)
 
-    def at(
+    def list_lobes(
         self, normals: np.ndarray, lobes: tuple[int, ...], level: int = 0, left_out: float = 0.0
     ) -> Listing:
-        """The `Listing` of some lobes at normals (N, 3)."""
+        """Return the `Listing` of some lobes at normals (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
             self.tables[lobes, level] = Tables(
@@ -95,23 +95,23 @@ class Sum:
         if strategy.size:
             self.nodes = reflectance_map.nodes_for(within, strategy.size)
             self.normals = reflectance_map.normals(self.nodes, strategy.size).astype(np.float32)
-        self.listing = scene.at(
+        self.listing = scene.list_lobes(
             self.normals, strategy.lobes, strategy.level, strategy.culled * scene.budget
         )
         self.values = self.listing.radiance
 
     def table(self) -> np.ndarray:
-        """The map's table for the kernels."""
-        return reflectance_map.table(self.values, self.nodes, self.strategy.size)
+        """Return the map's table for the kernels."""
+        return reflectance_map.kernel_table(self.values, self.nodes, self.strategy.size)
 
     def at_sample(self, pick: np.ndarray) -> np.ndarray:
-        """Radiance (S, 3) at pixels pick (S,)."""
+        """Return radiance (S, 3) at pixels pick (S,)."""
         if not self.strategy.size:
             return self.values[pick]
-        return reflectance_map.read(self.scene.n[pick], self.table(), self.strategy.size)
+        return reflectance_map.read_values(self.scene.n[pick], self.table(), self.strategy.size)
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
-        """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
+        """Return the mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.at_sample(pick) - truth).mean())
 
 
@@ -140,31 +140,37 @@ class Sums:
                 total = total + (
                     part.values
                     if same
-                    else reflectance_map.read(self.largest.normals, part.table(), strategy.size)
+                    else reflectance_map.read_values(
+                        self.largest.normals, part.table(), strategy.size
+                    )
                 )
-            self.table = reflectance_map.table(total, self.largest.nodes, self.size)
+            self.table = reflectance_map.kernel_table(total, self.largest.nodes, self.size)
 
     def parts(self) -> list[Sum]:
-        """The sum of each strategy."""
+        """Return the sum of each strategy."""
         return [*self.at_pixels, *([self.largest] if self.largest else []), *self.smaller]
 
     def at_sample(self, pick: np.ndarray) -> np.ndarray:
-        """Radiance (S, 3) at pixels pick (S,)."""
+        """Return radiance (S, 3) at pixels pick (S,)."""
         results = [part.values[pick] for part in self.at_pixels]
         if self.largest:
-            results.append(reflectance_map.read(self.scene.n[pick], self.table, self.size))
+            results.append(reflectance_map.read_values(self.scene.n[pick], self.table, self.size))
         return functools.reduce(np.add, results)
 
     def radiance(self) -> np.ndarray:
-        """Radiance (P, 3)."""
-        result = [reflectance_map.read(self.scene.n, self.table, self.size)] if self.largest else []
+        """Return radiance (P, 3)."""
+        result = (
+            [reflectance_map.read_values(self.scene.n, self.table, self.size)]
+            if self.largest
+            else []
+        )
         result += [part.values for part in self.at_pixels]
         return functools.reduce(np.add, result) if result else 0 * self.scene.n
 
     def backward(
         self, g: np.ndarray, with_n: bool
     ) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·radiance by n (None unless with_n), m and light."""
+        """Return derivatives of Σ g·radiance by n (None unless with_n), m and light."""
         by_n: np.ndarray | None = None
         by_m, by_light = np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
         gradients = [(part, g, with_n) for part in self.at_pixels]

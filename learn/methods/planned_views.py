@@ -21,7 +21,7 @@ from learn.engines.lights import Rotation
 from learn.methods import coarse, lobe_shapes, reflectance_map, refusal
 from learn.methods.cost_model import light_error
 from learn.methods.planned import Strategy
-from learn.methods.view_maps import Maps, beside_size
+from learn.methods.view_maps import Maps, slope_map_size
 from learn.methods.view_places import Chart, Places, Views
 from learn.methods.viewed_lists import ViewedListing, ViewedTables
 
@@ -78,23 +78,23 @@ class Scene:
         return Views(self.n, self.view)
 
     def node_count(self, size: int) -> float:
-        """Nodes that a map of a size will have, by those of a small one."""
+        """Return the number of nodes that a map of a size will have, by those of a small one."""
         return self.node_share * size * size
 
     @functools.cached_property
     def node_share(self) -> float:
         """The part of a map's square that has nodes."""
-        _, chart = self.where(False)
+        _, chart = self.map_places(False)
         return len(reflectance_map.nodes_for(chart.drawn, COUNTED)) / COUNTED**2
 
-    def where(self, mirrored: bool) -> tuple[Places, Chart]:
+    def map_places(self, mirrored: bool) -> tuple[Places, Chart]:
         """Where maps are read."""
         if mirrored not in self.places:
             self.places[mirrored] = Places(self.n, self.view, self.views, mirrored)
             self.charts[mirrored] = Chart(self.places[mirrored].n, self.views.frame)
         return self.places[mirrored], self.charts[mirrored]
 
-    def at(
+    def list_lobes(
         self,
         normals: np.ndarray,
         view: np.ndarray,
@@ -103,7 +103,7 @@ class Scene:
         left_out: float = 0.0,
         view_gap: float = 0.0,
     ) -> ViewedListing:
-        """The `ViewedListing` of some lobes at normals and views (N, 3)."""
+        """Return the `ViewedListing` of some lobes at normals and views (N, 3)."""
         if (lobes, level) not in self.tables:
             lights, energy = self.light.at(level)
             self.tables[lobes, level] = ViewedTables(
@@ -117,13 +117,13 @@ class Scene:
         return listing
 
     def truth(self, pick: np.ndarray, lobes: tuple[int, ...]) -> np.ndarray:
-        """What `compared` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
-        return self.compared(self.n[pick], self.view[pick], lobes, len(pick))
+        """What `sum_to_compare` sums (S, 3) at pixels pick (S,); pick: one sample for each size."""
+        return self.sum_to_compare(self.n[pick], self.view[pick], lobes, len(pick))
 
-    def compared(
+    def sum_to_compare(
         self, n: np.ndarray, view: np.ndarray, lobes: tuple[int, ...], known_as: int | None = None
     ) -> np.ndarray:
-        """The sum of some lobes (S, 3) with which parts of a picture are compared.
+        """Return the sum of some lobes (S, 3) with which parts of a picture are compared.
 
         Lobes that show no difference between the light's own texels and larger ones are summed over
         these. CLOSE of the budget may be missing; before it is known, of a smaller one, by what
@@ -135,7 +135,7 @@ class Scene:
             some = tuple(s for s in lobes if self.nearly_smooth[s] == (level == 1))
             if some and (known_as, some) not in self.truths:
                 left_out = CLOSE * max(self.budget, self.tolerance * float(result.mean()))
-                sums = self.at(n, view, some, level, left_out).radiance
+                sums = self.list_lobes(n, view, some, level, left_out).radiance
                 if known_as is None:
                     result = result + sums
                     continue
@@ -146,7 +146,7 @@ class Scene:
 
     @functools.cached_property
     def nearly_smooth(self) -> np.ndarray:
-        """Whether each lobe is as broad as `compared` asks for, (3,) bool."""
+        """Whether each lobe is as broad as `sum_to_compare` asks for, (3,) bool."""
         height, width = self.light.size
         allowed = COMPARED * self.tolerance / np.maximum(self.shares, 1e-9)
         return np.array(
@@ -159,15 +159,17 @@ class Scene:
     def light_loss(
         self, lobes: tuple[int, ...], level: int, pick: np.ndarray, truth: np.ndarray
     ) -> float:
-        """Mean absolute error by a level of the light at pixels pick (S,).
+        """Return the mean absolute error by a level of the light at pixels pick (S,).
 
         truth  (S, 3) the sum of the lobes there
         """
         n, view, left_out = self.n[pick], self.view[pick], CLOSE * self.budget
-        return float(np.abs(self.at(n, view, lobes, level, left_out).radiance - truth).mean())
+        return float(
+            np.abs(self.list_lobes(n, view, lobes, level, left_out).radiance - truth).mean()
+        )
 
     def sums(self, strategies: Sequence[Strategy], known: "dict[Strategy, Sum]") -> "Sums":
-        """The `Sums` of strategies; known: sums that have been made before."""
+        """Return the `Sums` of strategies; known: sums that have been made before."""
         return Sums(self, strategies, known)
 
 
@@ -183,7 +185,7 @@ class Sum:
         if not strategy.size:
             budget = strategy.culled * scene.budget
             lobes, level, gap = strategy.lobes, strategy.level, scene.view_gap
-            self.listing = scene.at(scene.n, scene.view, lobes, level, budget, gap)
+            self.listing = scene.list_lobes(scene.n, scene.view, lobes, level, budget, gap)
             self.values = self.listing.radiance
             return
         size, views = strategy.size, strategy.views
@@ -193,11 +195,11 @@ class Sum:
             before = (known or {}).get(replace(strategy, views=1))
             self.maps.append(before.maps[0] if before else Maps(scene, strategy, size, 1))
             if views > 1:
-                self.maps.append(Maps(scene, strategy, beside_size(size), views, slopes=True))
+                self.maps.append(Maps(scene, strategy, slope_map_size(size), views, slopes=True))
         self.values = functools.reduce(np.add, [part.values for part in self.maps])
 
     def error(self, pick: np.ndarray, truth: np.ndarray) -> float:
-        """Mean absolute difference from truth (S, 3) at pixels pick (S,)."""
+        """Return the mean absolute difference from truth (S, 3) at pixels pick (S,)."""
         return float(np.abs(self.values[pick] - truth).mean())
 
     def causes(self, pick: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -205,10 +207,10 @@ class Sum:
 
         truth  (S, 3) the sum of the strategy's lobes there
         """
-        scene, (places, _) = self.scene, self.scene.where(self.strategy.mirrored)
+        scene, (places, _) = self.scene, self.scene.map_places(self.strategy.mirrored)
         normals = np.ascontiguousarray(places.n[pick])
         views = scene.views.vectors(places.middle[:, pick]).astype(np.float32)
-        at = scene.compared(normals, views, self.strategy.lobes)
+        at = scene.sum_to_compare(normals, views, self.strategy.lobes)
         off = self.maps[0].read[0][pick] - at
         by_view = self.values[pick] - off - truth
         return float(np.abs(by_view).mean()), float(np.abs(off).mean())
@@ -226,15 +228,15 @@ class Sums:
         self.all = [known[strategy] for strategy in strategies]
 
     def parts(self) -> list[Sum]:
-        """The sum of each strategy."""
+        """Return the sum of each strategy."""
         return self.all
 
     def at_sample(self, pick: np.ndarray) -> np.ndarray:
-        """Radiance (S, 3) at pixels pick (S,)."""
+        """Return radiance (S, 3) at pixels pick (S,)."""
         return functools.reduce(np.add, [part.values[pick] for part in self.all])
 
     def radiance(self) -> np.ndarray:
-        """Radiance (P, 3)."""
+        """Return radiance (P, 3)."""
         return functools.reduce(
             np.add, [part.values for part in self.all], np.zeros_like(self.scene.n)
         )
@@ -242,7 +244,7 @@ class Sums:
     def backward(
         self, g: np.ndarray, with_view: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·radiance by n, view, m and light."""
+        """Return derivatives of Σ g·radiance by n, view, m and light."""
         by_n, by_view = np.zeros_like(self.scene.n), np.zeros_like(self.scene.n)
         by_m, by_light = np.zeros((3, 3, 2, 6)), np.zeros_like(self.scene.light.E)
         by_place: dict[bool, tuple[np.ndarray, np.ndarray]] = {}
@@ -265,7 +267,7 @@ class Sums:
                 by_m += by_part_m
                 by_light += self.scene.light.gradient(by_E, level)
         for mirrored, (drawn, offsets) in by_place.items():
-            places, chart = self.scene.where(mirrored)
+            places, chart = self.scene.map_places(mirrored)
             by_part_n, by_part_view = places.backward(chart.backward(drawn), offsets)
             by_n, by_view = by_n + by_part_n, by_view + by_part_view
         return by_n, by_view, by_m, np.ascontiguousarray(by_light.transpose(1, 2, 0))

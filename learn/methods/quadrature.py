@@ -17,8 +17,8 @@ because the horizon cuts through texels: there all lobes take split texels or sa
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -29,10 +29,10 @@ from learn.methods import (
     Batch,
     Card,
     directional,
-    first_only,
+    forbid_second_derivatives,
     lamps,
     load,
-    per_group,
+    radiance_by_numbered_group,
     sampled_sum,
     split_texels,
     wants_gradient,
@@ -80,17 +80,17 @@ LEAST, MOST = 64, 16384  # samples
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     # Without kernels, split texels are faster where derivatives are requested. Where all of it is
     # short, they stay the sum that can be differentiated twice.
     derivatives = wants_gradient(batch.n, batch.view, batch.m, batch.light)
     by_texels = tolerance < LOOSE or (
-        derivatives and (is_short(batch, SPLITS[-1]) or not has_kernels(batch))
+        derivatives and (may_sum_whole(batch, SPLITS[-1]) or not has_kernels(batch))
     )
     rows = min(batch.light.shape[1], batch.light.shape[2] / 2)
     limits, limit = [], -1.0  # sharpness up to which texels of each of SPLITS serve
     for split in SPLITS:
-        limit = broadest(split * rows, tolerance, limit)
+        limit = sharpness_limit(split * rows, tolerance, limit)
         limits.append(limit)
     splits = SPLITS if by_texels else tuple(split for split in SPLITS if split <= ALWAYS_SPLIT)
     sharpest = limits[len(splits) - 1]  # for texels
@@ -109,34 +109,79 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
     out = 0 * batch.n
     lit = whole & lamps.are_split(batch, whole, tolerance)[:, None, None]
     if lit.any():
-        out = out + over_texels(batch, lit, 1, limits, tolerance)
+        out = out + sum_over_texels(batch, lit, 1, limits, tolerance)
     if (whole & ~lit).any():
-        out = out + load("exact").radiance(replace(batch, m=keep(batch.m, whole & ~lit)), tolerance)
+        out = out + load("exact").radiance(
+            replace(batch, m=keep_lobes(batch.m, whole & ~lit)), tolerance
+        )
     for split, lower, upper in zip(splits[1:], limits, limits[1:], strict=False):
         groups = (of_group > lower) & (of_group <= upper)
         if groups.any():
             lobes = in_texels & groups[:, None, None]
-            out = out + over_texels(batch, lobes, split, limits, tolerance)
+            out = out + sum_over_texels(batch, lobes, split, limits, tolerance)
     narrow = sharp > sharpest
     if narrow.any():
-        out = out + over_samples(batch, narrow, limits, tolerance)
+        out = out + sum_over_samples(batch, narrow, limits, tolerance)
     return out
 
 
-def is_short(batch: Batch, split: int) -> bool:
-    """Whether a sum over a map whose texels are all split may be made whole."""
+@dataclass(frozen=True)
+class Group:
+    """The pixels of a batch that share one material and one light.
+
+    n, view            (p, 3) unit normals, and unit vectors to the viewer or None, camera frame
+    m                  (3, 3, 2, 6) control values
+    light              (Hl, Wl, 3) radiance, light frame
+    camera_from_light  (3, 3) rotation
+    """
+
+    n: torch.Tensor
+    view: torch.Tensor | None
+    m: torch.Tensor
+    light: torch.Tensor
+    camera_from_light: torch.Tensor
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the light."""
+        return self.light.shape[0], self.light.shape[1]
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """`camera_from_light`, (3, 3) float64 numpy."""
+        return self.camera_from_light.double().numpy()
+
+
+def sum_each_group(
+    batch: Batch, lobes: torch.Tensor, function: Callable[[Group, torch.Tensor], torch.Tensor]
+) -> torch.Tensor:
+    """Radiance (P, 3) by a function of one Group and of those of its lobes (3, 3) that count.
+
+    lobes  (G, 3, 3) bool, channels and lobes of each group
+    """
+
+    def of_group(
+        g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        return function(Group(n, view, m, light, batch.camera_from_light), lobes[g])
+
+    return radiance_by_numbered_group(batch, of_group)
+
+
+def may_sum_whole(batch: Batch, split: int) -> bool:
+    """Return whether a sum over a map whose texels are all split may be made whole."""
     texels = batch.light.shape[1] * batch.light.shape[2]
     return len(batch.n) * split**2 * texels <= SHORT
 
 
 def has_kernels(batch: Batch) -> bool:
-    """Whether compiled kernels serve a batch, derivatives included."""
+    """Return whether compiled kernels serve a batch, derivatives included."""
     return sampled_sum.has_kernels(batch.n, batch.m) and bool(
         batch.m.detach()[..., 0, :].max() <= MAX_EXPONENT
     )
 
 
-def over_texels(
+def sum_over_texels(
     batch: Batch, lobes: torch.Tensor, split: int, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (P, 3) of some lobes of a batch by sums over texels, some or all of which are split.
@@ -147,85 +192,65 @@ def over_texels(
     split   parts of a texel's side that the sharpest of them needs
     limits  sharpness up to which texels of each of SPLITS serve
     """
-    chosen = replace(batch, m=keep(batch.m, lobes))
-    if is_short(batch, split) or not has_kernels(batch):
+    chosen = replace(batch, m=keep_lobes(batch.m, lobes))
+    if may_sum_whole(batch, split) or not has_kernels(batch):
         light = batch.light.repeat_interleave(split, 1).repeat_interleave(split, 2)
         return load("exact").radiance(replace(chosen, light=light), tolerance)
-    return per_group(
-        first_only(chosen, CARD.name, CULLED),
+    return sum_each_group(
+        forbid_second_derivatives(chosen, CARD.name, CULLED),
+        lobes,
         functools.partial(
-            over_split_texels,
-            lobes=lobes,
-            camera_from_light=batch.camera_from_light,
-            limits=limits[: SPLITS.index(split) + 1],
-            tolerance=tolerance,
+            sum_over_split_texels, limits=limits[: SPLITS.index(split) + 1], tolerance=tolerance
         ),
     )
 
 
-def over_split_texels(
-    group: int,
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    limits: Sequence[float],
-    tolerance: float,
+def sum_over_split_texels(
+    group: Group, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (p, 3) of one group by the sum over texels that are split where lobes are narrow.
 
-    lobes     (G, 3, 3) bool that count, of each group
-    limits    sharpness up to which texels of each of the first SPLITS serve
+    lobes   (3, 3) bool, channels and lobes that count
+    limits  sharpness up to which texels of each of the first SPLITS serve
 
     Texels where lobes are faint are skipped: a pixel may lack LEFT_OUT of the tolerance.
     Broad lobes take part in the same sum where few texels are split, and else have one of their own
     over whole texels.
     """
-    here = lobes[group]
-    if not here.any():
+    n, view, m, light, rotation = group.n, group.view, group.m, group.light, group.rotation
+    if not lobes.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
-    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
 
-    def parts_of(lobes: torch.Tensor) -> np.ndarray:
-        return split_texels.parts_of_texels(m, lobes, view, size, rotation, limits, SPLITS)
+    def parts_of(some: torch.Tensor) -> np.ndarray:
+        return split_texels.parts_of_texels(m, some, view, group.size, rotation, limits, SPLITS)
 
-    sums = [(here, parts_of(here))]
+    sums = [(lobes, parts_of(lobes))]
     if (sums[0][1] > 1).mean() > JOINT:
-        broad = here & (sharpness(m.detach()) <= limits[0])
-        sums = [(each, parts_of(each)) for each in (broad, here & ~broad) if each.any()]
+        broad = lobes & (sharpness(m.detach()) <= limits[0])
+        sums = [(each, parts_of(each)) for each in (broad, lobes & ~broad) if each.any()]
     out = 0 * n
     for each, parts in sums:
         parts = np.maximum(parts, lamps.parts_of(light, m, each, view, rotation, tolerance))
-        share = LEFT_OUT * tolerance / len(sums)
-        out = out + over_parts(n, view, m, light, each, parts, camera_from_light, share)
+        out = out + sum_over_parts(group, each, parts, LEFT_OUT * tolerance / len(sums))
     return out
 
 
-def over_parts(
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    parts: np.ndarray,
-    camera_from_light: torch.Tensor,
-    left_out: float,
+def sum_over_parts(
+    group: Group, lobes: torch.Tensor, parts: np.ndarray, left_out: float
 ) -> torch.Tensor:
     """Radiance (p, 3) of some lobes (3, 3) of one group by a sum over texels split into parts.
 
     parts     (H, W) of each texel's side
     left_out  part of the mean radiance that a pixel may lack
     """
-    kept = keep(m, lobes)
-    lights, energy = split_texels.lights_of(light, camera_from_light, parts)
+    kept = keep_lobes(group.m, lobes)
+    lights, energy = split_texels.lights_of(group.light, group.camera_from_light, parts)
     lacking = 0.0
-    if view is None:
-        lacking = left_out * directional.scale(n, None, kept, energy, lights)
+    if group.view is None:
+        lacking = left_out * directional.mean_radiance(group.n, None, kept, energy, lights)
     return directional.radiance(
-        n,
-        view,
+        group.n,
+        group.view,
         kept,
         energy,
         lights,
@@ -236,7 +261,7 @@ def over_parts(
     )
 
 
-def over_samples(
+def sum_over_samples(
     batch: Batch, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
     """Radiance (P, 3) of narrow lobes by samples, and by texels at angles where they are broad.
@@ -244,61 +269,53 @@ def over_samples(
     lobes   (G, 3, 3) bool, channels and lobes of each group
     limits  sharpness up to which texels of each of SPLITS serve
     """
-    return per_group(
-        first_only(replace(batch, m=keep(batch.m, lobes)), CARD.name, HELD_SAMPLES),
-        functools.partial(
-            over_samples_and_texels,
-            lobes=lobes,
-            camera_from_light=batch.camera_from_light,
-            limits=limits,
-            tolerance=tolerance,
-        ),
+    narrow = replace(batch, m=keep_lobes(batch.m, lobes))
+    return sum_each_group(
+        forbid_second_derivatives(narrow, CARD.name, HELD_SAMPLES),
+        lobes,
+        functools.partial(sum_over_samples_and_texels, limits=limits, tolerance=tolerance),
     )
 
 
-def over_samples_and_texels(
-    group: int,
-    n: torch.Tensor,
-    view: torch.Tensor | None,
-    m: torch.Tensor,
-    light: torch.Tensor,
-    lobes: torch.Tensor,
-    camera_from_light: torch.Tensor,
-    limits: Sequence[float],
-    tolerance: float,
+def sum_over_samples_and_texels(
+    group: Group, lobes: torch.Tensor, limits: Sequence[float], tolerance: float
 ) -> torch.Tensor:
-    """Radiance (p, 3) of the narrow lobes of one group; arguments as `over_samples`.
+    """Radiance (p, 3) of the narrow lobes (3, 3) of one group; others as of `sum_over_samples`.
 
     Samples that follow a lobe where it is narrow are too far apart to see a lamp of one texel at a
     θ_d where it is broad. Texels at such a θ_d are summed, lamps too, and black for the samples.
     Each lobe has samples of its own: of those that two share, too few would lie in the broader one.
     """
-    rotation, size = camera_from_light.double().numpy(), (light.shape[0], light.shape[1])
-    out = 0 * n
-    for lobe in lobes[group].any(0).nonzero().flatten().tolist():
-        one = lobes[group] & (torch.arange(3, device=lobes.device) == lobe)
-        parts = split_texels.parts_of_texels(m, one, view, size, rotation, limits[:1], SPLITS)
+    view, m, light, rotation = group.view, group.m, group.light, group.rotation
+    out = 0 * group.n
+    for lobe in lobes.any(0).nonzero().flatten().tolist():
+        one = lobes & (torch.arange(3, device=lobes.device) == lobe)
+        parts = split_texels.parts_of_texels(m, one, view, group.size, rotation, limits[:1], SPLITS)
         if (parts > 0).mean() < WORTHWHILE:
             parts = np.zeros_like(parts)
         parts = np.maximum(parts, lamps.parts_of(light, m, one, view, rotation, tolerance))
         sampled = light
         if parts.any():
-            left_out = LEFT_OUT * tolerance
-            out = out + over_parts(n, view, m, light, one, parts, camera_from_light, left_out)
+            out = out + sum_over_parts(group, one, parts, LEFT_OUT * tolerance)
             sampled = torch.from_numpy(parts == 0).to(light)[..., None] * light
         out = out + sampled_sum.radiance(
-            n, view, keep(m, one), sampled, camera_from_light, sample_count_for(tolerance)
+            group.n,
+            view,
+            keep_lobes(m, one),
+            sampled,
+            group.camera_from_light,
+            sample_count_for(tolerance),
         )
     return out
 
 
-def broadest(rows: float, tolerance: float, otherwise: float) -> float:
+def sharpness_limit(rows: float, tolerance: float, otherwise: float) -> float:
     """Largest sharpness for which a sum over so many rows serves; `otherwise` if for none."""
     return BROAD * (rows / 64) ** 2 if rows >= least_rows(tolerance) else otherwise
 
 
 def least_rows(tolerance: float) -> float:
-    """Rows of a map (half its columns, if fewer) from which its sum serves broad lobes.
+    """Return the rows of a map (half its columns, if fewer) from which its sum serves broad lobes.
 
     The cosine has an edge at the horizon: however broad the lobe, the sum is wrong there by 0.5 /
     rows² of the mean under random maps of 3 to 16 rows. Below tolerance 1e-3 nothing is claimed.
@@ -307,7 +324,7 @@ def least_rows(tolerance: float) -> float:
 
 
 def sample_count_for(tolerance: float) -> int:
-    """Number of samples for a tolerance, a power of two in [LEAST, MOST].
+    """Return the number of samples for a tolerance, a power of two in [LEAST, MOST].
 
     The error falls about as 1 / samples. Under measured lights half as many keep the tolerance of
     pictures too, but leave twice the error in a texel's derivative.
@@ -324,7 +341,7 @@ def sharpness(m: torch.Tensor) -> torch.Tensor:
     return split_texels.sharpness_along(m).amax(-1)
 
 
-def keep(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
+def keep_lobes(m: torch.Tensor, lobes: torch.Tensor) -> torch.Tensor:
     """m with no reflection (κ = 0) in all lobes but those marked (G, 3, 3).
 
     The others' γ is set high, so that engines skip them.

@@ -31,8 +31,8 @@ from learn.methods import (
     directional,
     light_tables,
     lobe_shapes,
-    merged,
-    per_group,
+    merge_groups,
+    radiance_by_numbered_group,
     refusal,
     wants_gradient,
 )
@@ -56,45 +56,49 @@ TOUCH, READ, READ_BACKWARD = 7e-9, 2.3e-8, 6e-8  # seconds of a kernel for each 
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if batch.view is not None:
         raise ValueError(
             'method: "reflectance_map" needs an orthographic camera (view omitted), found a view'
             ' per pixel; try "auto"'
         )
-    batch = merged(batch)
+    batch = merge_groups(batch)
 
     def one_group(
         g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
         size = size_for(lobe_shapes.sharpness(m).max(), tolerance)
-        lights, E = light_tables.of_map(light, batch.camera_from_light)
+        lights, E = light_tables.lights_and_energy(light, batch.camera_from_light)
         if directional.is_small(len(n), len(lights.w), wants_gradient(n, m, light)):
             return directional.radiance(n, None, m, E, lights, method=CARD.name)
-        return with_nodes(
+        return radiance_by_nodes(
             n,
             size,
-            lambda nodes: directional.near(nodes, None, m, E, lights, 0.1 * tolerance, CARD.name),
+            lambda nodes: directional.approximate_radiance(
+                nodes, None, m, E, lights, 0.1 * tolerance, CARD.name
+            ),
         )
 
-    return per_group(batch, one_group)
+    return radiance_by_numbered_group(batch, one_group)
 
 
-def with_size(batch: Batch, size: int) -> torch.Tensor:
-    """Radiance by maps of one given size."""
-    batch = merged(batch)
+def radiance_by_size(batch: Batch, size: int) -> torch.Tensor:
+    """Return radiance by maps of one given size."""
+    batch = merge_groups(batch)
 
     def one_group(
         g: int, n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        lights, E = light_tables.of_map(light, batch.camera_from_light)
-        return with_nodes(n, size, lambda nodes: directional.radiance(nodes, None, m, E, lights))
+        lights, E = light_tables.lights_and_energy(light, batch.camera_from_light)
+        return radiance_by_nodes(
+            n, size, lambda nodes: directional.radiance(nodes, None, m, E, lights)
+        )
 
-    return per_group(batch, one_group)
+    return radiance_by_numbered_group(batch, one_group)
 
 
 def size_for(sharpness: float, tolerance: float) -> int:
-    """Nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
+    """Return the nodes along a side for lobes up to a sharpness: h/σ = (tolerance / 0.1)^(1/3).
 
     The rule is from `python -m learn.experiments calibrate-auto`.
     """
@@ -102,10 +106,10 @@ def size_for(sharpness: float, tolerance: float) -> int:
     return int(np.clip(math.ceil(2 * math.sqrt(2) / spacing) + 5, SMALLEST, LARGEST))
 
 
-def with_nodes(
+def radiance_by_nodes(
     n: torch.Tensor, size: int, at_nodes: Callable[[torch.Tensor], torch.Tensor]
 ) -> torch.Tensor:
-    """Radiance read from a map, differentiable in n and in the nodes' radiance.
+    """Return radiance read from a map, differentiable in n and in the nodes' radiance.
 
     at_nodes  normals (N, 3) of the nodes → radiance (N, 3)
     """
@@ -116,12 +120,12 @@ def with_nodes(
 
 
 def has_kernel(n: torch.Tensor) -> bool:
-    """Whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
+    """Return whether the kernels serve a tensor: float32 on the CPU, with numba installed."""
     return n.dtype == torch.float32 and n.device.type == "cpu" and machine_code.is_available()
 
 
 def places(n: torch.Tensor, size: int) -> torch.Tensor:
-    """Row and column (P, 2) of each normal, in nodes."""
+    """Return the row and column (P, 2) of each normal, in nodes."""
     p = n[:, :2] * torch.rsqrt(1.0 + n[:, 2:])
     return ((p + 1.0) * (0.5 * (size - 1 - 2 * MARGIN)) + MARGIN).flip(-1)
 
@@ -133,22 +137,22 @@ def needed_nodes(n: torch.Tensor, size: int) -> torch.Tensor:
     corner = places(n, size).floor().long().clamp(1, size - 3)
     touched = np.zeros((size, size), bool)
     touched[tuple(corner.T.cpu().numpy())] = True
-    return torch.from_numpy(weighted(touched)).to(n.device)
+    return torch.from_numpy(nodes_with_weight(touched)).to(n.device)
 
 
 def nodes_for(n: np.ndarray, size: int) -> np.ndarray:
     """As `needed_nodes`, by learn.engines.interpolation, in numpy."""
     touched = np.zeros((size, size), np.float32)
-    sliced(
+    run_in_slices(
         len(n),
         TOUCH,
         lambda first, last: machine_code.call("interpolation.touch", first, last, size, n, touched),
     )
-    return weighted(touched > 0)
+    return nodes_with_weight(touched > 0)
 
 
-def weighted(touched: np.ndarray) -> np.ndarray:
-    """Flat indices (N,) of the nodes that have a weight for some pixel.
+def nodes_with_weight(touched: np.ndarray) -> np.ndarray:
+    """Return flat indices (N,) of the nodes that have a weight for some pixel.
 
     touched  (size, size): marks the node before each pixel's place
     """
@@ -162,7 +166,7 @@ def weighted(touched: np.ndarray) -> np.ndarray:
 
 
 def normals(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Unit normals (N, 3) of flat node indices, float64 numpy.
+    """Return unit normals (N, 3) of flat node indices, float64 numpy.
 
     Outside the disk |p| ≤ 1 they look away from the viewer, beyond |p| = √2 not quite straight:
     straight away every p is the same, and a map could not be read there.
@@ -202,7 +206,7 @@ def look_up(n: torch.Tensor, values: torch.Tensor, nodes: torch.Tensor, size: in
     return torch.einsum("pi,pj,pijk->pk", weights[:, 0], weights[:, 1], table[index])
 
 
-def sliced(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> None:
+def run_in_slices(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> None:
     """Run kernel(first, last) over all pixels, on as many threads as torch may use.
 
     seconds  per pixel
@@ -211,17 +215,17 @@ def sliced(pixels: int, seconds: float, kernel: Callable[[int, int], None]) -> N
     threads.run(kernel, threads.split(pixels, workers), workers)
 
 
-def table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
-    """The kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
+def kernel_table(values: np.ndarray, nodes: np.ndarray, size: int) -> np.ndarray:
+    """Return the kernels' table (size², 4) float32, from values (N, 3) at nodes (N,)."""
     result = np.zeros((size * size, 4), np.float32)
     result[nodes, :3] = values
     return result
 
 
-def read(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
-    """Values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
+def read_values(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
+    """Return values (P, 3) at normals n (P, 3), numpy, by learn.engines.interpolation."""
     out = np.empty((len(n), 3), np.float32)
-    sliced(
+    run_in_slices(
         len(n),
         READ,
         lambda first, last: machine_code.call(
@@ -234,7 +238,7 @@ def read(n: np.ndarray, table: np.ndarray, size: int) -> np.ndarray:
 def read_backward(
     n: np.ndarray, table: np.ndarray, size: int, g: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
+    """Return derivatives of Σ g·out: by n (P, 3), and by the values at nodes (N, 3)."""
     by_n = np.empty((len(n), 3), np.float32)
     by_table = np.zeros((MAP_CHUNKS, *table.shape), np.float32)
 
@@ -260,9 +264,9 @@ class LookUp(Step):
         ctx.refusal = refusal(CARD.name)
         ctx.save_for_backward(n, values)
         normals, places = n.contiguous().numpy(), nodes.numpy()
-        nodes_table = table(values.numpy(), places, size)
+        nodes_table = kernel_table(values.numpy(), places, size)
         ctx.for_backward = normals, nodes_table, size, places
-        return torch.from_numpy(read(normals, nodes_table, size))
+        return torch.from_numpy(read_values(normals, nodes_table, size))
 
     @staticmethod
     @last

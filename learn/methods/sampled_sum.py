@@ -53,7 +53,7 @@ def radiance(
     camera_from_light: torch.Tensor,
     samples: int,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of one group."""
+    """Return radiance (p, 3) of one group."""
     used = (m.detach()[..., 0, :] > 0).any(-1).any(0)
     if not used.any():
         return n * 0 + 0 * (m.sum() + light.sum() + (0 if view is None else view.sum()))
@@ -79,7 +79,7 @@ def radiance(
     return torch.cat(
         [
             checkpoint(
-                half_vectors.chunk,
+                half_vectors.chunk_radiance,
                 a,
                 b,
                 m,
@@ -132,7 +132,7 @@ class Kernels:
         self.workers = torch.get_num_threads()
 
     def radiance(self) -> np.ndarray:
-        """Radiance (p, 3)."""
+        """Return radiance (p, 3)."""
         out = np.empty_like(self.n)
 
         def run(first: int, last: int) -> None:
@@ -174,7 +174,7 @@ class Kernels:
                 sizes: tuple[int, ...] = sizes,
                 arrays: tuple[np.ndarray, ...] = (*inputs, scratch, g_here, *outputs),
             ) -> None:
-                machine_code.call("sample_directions.backward", first, last, *sizes, *arrays)
+                machine_code.call("sample_derivatives.backward", first, last, *sizes, *arrays)
 
             threads.run(run, threads.split(SAMPLE_CHUNKS, SAMPLE_CHUNKS), self.workers)
             if with_light:

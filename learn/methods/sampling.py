@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import Batch, by_group, lobe_shapes
+from learn.methods import Batch, lobe_shapes, radiance_by_group
 from learn.methods.half_vectors import frame_about, reflectance, texel_of
 from shaders.dsbrdf import differentiable_half_angles
 from shaders.envmap import directions
@@ -27,13 +27,13 @@ from shaders.tone import LUMINANCE
 PAIRS = 32768  # samples of one chunk of pixels
 
 
-def count(tolerance: float) -> int:
-    """Samples per pixel for a tolerance, between 16 and 1024."""
+def sample_count(tolerance: float) -> int:
+    """Return the samples per pixel for a tolerance, between 16 and 1024."""
     return int(np.clip(2 ** round(math.log2(4.0 / tolerance)), 16, 1024))
 
 
-def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
-    """Radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
+def radiance_by_samples(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
+    """Return radiance (P, 3) with `by_light` + `by_brdf` samples per pixel."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -50,13 +50,23 @@ def sampled(batch: Batch, by_light: int, by_brdf: int) -> torch.Tensor:
         return torch.cat(
             [
                 checkpoint(
-                    chunk, a, b, m, light, lobes, table, by_light, by_brdf, s, use_reentrant=False
+                    chunk_radiance,
+                    a,
+                    b,
+                    m,
+                    light,
+                    lobes,
+                    table,
+                    by_light,
+                    by_brdf,
+                    s,
+                    use_reentrant=False,
                 )
                 for a, b, s in parts
             ]
         )
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
 class Lobes:
@@ -85,7 +95,7 @@ class Lobes:
         return np.exp(log_cosine), np.sqrt(-np.expm1(2 * log_cosine))
 
     def density(self, cosine: torch.Tensor) -> torch.Tensor:
-        """Density of h (per sr) at its cosine with n, torch."""
+        """Return the density of h (per sr) at its cosine with n, torch."""
         log_c = torch.log(cosine.clamp(min=1e-12))[..., None]
         power = torch.as_tensor(self.power, dtype=cosine.dtype, device=cosine.device)
         share = torch.as_tensor(self.share, dtype=cosine.dtype, device=cosine.device)
@@ -110,7 +120,7 @@ class Texels:
         self.camera_from_light = camera_from_light.double().cpu().numpy()
 
     def draw(self, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Directions (…, 3), camera frame, numpy.
+        """Return the directions (…, 3), camera frame, numpy.
 
         u chooses the texel, a and b the place in it (across, and down by solid angle)
         """
@@ -144,7 +154,7 @@ def pattern(first: int, pixels: int, samples: int) -> np.ndarray:
     return (turn[:, None] + i * steps) % 1.0
 
 
-def chunk(
+def chunk_radiance(
     n: torch.Tensor,
     view: torch.Tensor,
     m: torch.Tensor,
@@ -155,14 +165,14 @@ def chunk(
     by_brdf: int,
     first: int,
 ) -> torch.Tensor:
-    """Radiance (p, 3) of the pixels numbered from `first`."""
+    """Return radiance (p, 3) of the pixels numbered from `first`."""
     with torch.no_grad():
         w = torch.cat(
             [
                 part
                 for part in (
-                    from_light(n, table, by_light, first),
-                    from_brdf(n, view, lobes, by_brdf, first),
+                    draw_by_light(n, table, by_light, first),
+                    draw_by_lobes(n, view, lobes, by_brdf, first),
                 )
                 if part is not None
             ],
@@ -186,8 +196,8 @@ def chunk(
     return torch.einsum("pik,pi,pik->pk", f, mu, light.reshape(-1, 3)[texel])
 
 
-def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
-    """Directions (p, samples, 3) drawn by the light; None for no samples."""
+def draw_by_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torch.Tensor | None:
+    """Return the directions (p, samples, 3) drawn by the light; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)
@@ -196,10 +206,10 @@ def from_light(n: torch.Tensor, table: Texels, samples: int, first: int) -> torc
     )
 
 
-def from_brdf(
+def draw_by_lobes(
     n: torch.Tensor, view: torch.Tensor, lobes: Lobes, samples: int, first: int
 ) -> torch.Tensor | None:
-    """Directions (p, samples, 3) drawn by the lobes; None for no samples."""
+    """Return the directions (p, samples, 3) drawn by the lobes; None for no samples."""
     if samples == 0:
         return None
     u = pattern(first, len(n), samples)

@@ -6,8 +6,8 @@ Their products and integrals are closed forms.
 light   the regions of a median cut, each a Gaussian with its energy about its centre, as wide as
         the region
 lobe    expm1(κ c^γ) ≈ expm1(κ) e^{g (h·n − 1)}, g the sharpness (shaders.dsbrdf.lobe_sharpness,
-        written out in `chunk` for κ held above 0); over w it is a Gaussian about the mirror
-        direction r with λ = g / (4 n·v), at θ_d of the mirror direction
+        written out in `chunk_radiance` for κ held above 0); over w it is a Gaussian about the
+        mirror direction r with λ = g / (4 n·v), at θ_d of the mirror direction
 cosine  max(0, n·w) at the product's axis
 
     ∫ G_a G_b dw = a b 2π (e^{d − λ_a − λ_b} − e^{−d − λ_a − λ_b}) / d,   d = |λ_a μ_a + λ_b μ_b|
@@ -21,7 +21,14 @@ import math
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from learn.methods import HELD_LIGHTS, Batch, Card, by_group, first_only, median_cut
+from learn.methods import (
+    HELD_LIGHTS,
+    Batch,
+    Card,
+    forbid_second_derivatives,
+    median_cut,
+    radiance_by_group,
+)
 from shaders.dsbrdf import MAX_EXPONENT
 from shaders.spline import basis
 
@@ -39,32 +46,38 @@ LIGHTS, CHUNK, WIDEST = 64, 2048, 0.25  # WIDEST: least λ of a lobe; a constant
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
-    return with_lights(
-        first_only(batch, CARD.name, HELD_LIGHTS) if batch.light.requires_grad else batch, LIGHTS
+    """Return outgoing radiance (P, 3) of a batch."""
+    return radiance_by_lights(
+        forbid_second_derivatives(batch, CARD.name, HELD_LIGHTS)
+        if batch.light.requires_grad
+        else batch,
+        LIGHTS,
     )
 
 
-def with_lights(batch: Batch, count: int) -> torch.Tensor:
-    """Radiance (P, 3) with a light of `count` spherical Gaussians."""
+def radiance_by_lights(batch: Batch, count: int) -> torch.Tensor:
+    """Return radiance (P, 3) with a light of `count` spherical Gaussians."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        lights, E = median_cut.cut(light, batch.camera_from_light, count)
+        lights, E = median_cut.cut_light(light, batch.camera_from_light, count)
         mu = torch.as_tensor(lights.w, dtype=n.dtype, device=n.device)
         # A region of 4π / count steradian; its Gaussian has the same solid angle 2π/λ.
         sharpness = n.new_full((len(mu),), 0.5 * count)
         views = [None] * math.ceil(len(n) / CHUNK) if view is None else view.split(CHUNK)
         parts = zip(n.split(CHUNK), views, strict=True)
         return torch.cat(
-            [checkpoint(chunk, a, b, m, mu, E, sharpness, use_reentrant=False) for a, b in parts]
+            [
+                checkpoint(chunk_radiance, a, b, m, mu, E, sharpness, use_reentrant=False)
+                for a, b in parts
+            ]
         )
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
-def chunk(
+def chunk_radiance(
     n: torch.Tensor,
     view: torch.Tensor | None,
     m: torch.Tensor,
@@ -72,7 +85,7 @@ def chunk(
     E: torch.Tensor,
     light_sharpness: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
+    """Return radiance (p, 3): mu (T, 3), E (T, 3), light_sharpness (T,). Shapes (p, t, k, s)."""
     view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
     cosine = (n * view).sum(-1).clamp(min=1e-3)
     mirror = 2 * cosine[:, None] * n - view

@@ -16,7 +16,7 @@ import math
 import numpy as np
 import torch
 
-from learn.methods import Batch, Card, by_group
+from learn.methods import Batch, Card, radiance_by_group
 from learn.methods.exact import texels
 from shaders.dsbrdf import evaluate
 
@@ -33,7 +33,7 @@ CARD = Card(
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
@@ -42,12 +42,12 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
         of_light = harmonics(w).T @ E
         return torch.einsum(
             "pj,jk,jk->pk", harmonics(n), of_light, round_lobe(m)[:, [0, 1, 1, 1, 2, 2, 2, 2, 2]].T
-        ) + unused(view)
+        ) + zero_of_view(view)
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
-def unused(view: torch.Tensor | None) -> torch.Tensor | int:
+def zero_of_view(view: torch.Tensor | None) -> torch.Tensor | int:
     """0 that keeps the view in the graph, with a zero gradient."""
     return 0 if view is None else 0 * view
 

@@ -14,7 +14,15 @@ import math
 
 import torch
 
-from learn.methods import COMPILED, Batch, Card, by_group, directional, first_only, light_tables
+from learn.methods import (
+    COMPILED,
+    Batch,
+    Card,
+    directional,
+    forbid_second_derivatives,
+    light_tables,
+    radiance_by_group,
+)
 from learn.methods.light_tables import Lights
 from shaders.envmap import directions
 
@@ -36,22 +44,25 @@ DARKEST = 1e-9
 
 
 def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
-    """Outgoing radiance (P, 3) of a batch."""
+    """Return outgoing radiance (P, 3) of a batch."""
     if directional.has_kernels(batch.n):
-        batch = first_only(batch, CARD.name, COMPILED)
+        batch = forbid_second_derivatives(batch, CARD.name, COMPILED)
 
     def one_group(
         n: torch.Tensor, view: torch.Tensor | None, m: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        lights, E = light_tables.of_map(light, batch.camera_from_light)
+        lights, E = light_tables.lights_and_energy(light, batch.camera_from_light)
         view = n.new_tensor([[0.0, 0.0, 1.0]]) if view is None else view
         cosine = (n * view).sum(-1)
         mirror = 2 * cosine[:, None] * n - view
         height, width = (
             max(size, least) for size, least in zip(light.shape[:2], WHITE, strict=True)
         )
-        albedo = seen_at_angles(
-            m, *light_tables.of_map(light.new_ones(height, width, 3), batch.camera_from_light)
+        albedo = radiance_at_angles(
+            m,
+            *light_tables.lights_and_energy(
+                light.new_ones(height, width, 3), batch.camera_from_light
+            ),
         )
         d = (
             torch.as_tensor(directions(ROWS, 2 * ROWS)[0], dtype=n.dtype, device=n.device).reshape(
@@ -66,10 +77,10 @@ def radiance(batch: Batch, tolerance: float) -> torch.Tensor:
             / albedo[-1].clamp(min=DARKEST)
         )
 
-    return by_group(batch, one_group)
+    return radiance_by_group(batch, one_group)
 
 
-def seen_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torch.Tensor:
+def radiance_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torch.Tensor:
     """A (ANGLES, 3) at n·v from LEAST_COSINE to 1 in equal steps, by turning the normal."""
     x = torch.linspace(LEAST_COSINE, 1.0, ANGLES, dtype=m.dtype, device=m.device)
     n = torch.stack([(1 - x * x).clamp(min=0).sqrt(), torch.zeros_like(x), x], -1)
@@ -77,7 +88,7 @@ def seen_at_angles(m: torch.Tensor, lights: Lights, white: torch.Tensor) -> torc
 
 
 def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
-    """Values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
+    """Return values (P, 3) of a table (ANGLES, 3) at cosines (P,), linearly interpolated."""
     place = ((cosine - LEAST_COSINE) / (1 - LEAST_COSINE) * (ANGLES - 1)).clamp(0, ANGLES - 1)
     i = place.detach().floor().long().clamp(max=ANGLES - 2)
     t = (place - i)[:, None]
@@ -85,7 +96,7 @@ def look_up_angle(table: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
 
 
 def look_up_map(table: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
-    """Values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
+    """Return values (P, 3) of a table (height, width, 3) over directions d (P, 3), light frame.
 
     Interpolation is bilinear and wraps around the vertical.
     """

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from learn.engines.lights import Rotation
-from learn.methods.light_tables import VIEWER, Lights, in_tiles, lights_at, of_map
+from learn.methods.light_tables import VIEWER, Lights, lights_and_energy, lights_at, order_in_tiles
 from shaders.envmap import centres, directions, row_solid_angles
 from shaders.spline import basis
 
@@ -24,7 +24,7 @@ ANGLES = np.linspace(0, np.pi / 2, INTERVALS + 1)
 
 
 def sharpness_along(m: torch.Tensor) -> torch.Tensor:
-    """Sharpness γ · max(κ, 1) of each channel and lobe at ANGLES.
+    """Return sharpness γ · max(κ, 1) of each channel and lobe at ANGLES.
 
     m        (…, 3, 3, 2, 6)
     Returns  (…, 3, 3, INTERVALS + 1)
@@ -100,7 +100,7 @@ def lights_of(
     parts  (H, W) of each texel's side; texels of 0 are left out
     """
     if (parts == 1).all():
-        return of_map(light, camera_from_light)
+        return lights_and_energy(light, camera_from_light)
     rotation = tuple(camera_from_light.double().flatten().tolist())
     lights, texels, solid_angles = _split(
         *parts.shape, rotation, np.ascontiguousarray(parts, np.uint8).tobytes()
@@ -126,7 +126,7 @@ def _split(
         within = np.indices((split, split)).reshape(2, 1, -1)
         row = (split * row[:, None] + within[0]).ravel()
         column = (split * column[:, None] + within[1]).ravel()
-        order = in_tiles(row, column)
+        order = order_in_tiles(row, column)
         row, column = row[order], column[order]
         directions_.append(centres(row, column, *fine))
         texels.append(row // split * width + column // split)

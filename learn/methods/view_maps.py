@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from learn.methods import reflectance_map
-from learn.methods.cost_model import coarsest
+from learn.methods.cost_model import coarsest_level
 from learn.methods.planned import Strategy
 from learn.methods.view_places import coefficients, dot
 
@@ -21,16 +21,18 @@ BESIDE, LEAST_BESIDE = 0.5, 10
 LIGHT_BESIDE, CULL_BESIDE = 5.0, 4.0
 
 
-def beside_size(size: int) -> int:
-    """Nodes along a side of the maps of slopes that belong to a map."""
+def slope_map_size(size: int) -> int:
+    """Return the nodes along a side of the maps of slopes that belong to a map."""
     return max(math.ceil(BESIDE * size), LEAST_BESIDE)
 
 
-def beside_level(scene: Any, lobes: tuple[int, ...]) -> int:
-    """The coarsest level of the light that serves the maps of slopes of some lobes."""
+def slope_map_level(scene: Any, lobes: tuple[int, ...]) -> int:
+    """Return the coarsest level of the light that serves the maps of slopes of some lobes."""
     share = np.clip(3 * scene.shares, 0.1, 1.0)
     return min(
-        coarsest(scene.sharpness[s], LIGHT_BESIDE * scene.tolerance / share[s], scene.light.size)
+        coarsest_level(
+            scene.sharpness[s], LIGHT_BESIDE * scene.tolerance / share[s], scene.light.size
+        )
         for s in lobes
     )
 
@@ -48,7 +50,7 @@ class Maps:
     def __init__(self, scene: Any, strategy: Strategy, size: int, views: int, slopes: bool = False):
         """scene: a learn.methods.planned_views.Scene; views: K, of which 1 is V itself."""
         self.size, self.views = size, views
-        self.places, self.chart = scene.where(strategy.mirrored)
+        self.places, self.chart = scene.map_places(strategy.mirrored)
         self.nodes = reflectance_map.nodes_for(self.chart.drawn, size)
         at = self.chart.normals(reflectance_map.normals(self.nodes, size))
         normals, beside = (
@@ -57,16 +59,19 @@ class Maps:
         )
         lobes, self.level, culled = strategy.lobes, strategy.level, strategy.culled
         if slopes:
-            self.level, culled = max(beside_level(scene, lobes), self.level), CULL_BESIDE * culled
+            self.level, culled = (
+                max(slope_map_level(scene, lobes), self.level),
+                CULL_BESIDE * culled,
+            )
         budget = culled * scene.budget
-        self.listing = scene.at(normals, beside, lobes, self.level, budget, scene.view_gap)
+        self.listing = scene.list_lobes(normals, beside, lobes, self.level, budget, scene.view_gap)
         self.first = int(slopes)
         self.factors, self.terms = (
             a[self.first :] for a in (coefficients(views), self.places.terms(views))
         )
         held = np.einsum("jk,knc->jnc", self.factors, self.listing.radiance.reshape(views, -1, 3))
-        self.tables = [reflectance_map.table(values, self.nodes, size) for values in held]
-        self.read = [reflectance_map.read(self.chart.drawn, t, size) for t in self.tables]
+        self.tables = [reflectance_map.kernel_table(values, self.nodes, size) for values in held]
+        self.read = [reflectance_map.read_values(self.chart.drawn, t, size) for t in self.tables]
         parts = (term[:, None] * read for term, read in zip(self.terms, self.read, strict=True))
         self.values = functools.reduce(np.add, parts)
 

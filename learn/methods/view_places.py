@@ -55,7 +55,7 @@ POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 @functools.cache
 def coefficients(count: int) -> np.ndarray:
-    """The a_jk of the polynomial's constant and of its terms, (K, K) float32."""
+    """Return the a_jk of the polynomial's constant and of its terms, (K, K) float32."""
     x, y = np.array(OFFSETS[count]).T
     terms = np.stack([x**i * y**j for i, j in POWERS[:count]], -1)
     return np.linalg.inv(terms).astype(np.float32)
@@ -66,13 +66,13 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a[:, :1] * b[:, :1] + a[:, 1:2] * b[:, 1:2]) + a[:, 2:] * b[:, 2:]
 
 
-def along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
+def component_along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return components (P,) of vectors (P, 3) along an axis, without BLAS, whose threads spin."""
     return vectors[:, 0] * axis[0] + vectors[:, 1] * axis[1] + vectors[:, 2] * axis[2]
 
 
 def features(n: np.ndarray) -> list[np.ndarray]:
-    """The terms (P,) of V, by normals (P, 3)."""
+    """Return the terms (P,) of V, by normals (P, 3)."""
     x, y, z = n[:, 0], n[:, 1], n[:, 2]
     return [np.ones_like(x), x, y, z, x * z, y * z]
 
@@ -95,11 +95,11 @@ class Views:
         e1 = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0], axis)
         e1 /= np.linalg.norm(e1)
         self.frame = np.stack([e1, np.cross(axis, e1), axis]).astype(np.float32)
-        a, b, depth = (along(view, row) for row in self.frame)
+        a, b, depth = (component_along(view, row) for row in self.frame)
         self.depth = np.maximum(depth, np.float32(LEAST_DEPTH))
         self.slopes = np.stack([a / self.depth, b / self.depth])
-        pick = directional.spread_over(len(n), FITTED)
-        self.fit = np.ascontiguousarray(fitted(n[pick], self.slopes[:, pick]))
+        pick = directional.spread_indices(len(n), FITTED)
+        self.fit = np.ascontiguousarray(fit_views(n[pick], self.slopes[:, pick]))
         offsets = self.slopes[:, pick] - self.middle(n[pick])
         wide = np.sqrt(3 * np.square(offsets).mean(1))
         self.half = np.maximum(wide, np.float32(LEAST_HALF))
@@ -118,14 +118,14 @@ class Views:
         self.spread = float(wide.max()) if float(depth.min()) > LEAST_DEPTH else math.inf
 
     def middle(self, n: np.ndarray) -> np.ndarray:
-        """Slopes (2, P) of V."""
+        """Return slopes (2, P) of V."""
         terms = features(n)
         return np.stack(
             [sum(c * term for c, term in zip(row, terms, strict=True)) for row in self.fit]
         )
 
     def middle_backward(self, n: np.ndarray, by_slopes: np.ndarray) -> np.ndarray:
-        """The derivative by n (P, 3), from those by V's slopes (2, P)."""
+        """Return the derivative by n (P, 3), from those by V's slopes (2, P)."""
         x, y, z = n[:, 0], n[:, 1], n[:, 2]
         result = np.zeros_like(n)
         for (_, c1, c2, c3, c4, c5), g in zip(self.fit, by_slopes, strict=True):
@@ -135,32 +135,32 @@ class Views:
         return result
 
     def vectors(self, slopes: np.ndarray) -> np.ndarray:
-        """Unit vectors (P, 3) of slopes (2, P)."""
+        """Return unit vectors (P, 3) of slopes (2, P)."""
         e1, e2, axis = self.frame
         result = slopes[0][:, None] * e1 + slopes[1][:, None] * e2 + axis
         return result / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)[:, None]
 
     def vectors_backward(self, slopes: np.ndarray, by_vectors: np.ndarray) -> np.ndarray:
-        """Derivatives (2, P) by slopes, from the one by `vectors`."""
+        """Return derivatives (2, P) by slopes, from the one by `vectors`."""
         length = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         e1, e2, _ = self.frame
         radial = dot(by_vectors, self.vectors(slopes))[:, 0] / length
         return np.stack(
             [
-                (along(by_vectors, e) - radial * slope) / length
+                (component_along(by_vectors, e) - radial * slope) / length
                 for e, slope in zip((e1, e2), slopes, strict=True)
             ]
         )
 
     def slopes_backward(self, by_slopes: np.ndarray) -> np.ndarray:
-        """The derivative by view (P, 3), from the one by the pixels' slopes (2, P)."""
+        """Return the derivative by view (P, 3), from the one by the pixels' slopes (2, P)."""
         e1, e2, axis = self.frame
         by_a, by_b = by_slopes / self.depth
         by_depth = -(by_a * self.slopes[0] + by_b * self.slopes[1])
         return by_a[:, None] * e1 + by_b[:, None] * e2 + by_depth[:, None] * axis
 
     def beside(self, n: np.ndarray, count: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Normals n_k and views V + o_k, each (K, P, 3), of map places n (P, 3)."""
+        """Return normals n_k and views V + o_k, each (K, P, 3), of map places n (P, 3)."""
         middle = self.middle(n)
         view = self.vectors(middle)
         half = self.half[:, None]
@@ -169,12 +169,12 @@ class Views:
             for o in OFFSETS[count]
         ]
         least = self.least_cosine
-        normals = [moved(n, view, other, least)[0] if mirrored else n for other in views]
+        normals = [move_normals(n, view, other, least)[0] if mirrored else n for other in views]
         return np.stack(normals), np.stack(views)
 
 
-def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Coefficients (2, 6) float32 of V by least squares."""
+def fit_views(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return coefficients (2, 6) float32 of V by least squares."""
     terms = np.stack(features(n.astype(np.float64)))
     # einsum, for BLAS has threads that spin
     gram = np.einsum("ip,jp->ij", terms, terms)
@@ -183,10 +183,10 @@ def fitted(n: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     return np.linalg.solve(gram, right.T).T.astype(np.float32)
 
 
-def moved(
+def move_normals(
     n: np.ndarray, view: np.ndarray, other: np.ndarray, least_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
+    """Return the normal (P, 3) that mirrors into `other` what n mirrors into the view; its steps.
 
     With r = 2 (n·v) n − v it is (r + other)/‖r + other‖. Where n·v < least_cosine, it moves as if
     n·v were that.
@@ -215,14 +215,14 @@ class Places:
             for _ in range(STEPS):  # V belongs to the place that is sought
                 before, self.middle = self.n, views.middle(self.n)
                 other = views.vectors(self.middle)
-                self.n, self.length, self.cosine = moved(n, view, other, views.least_cosine)
+                self.n, self.length, self.cosine = move_normals(n, view, other, views.least_cosine)
                 if np.abs(self.n - before).mean() < SETTLED:
                     break
         self.middle = views.middle(self.n)
         self.coordinates = (views.slopes - self.middle) / views.half[:, None]
 
     def terms(self, count: int) -> np.ndarray:
-        """The constant 1 and the terms (K, P) of a polynomial in the offsets."""
+        """Return the constant 1 and the terms (K, P) of a polynomial in the offsets."""
         x, y = self.coordinates
         return np.stack([x**i * y**j for i, j in POWERS[:count]]).astype(np.float32)
 
@@ -242,7 +242,7 @@ class Places:
         views = self.views
         limits = np.array([views.least_cosine, limit, *views.half], np.float32)
         given = self.given, self.view, views.frame, views.fit, limits
-        reflectance_map.sliced(
+        reflectance_map.run_in_slices(
             len(self.given),
             PLACED,
             lambda first, last: machine_code.call(
@@ -286,7 +286,7 @@ class Places:
         return result
 
     def by_sum(self, by_n: np.ndarray) -> np.ndarray:
-        """The derivative by u of n' = u/‖u‖."""
+        """Return the derivative by u of n' = u/‖u‖."""
         return (by_n - dot(by_n, self.n) * self.n) / self.length
 
 
@@ -299,7 +299,7 @@ class Chart:
     """
 
     def __init__(self, n: np.ndarray, frame: np.ndarray):
-        self.frame, self.n = frame, turned(n, frame)
+        self.frame, self.n = frame, rotate(n, frame)
         least = min(float(self.n[:, 2].min()), 0.0)
         self.scale = np.float32(1 / math.sqrt(1 - least))
         self.drawn = self.n
@@ -318,18 +318,18 @@ class Chart:
         stretch = np.sqrt(ratio) / float(self.scale)
         inside = np.stack([drawn[:, 0] * stretch, drawn[:, 1] * stretch, z], -1)
         inside /= np.sqrt(dot(inside, inside))
-        return turned(inside, self.frame.T).astype(np.float32)
+        return rotate(inside, self.frame.T).astype(np.float32)
 
     def backward(self, by_drawn: np.ndarray) -> np.ndarray:
-        """The derivative by n (P, 3), from the one by what is drawn."""
+        """Return the derivative by n (P, 3), from the one by what is drawn."""
         if self.scale < 1:
             by_x, by_y = by_drawn[:, 0] * self.stretch, by_drawn[:, 1] * self.stretch
             x, y, z = self.n[:, 0], self.n[:, 1], self.n[:, 2]
             by_z = -0.5 * (by_x * x + by_y * y) / np.maximum(1 + z, 1e-6)
             by_drawn = np.stack([by_x, by_y, by_z], -1)
-        return turned(by_drawn, self.frame.T)
+        return rotate(by_drawn, self.frame.T)
 
 
-def turned(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Vectors (P, 3) rotated, without BLAS, whose threads spin."""
-    return np.stack([along(vectors, row) for row in rotation], -1)
+def rotate(vectors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return vectors (P, 3) rotated, without BLAS, whose threads spin."""
+    return np.stack([component_along(vectors, row) for row in rotation], -1)

@@ -31,9 +31,9 @@ from learn.methods.block_lists import (
     PASS,
     TESTED,
     Lists,
-    added,
-    by_place,
+    order_by_place,
     put_back,
+    sum_first_axis,
     tile_size,
 )
 from learn.methods.light_tables import Lights
@@ -94,7 +94,7 @@ class ViewedTables:
         self.made_ranges: dict[tuple[int, bool], np.ndarray] = {}
 
     def ranges(self, views: np.ndarray, size: int, backward: bool) -> np.ndarray:
-        """The table `ranges` for tiles of `size` pixels with views (P, 3).
+        """Return the table `ranges` for tiles of `size` pixels with views (P, 3).
 
         backward  whether lobes of almost no height count, whose derivative by κ does not depend on
                   their height
@@ -156,13 +156,13 @@ class ViewedListing:
         view_gap: float = 0.0,
     ):
         self.limit = np.array([view_gap], np.float32)
-        self.tables, self.left_out, self.order = tables, left_out, by_place(n)
+        self.tables, self.left_out, self.order = tables, left_out, order_by_place(n)
         self.n, self.view = n.take(self.order, 0), view.take(self.order, 0)
         self.list_bytes, self.lists = 0, dict[int, Lists]()
         out = np.empty_like(self.n)
         for start in range(0, len(n), PASS):
             part = slice(start, start + PASS)
-            lists = select(self.n[part], self.view[part], tables, left_out)
+            lists = select_lists(self.n[part], self.view[part], tables, left_out)
             run_forward(self.n[part], self.view[part], tables, lists, self.limit, out[part])
             if stored_bytes + self.list_bytes < CACHE_BYTES and not tables.dims_lobes:
                 self.lists[start] = lists
@@ -172,7 +172,7 @@ class ViewedListing:
     def backward(
         self, g: np.ndarray, with_view: bool = True, with_n: bool = True
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray, np.ndarray]:
-        """Derivatives of Σ g·radiance.
+        """Return derivatives of Σ g·radiance.
 
         By n (P, 3) or None, by view (P, 3) or None, by m (3, 3, 2, 6) float64 and by E (3, T).
         with_view  requires with_n
@@ -183,7 +183,7 @@ class ViewedListing:
         for start in range(0, len(g), PASS):
             part = slice(start, start + PASS)
             n, view = self.n[part], self.view[part]
-            lists = self.lists.get(start) or select(n, view, self.tables, self.left_out, True)
+            lists = self.lists.get(start) or select_lists(n, view, self.tables, self.left_out, True)
             energy_sums, m_sums = run_backward(
                 n,
                 view,
@@ -202,14 +202,14 @@ class ViewedListing:
         return placed_n, placed_view, by_m, by_E
 
 
-def select(
+def select_lists(
     n: np.ndarray,
     view: np.ndarray,
     tables: ViewedTables,
     left_out: float,
     backward: bool = False,
 ) -> Lists:
-    """Each tile's list."""
+    """Return each tile's list."""
     size, capacity, cones = tile_size(len(n)), tables.lights.blocks, tables.cones
     tiles = -(-len(n) // size)
     budget = np.array([min(left_out, np.finfo(np.float32).max)], np.float32)
@@ -232,7 +232,7 @@ def select(
 
 
 def workers_for(lists: Lists, pixels: int) -> int:
-    """Number of threads that a sum over the pixels' lists deserves."""
+    """Return the number of threads that a sum over the pixels' lists deserves."""
     seconds = int(lists.lengths.sum()) * tile_size(pixels) * LISTED
     return threads.worth(torch.get_num_threads(), seconds)
 
@@ -268,7 +268,7 @@ def run_backward(
     by_view: np.ndarray,
     requested: tuple[bool, bool],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
+    """Return energy sums (blocks, 3, 16) and sums by the material (chunks, 108, 16).
 
     by_n, by_view  (P, 3) are written, each if requested; the latter only together with the former
     """
@@ -286,8 +286,8 @@ def run_backward(
         inputs = limit, n, view, tables.geometry, tables.energy, tables.values, scratch, g
         outputs = by_n, by_view, energy_sums, m_sums
         arrays = *inputs, *outputs, *lists
-        machine_code.call("viewed_sums.backward", first, last, *sizes, *flags, *arrays)
+        machine_code.call("viewed_derivatives.backward", first, last, *sizes, *flags, *arrays)
 
     workers = workers_for(lists, len(n))
     threads.run(kernel, threads.split(chunks, workers), workers)
-    return added(energy_sums), m_sums
+    return sum_first_axis(energy_sums), m_sums

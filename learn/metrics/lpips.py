@@ -54,7 +54,7 @@ def of_file(path: str | Path | None) -> Perceptual | None:
 def distance(tensors: Mapping[str, torch.Tensor], shown: np.ndarray, right: np.ndarray) -> float:
     """Return LPIPS of two pictures of display values (H, W, 3)."""
     with torch.no_grad():
-        features = [stages(tensors, prepared(picture)) for picture in (shown, right)]
+        features = [stages(tensors, prepare(picture)) for picture in (shown, right)]
         total = 0.0
         for i, (a, b) in enumerate(zip(*features, strict=True)):
             squared = (unit(a) - unit(b)) ** 2
@@ -62,7 +62,7 @@ def distance(tensors: Mapping[str, torch.Tensor], shown: np.ndarray, right: np.n
     return total
 
 
-def prepared(display: np.ndarray) -> torch.Tensor:
+def prepare(display: np.ndarray) -> torch.Tensor:
     """Return display values (H, W, 3) as (1, 3, H, W), centred and scaled as for AlexNet."""
     x = torch.as_tensor(display, dtype=torch.float32).movedim(-1, 0)[None] / 127.5 - 1
     return (x - x.new_tensor(SHIFT)[:, None, None]) / x.new_tensor(SCALE)[:, None, None]

@@ -18,7 +18,7 @@ flip        FLIP (Andersson et al. 2020; package flip-evaluator) at 67 pixels pe
 lpips       only with weights (learn.metrics.lpips)
 
 How bright a light is cannot be determined from one picture of an unknown material, so three figures
-of the same l2 forgive brightness (`aligned`):
+of the same l2 forgive brightness (`l2_after_alignments`):
 
 l2_own_exposure   each picture under its own exposure
 l2_one_factor     after the one factor on the picture's radiance that makes l2 least
@@ -52,10 +52,10 @@ def compare(
     perceptual  a further distance, named lpips, or None
     ssim is None for pictures smaller than 7 × 7 pixels.
     """
-    shown, right = _displayed(picture, truth, mask)
+    shown, right = _display(picture, truth, mask)
     result = _l2_and_ssim(shown, right, mask) | {
         "flip": float(flip(shown, right)[mask].mean()),
-        **aligned(picture, truth, mask),
+        **l2_after_alignments(picture, truth, mask),
     }
     return result if perceptual is None else result | {"lpips": perceptual(shown, right)}
 
@@ -64,7 +64,7 @@ def l2_and_ssim(
     picture: np.ndarray, truth: np.ndarray, mask: np.ndarray
 ) -> dict[str, float | None]:
     """Return `compare`'s figures l2, l2_frame, ssim, ssim_frame and psnr alone."""
-    return _l2_and_ssim(*_displayed(picture, truth, mask), mask)
+    return _l2_and_ssim(*_display(picture, truth, mask), mask)
 
 
 def display_l2(
@@ -75,7 +75,9 @@ def display_l2(
     return float(tone.display_l2(picture, truth, exposure, None if frame else mask))
 
 
-def aligned(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+def l2_after_alignments(
+    picture: np.ndarray, truth: np.ndarray, mask: np.ndarray
+) -> dict[str, float]:
     """Return `l2` of radiance (H, W, 3) after alignments that forgive its brightness.
 
     Neither factor's l2 is ever above l2 itself: 1 is among the factors that are tried.
@@ -120,7 +122,7 @@ def _least_l2(radiance: np.ndarray, right: np.ndarray) -> float:
     return min(values[best], *errors)
 
 
-def _displayed(
+def _display(
     picture: np.ndarray, truth: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     exposure = tone.auto_exposure(truth, mask)

@@ -24,14 +24,14 @@ SMALLEST_LABEL = -80.0  # its exp is a float32 above 0
 NARROWEST = 1e-3  # of a label's range, where all training materials agree
 
 
-def compressed(image: torch.Tensor) -> torch.Tensor:
+def compress(image: torch.Tensor) -> torch.Tensor:
     """Return log(1 + 8 I)/log 9 of linear radiance ≥ 0; losses compare pictures by it too."""
     return torch.log1p(BRIGHTNESS * image.clamp(min=0)) / math.log(1 + BRIGHTNESS)
 
 
 def picture_code(image: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Return (B, 4, H, W): the picture compressed and centred, and the mask − ½."""
-    return torch.cat([(compressed(image) - 0.5) * mask, mask - 0.5], 1)
+    return torch.cat([(compress(image) - 0.5) * mask, mask - 0.5], 1)
 
 
 @dataclass(frozen=True)

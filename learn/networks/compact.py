@@ -15,8 +15,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import Ranges, compressed, light_of, picture_code, unit_mean
-from learn.networks.light_maps import MapConvolution, enlarged, map_convolution
+from learn.networks.coding import Ranges, compress, light_of, picture_code, unit_mean
+from learn.networks.light_maps import MapConvolution, enlarge, map_convolution
 from learn.networks.prediction import Coded, Prediction, region_masks, require_part
 
 WIDTHS = (32, 64, 128, 256)
@@ -203,7 +203,7 @@ class Compact(Coded):
         x = self.illumination(x).reshape(-1, LIGHT_WIDTHS[0], 4, 8)
         for widen in self.widen:
             larger = (
-                enlarged(x) if self.wraps else F.interpolate(x, scale_factor=2.0, mode="bilinear")
+                enlarge(x) if self.wraps else F.interpolate(x, scale_factor=2.0, mode="bilinear")
             )
             x = widen(larger)
         return F.softplus(F.pixel_shuffle(self.light(x), 2).float())
@@ -237,7 +237,7 @@ def reflectance_map(image: torch.Tensor, mask: torch.Tensor, n: torch.Tensor) ->
         disk = torch.stack([p[:, 0], -p[:, 1]], 1)
         cell = ((disk + 1) * (CELLS / 2)).long().clamp(0, CELLS - 1)
         index = (cell[:, 1] * CELLS + cell[:, 0]).reshape(B, 1, -1)
-        values = torch.cat([(compressed(image.float()) - 0.5) * mask, mask.float()], 1).reshape(
+        values = torch.cat([(compress(image.float()) - 0.5) * mask, mask.float()], 1).reshape(
             B, 4, -1
         )
         sums = values.new_zeros(B, 4, CELLS * CELLS).scatter_add(2, index.expand(-1, 4, -1), values)

@@ -35,7 +35,7 @@ class Edited(NamedTuple):
 
     code, label  (B, 1, 108) of the input's material, as in learn.networks.prediction.Prediction
     embedded     (B, 1, 108) R(e(m_t)): the target material's code, read from its own features
-    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compressed), ≥ 0; undefined
+    picture      (B, 3, H, W) O', compressed (learn.networks.coding.compress), ≥ 0; undefined
                  outside the mask
     n, light_code, light   None: parts of a Prediction that this network does not know
     """
@@ -93,5 +93,5 @@ class EncoderDecoder(Coded):
 
 
 def radiance(picture: torch.Tensor) -> torch.Tensor:
-    """Return linear radiance of a compressed picture, the inverse of coding.compressed."""
+    """Return linear radiance of a compressed picture, the inverse of coding.compress."""
     return torch.expm1(picture * torch.log(torch.tensor(1 + BRIGHTNESS))) / BRIGHTNESS

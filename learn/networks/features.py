@@ -22,7 +22,7 @@ from torch.nn import functional as F
 from learn.data import devices
 from learn.networks import tensor_file
 from manifests.errors import InputError
-from manifests.store import file_hash
+from manifests.store_paths import file_hash
 
 WIDTHS = ((64, 64), (128, 128), (256,))  # VGG16 as far as relu3_1
 # three of the picture and zeros: oneDNN's backward pass for three takes twenty times as long
@@ -109,7 +109,7 @@ def difference(mine: Sequence[torch.Tensor], truth: Sequence[torch.Tensor]) -> A
     It is a mean over layers, and so of the same scale for every extractor.
     """
     results = [
-        SquaredDifference.apply(a, b) / (_squared(b) / b.numel()).clamp(min=1e-12)
+        SquaredDifference.apply(a, b) / (_sum_of_squares(b) / b.numel()).clamp(min=1e-12)
         for a, b in zip(mine, truth, strict=True)
     ]
     return sum(results) / len(results)
@@ -127,7 +127,7 @@ class SquaredDifference(torch.autograd.Function):
         """Return the mean as a float32 scalar."""
         d = a - b
         ctx.save_for_backward(d)
-        return _squared(d) / d.numel()
+        return _sum_of_squares(d) / d.numel()
 
     @staticmethod
     def backward(ctx: Any, g: torch.Tensor) -> tuple[torch.Tensor, None]:
@@ -136,7 +136,7 @@ class SquaredDifference(torch.autograd.Function):
         return d * (2 * g / d.numel()).to(d.dtype), None
 
 
-def _squared(x: torch.Tensor) -> torch.Tensor:
+def _sum_of_squares(x: torch.Tensor) -> torch.Tensor:
     """Return the sum of squares of (B, C, h, w), to 1e-3.
 
     It is the trace of a product of matrices, the fastest form in half precision.

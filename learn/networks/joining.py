@@ -49,7 +49,7 @@ def join(normals: Path, others: Path, out: Path) -> None:
             "network": network.name,
             "run": json.dumps(run),
             RUN_OF_NORMALS: first.metadata.get("run", "{}"),
-            KEY: encode_seen((seen[1] or Seen(complete=False)).joined(seen[0])),
+            KEY: encode_seen((seen[1] or Seen(complete=False)).join(seen[0])),
         }
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     weights.save(out, state, metadata)

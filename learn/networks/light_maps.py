@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional as F
 
 
-def padded(x: torch.Tensor) -> torch.Tensor:
+def pad(x: torch.Tensor) -> torch.Tensor:
     """Return a map with one more row or column at each edge, (B, C, H + 2, W + 2).
 
     Columns continue around the circle. The row beyond a pole is the row next to the pole, turned by
@@ -22,9 +22,9 @@ def padded(x: torch.Tensor) -> torch.Tensor:
     return torch.cat([x[..., -1:], x, x[..., :1]], 3)
 
 
-def enlarged(x: torch.Tensor) -> torch.Tensor:
+def enlarge(x: torch.Tensor) -> torch.Tensor:
     """Return a map with twice as many rows and columns, interpolated linearly."""
-    larger = F.interpolate(padded(x), scale_factor=2.0, mode="bilinear")
+    larger = F.interpolate(pad(x), scale_factor=2.0, mode="bilinear")
     return larger[:, :, 2:-2, 2:-2]
 
 
@@ -36,7 +36,7 @@ class MapConvolution(nn.Conv2d):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return features (B, after, H, W)."""
-        return super().forward(padded(x))
+        return super().forward(pad(x))
 
 
 def map_convolution(before: int, after: int) -> nn.Sequential:

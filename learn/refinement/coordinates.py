@@ -149,7 +149,7 @@ class NormalCoordinates:
         height, width = n.shape[-2:]
         self.size = (height, width)
         self.trust_region = trust_region
-        self.p = disk(n, mask)
+        self.p = disk_from_normals(n, mask)
         self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [self.size]
         self.shape = (sum(2 * h * w for h, w in self.grids),)
         self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=n.device)
@@ -162,27 +162,29 @@ class NormalCoordinates:
                 grid if (h, w) == self.size else F.interpolate(grid, self.size, mode="bilinear")
             )
             first += 2 * h * w
-        return hemisphere(self.p + self.trust_region * torch.tanh(change / self.trust_region))
+        return normals_from_disk(
+            self.p + self.trust_region * torch.tanh(change / self.trust_region)
+        )
 
 
-def disk(n: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+def disk_from_normals(n: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Return normals (1, 3, H, W) as p (1, 2, H, W) in the disk, kept off its rim.
 
     Outside the mask (1, H, W) normals are taken to face the viewer.
     """
     n = torch.where(mask[:, None], n.detach(), n.new_tensor([0.0, 0.0, 1.0])[:, None, None])
     n = F.normalize(n, dim=1)
-    return clamped_to_rim(n[:, :2] / (1 + n[:, 2:].clamp(min=0)))
+    return clamp_to_rim(n[:, :2] / (1 + n[:, 2:].clamp(min=0)))
 
 
-def clamped_to_rim(p: torch.Tensor) -> torch.Tensor:
+def clamp_to_rim(p: torch.Tensor) -> torch.Tensor:
     """Return p (1, 2, H, W) shortened to |p| ≤ RIM where it is longer."""
     # the root of a sum, for torch's norm takes ten times as long along this axis
     return p * (RIM / (p * p).sum(1, keepdim=True).clamp(min=1e-24).sqrt()).clamp(max=1)
 
 
-def hemisphere(p: torch.Tensor) -> torch.Tensor:
+def normals_from_disk(p: torch.Tensor) -> torch.Tensor:
     """Return the unit normals (1, 3, H, W) of p (1, 2, H, W) in the disk."""
-    p = clamped_to_rim(p)
+    p = clamp_to_rim(p)
     squared = (p * p).sum(1, keepdim=True)
     return torch.cat([2 * p, 1 - squared], 1) / (1 + squared)

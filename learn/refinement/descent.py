@@ -15,7 +15,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -40,6 +40,19 @@ NOWHERE = 1e30  # energy of what is not finite or cannot be rendered: a line sea
 Coordinates = dict[str, MaterialCoordinates | LightCoordinates | NormalCoordinates]
 Vectors = dict[str, np.ndarray]  # {property: (Z,) float64}
 Watch = Callable[[int, int], None]  # (evaluations so far, about how many there will be)
+
+
+class Step(NamedTuple):
+    """One descent at a level.
+
+    turn        number of its round; that in all properties at once comes after the rounds
+    properties  that move
+    iterations  of L-BFGS, at most
+    """
+
+    turn: int
+    properties: tuple[str, ...]
+    iterations: int
 
 
 @dataclass(frozen=True)
@@ -96,14 +109,14 @@ def refine(
             " 0, found others (check the network's weights)"
         )
     energy = Energy(batch, current, settings)
-    before = after = energy.finest(current)
+    before = after = energy.terms_of_all_pixels(current)
     history: list[dict[str, Any]] = []
-    counted = None if watch is None else _counted(watch, settings)
+    counted = None if watch is None else _make_counter(watch, settings)
     for number in range(settings.outer_iterations):
         start = current if number else predicted
-        state, steps = outer_iteration(batch, start, inside, settings, directions, counted)
+        state, steps = run_outer_iteration(batch, start, inside, settings, directions, counted)
         state = replace(state, z={"material": current.z["material"] + state.z["material"]})
-        terms = energy.finest(state)
+        terms = energy.terms_of_all_pixels(state)
         if not terms["total"] < before["total"]:
             break
         current, after = state, terms
@@ -114,15 +127,15 @@ def refine(
     return RefinementResult(refined, before, after, history, time.perf_counter() - began)
 
 
-def _counted(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
+def _make_counter(watch: Watch, settings: RefinementSettings) -> Callable[[], None]:
     """Return a function to call before each evaluation; L-BFGS makes about one per iteration."""
     steps = [step for level in settings.levels for step in steps_of(level, settings.order)]
-    expected = settings.outer_iterations * sum(iterations for *_, iterations in steps)
+    expected = settings.outer_iterations * sum(step.iterations for step in steps)
     numbers = itertools.count()
     return lambda: watch(next(numbers), expected)
 
 
-def outer_iteration(
+def run_outer_iteration(
     batch: ExampleBatch,
     start: State,
     inside: torch.Tensor,
@@ -138,25 +151,23 @@ def outer_iteration(
     maps = coordinates(start, inside, settings, directions)
     z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
     energy = Energy(batch, starting_state(maps), settings)
-    best, history = energy.finest(starting_state(maps)), []
+    best, history = energy.terms_of_all_pixels(starting_state(maps)), []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
-        for turn, names, iterations in steps_of(level, settings.order):
-            moved = z | minimised(
-                energy, maps, z, names, level, where, iterations, before_evaluation
-            )
-            terms = energy.finest(state_of(maps, moved))
+        for step in steps_of(level, settings.order):
+            moved = z | minimise(energy, maps, z, step, level, where, before_evaluation)
+            terms = energy.terms_of_all_pixels(state_of(maps, moved))
             accepted = math.isfinite(terms["total"]) and terms["total"] < best["total"]
             if accepted:
                 z, best = moved, terms
-            step = {
+            line = {
                 "level": number,
-                "round": turn,
-                "property": "+".join(names),
+                "round": step.turn,
+                "property": "+".join(step.properties),
                 "accepted": accepted,
                 "total": terms["total"],
             }
-            history.append(step)
+            history.append(line)
     return state_of(maps, z), history
 
 
@@ -174,10 +185,12 @@ def coordinates(
     }
 
 
-def steps_of(level: Level, order: Sequence[str]) -> list[tuple[int, tuple[str, ...], int]]:
-    """Return (round, properties, iterations) of each step of a level, in turn."""
-    steps = [(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order]
-    joint = (level.rounds, tuple(order), level.joint_iterations)
+def steps_of(level: Level, order: Sequence[str]) -> list[Step]:
+    """Return the steps of a level, in turn."""
+    steps = [
+        Step(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order
+    ]
+    joint = Step(level.rounds, tuple(order), level.joint_iterations)
     return [*steps, joint] if level.joint_iterations and order else [*steps]
 
 
@@ -205,22 +218,23 @@ def state_of(
     return State(**fields) if known is None else replace(known, **fields)
 
 
-def minimised(
+def minimise(
     energy: Energy,
     maps: Coordinates,
     z: Vectors,
-    names: Sequence[str],
+    step: Step,
     level: Level,
     where: torch.Tensor,
-    iterations: int,
     before_evaluation: Callable[[], None] | None = None,
 ) -> Vectors:
-    """Return {property: vector} of the named properties after L-BFGS at one level.
+    """Return {property: vector} of the properties that a step moves, after its L-BFGS.
 
     Where it meets no finite energy the vectors stay as they are.
 
+    level  whose light map and method the energy is rendered by
     where  indices of pixels, as of Energy.pixels
     """
+    names, iterations = step.properties, step.iterations
     sizes = [len(z[name]) for name in names]
     unmoved = state_of(maps, z)
     device = unmoved.n.device

@@ -17,8 +17,8 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `explained`, the less the more
-matte the predicted material is.
+front, which one material cannot explain: its misfit counts less by `explained_weights`, the less
+the more matte the predicted material is.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -33,9 +33,9 @@ import torch.nn.functional as F
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
 from learn.layer.albedo import narrow_share
-from learn.layer.light_maps import reduced, solid_angles
+from learn.layer.light_maps import reduce_maps, solid_angles
 from learn.layer.predictions import Policy, radiance
-from learn.networks.coding import compressed
+from learn.networks.coding import compress
 from learn.refinement.settings import RefinementSettings
 from shaders import tone
 
@@ -85,7 +85,7 @@ def misfit(
     return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
 
 
-def explained(
+def explained_weights(
     image: torch.Tensor, segments: torch.Tensor, half: float, clipped: torch.Tensor | None = None
 ) -> torch.Tensor:
     """Return weights (P,) of pixels, 1 where the own colour of their region and white explain them.
@@ -105,7 +105,7 @@ def explained(
     for region in segments.unique():
         of = segments == region
         sure = of & (clipped == 0)
-        share[of] = _unexplained(image[of], _own_colour(image[sure if sure.any() else of]))
+        share[of] = _unexplained_share(image[of], _own_colour(image[sure if sure.any() else of]))
     return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
 
 
@@ -115,7 +115,7 @@ def _own_colour(image: torch.Tensor) -> torch.Tensor:
     return F.normalize((image / length).median(0).values, dim=0)
 
 
-def _unexplained(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+def _unexplained_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
     """Return the share (P,) of pixels (P, 3) that no sum of a colour (3,) and white explains.
 
     Sums of both are a sector of the plane that they span; what counts is the distance to its
@@ -144,7 +144,7 @@ class Energy:
         self.regions = start.label.shape[1]
         image = batch.image[0].movedim(0, -1).reshape(-1, 3)
         exposure = tone.auto_exposure(to_numpy(image[self.inside]), np.ones(len(self.inside), bool))
-        self.exposure, self.seen = exposure, compressed(image * exposure)
+        self.exposure, self.seen = exposure, compress(image * exposure)
         self.clipped = (
             None if batch.clipped is None else batch.clipped[0].movedim(0, -1).reshape(-1, 3)
         )
@@ -152,7 +152,7 @@ class Energy:
         if settings.unexplained_share_at_half_weight is not None:
             regions = self.segments.flatten()[self.inside].clamp(max=self.regions)
             clipped = None if self.clipped is None else self.clipped[self.inside].amax(-1)
-            weights = explained(
+            weights = explained_weights(
                 image[self.inside] * exposure,
                 regions,
                 settings.unexplained_share_at_half_weight,
@@ -196,7 +196,7 @@ class Energy:
         picture = radiance(
             n.contiguous() if whole else n.flatten(1, 2)[:, where][:, None],
             state.label,
-            reduced(state.light, light),
+            reduce_maps(state.light, light),
             segments,
             mask,
             self.elevation,
@@ -204,7 +204,7 @@ class Energy:
         )
         shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
         clipped = None if self.clipped is None else self.clipped[where]
-        cost = misfit(compressed(shown * self.exposure), self.seen[where], clipped)
+        cost = misfit(compress(shown * self.exposure), self.seen[where], clipped)
         if self.weights is None:
             return cost.mean()
         at = torch.searchsorted(self.inside, where)
@@ -249,7 +249,7 @@ class Energy:
             + s.c * terms["material"]
         )
 
-    def finest(self, state: State) -> dict[str, float]:
+    def terms_of_all_pixels(self, state: State) -> dict[str, float]:
         """Return {term: float} and "total" over all pixels under the full light map.
 
         This total accepts or rejects a step; it is inf for a state that cannot be rendered.

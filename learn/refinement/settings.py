@@ -65,7 +65,7 @@ class RefinementSettings:
         Level(pixels=0, light=(64, 128), method="auto", rounds=0, iterations=0, joint_iterations=8),
     )
 
-    def rendered_by(self, method: str) -> "RefinementSettings":
+    def with_method(self, method: str) -> "RefinementSettings":
         """Return these settings with one method of the layer in all levels and the energy."""
         levels = tuple(replace(level, method=method) for level in self.levels)
         return replace(self, method=method, levels=levels)

@@ -25,7 +25,7 @@ def begin(network: Coded, run: Run, seen: Seen) -> Seen:
             else:
                 weights.require_network(stored, network)
                 weights.fill(network, stored)
-            seen = seen.joined(read_seen(stored.metadata, run.start))
+            seen = seen.join(read_seen(stored.metadata, run.start))
     elif isinstance(network, CompactPretrained):
         network.take_encoder(encoder_weights())
     elif isinstance(network, (TwoEncoders, JointEncoders)):
@@ -33,5 +33,5 @@ def begin(network: Coded, run: Run, seen: Seen) -> Seen:
     if run.heads is not None:
         with tensor_file.open_tensor_file(run.heads) as stored:
             weights.fill_heads(network, stored)
-            seen = seen.joined(read_seen(stored.metadata, run.heads))
+            seen = seen.join(read_seen(stored.metadata, run.heads))
     return seen

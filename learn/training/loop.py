@@ -19,7 +19,7 @@ import torch
 
 from learn.data import devices
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit
+from learn.data.data_split import DataSplit
 from learn.data.seen import seen_in_splits
 from learn.data.settings import Losses, Run, require_trainable
 from learn.data.sources import make_batch_source
@@ -101,7 +101,7 @@ class Training:
             )
             self.step, self.skipped = progress.step, progress.skipped
             self.clock.used, self.clock.passed = progress.used, progress.passed
-            self.seen = self.seen.joined(before)
+            self.seen = self.seen.join(before)
         else:
             self.seen = begin(self.network, run, self.seen)
             if run.revive:
@@ -184,7 +184,7 @@ class Training:
             n = None if "normals" in parts else batch.n
             return model(batch.image, batch.mask, segments, parts, n, self.run.data.regions)
 
-    def averaged(self) -> Coded:
+    def averaged_network(self) -> Coded:
         """Return a network with the moving average's weights, ready to predict."""
         network = self._new_network(self.network.ranges)
         network.load_state_dict(self.average)
@@ -330,7 +330,7 @@ class Training:
                 f"study {path}; the last good weights are in checkpoint.safetensors",
             )
 
-    def _predicted(self, network: torch.nn.Module, batch: ExampleBatch) -> Any:
+    def _predict_finite(self, network: torch.nn.Module, batch: ExampleBatch) -> Any:
         """Return a Prediction for validation. Raises InputError if it is not finite."""
         prediction = self.predict(network, batch)
         if not validation.is_finite(prediction):
@@ -344,10 +344,10 @@ class Training:
 
         Also writes a contact sheet and weights.safetensors.
         """
-        network, data_split = self.averaged(), self.data_splits["validation"]
+        network, data_split = self.averaged_network(), self.data_splits["validation"]
         with torch.no_grad(), validation.DeadUnits(network) as dead:
             figures = validation.validate(
-                lambda b: self._predicted(network, b),
+                lambda b: self._predict_finite(network, b),
                 data_split,
                 self.run,
                 VALIDATION_BATCHES,
@@ -357,7 +357,7 @@ class Training:
             source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
             contact_sheet = montage.write(
-                self._sheet_path(), batch, self._predicted(network, batch)
+                self._sheet_path(), batch, self._predict_finite(network, batch)
             )
             if self.journal:
                 self.journal.show(self.step - 1, contact_sheet)

@@ -12,7 +12,7 @@ light_log       mean over solid angle of (log(1 + L') − log(1 + L))², both at
 light_rendered  the same of radiance that leaves a matte and two glossy mirrors: the effect of the
                 light, not the place of its sources
 image           mean (c(I') − c(I))², I' from all three predictions,
-                c = learn.networks.coding.compressed                                         Eq. 5
+                c = learn.networks.coding.compress                                         Eq. 5
 target          the same of O' in the target material, from predicted normals and light      Eq. 5
 image_features, target_features   squared difference of features of c(I') and c(I), relative to
                 c(I)'s; likewise O' and O
@@ -31,12 +31,12 @@ import torch
 
 from learn.data.batch import ExampleBatch
 from learn.data.settings import Losses
-from learn.layer.light_maps import reduced, solid_angles
+from learn.layer.light_maps import reduce_maps, solid_angles
 from learn.metrics.radiometry import log_albedo, log_rendered
-from learn.networks.coding import Ranges, compressed
+from learn.networks.coding import Ranges, compress
 from learn.networks.features import Features, difference
 from learn.networks.prediction import Prediction, require_part
-from learn.training.rerendering import at_pixels, object_mask, picked, sampled, whole
+from learn.training.rerendering import at_pixels, object_mask, pick, sample_pixels, whole
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
 RENDERED_LIGHT = (32, 64)
@@ -130,7 +130,7 @@ def light_terms(
         mine, its = (torch.log1p(scaled(light)) for light in lights)
         result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
-        mine, its = (log_rendered(reduced(scaled(light), RENDERED_LIGHT)) for light in lights)
+        mine, its = (log_rendered(reduce_maps(scaled(light), RENDERED_LIGHT)) for light in lights)
         result["light_rendered"] = ((mine - its) ** 2).mean()
     return result
 
@@ -146,9 +146,11 @@ def layer_terms(
 
     Parts that are not predicted are replaced by the truth.
     """
-    true_light = reduced(batch.light, losses.layer_light)
+    true_light = reduce_maps(batch.light, losses.layer_light)
     light = (
-        true_light if prediction.light is None else reduced(prediction.light, losses.layer_light)
+        true_light
+        if prediction.light is None
+        else reduce_maps(prediction.light, losses.layer_light)
     )
     label = batch.label if prediction.label is None else prediction.label
     n = batch.n if prediction.n is None else prediction.n
@@ -167,7 +169,7 @@ def layer_terms(
                     else rendered * object_mask(batch)
                 )
             seen = whole(n, mine, light, batch, losses.gradient_bound, losses.layer_method)
-            mine_c, its_c = compressed(seen), compressed(truth)
+            mine_c, its_c = compress(seen), compress(truth)
             if of_pixels:
                 result[name] = ((mine_c - its_c) ** 2).sum() / (3 * object_mask(batch).sum())
             if of_features:
@@ -175,7 +177,7 @@ def layer_terms(
                     features, mine_c, its_c, object_mask(batch) > 0
                 )
         elif of_pixels:
-            where, count = sampled(batch, losses.pixels, rng)
+            where, count = sample_pixels(batch, losses.pixels, rng)
             if rendered is None:
                 with torch.no_grad():
                     truth = at_pixels(
@@ -188,7 +190,7 @@ def layer_terms(
                         method=losses.layer_method,
                     )
             else:
-                truth = picked(rendered, where)
+                truth = pick(rendered, where)
             seen = at_pixels(
                 n,
                 batch.segments,
@@ -200,7 +202,7 @@ def layer_terms(
                 losses.layer_method,
             )
             lit = (where >= 0)[..., None]
-            result[name] = ((compressed(seen) - compressed(truth)) ** 2 * lit).sum() / (3 * count)
+            result[name] = ((compress(seen) - compress(truth)) ** 2 * lit).sum() / (3 * count)
     return result
 
 
@@ -214,14 +216,15 @@ def compared_by(
     if features is None:
         raise ValueError("features: expected those that the run's losses name, found none")
     mine, its = (
-        torch.stack(boxed(pictures.clamp(max=BRIGHTEST_SEEN), inside)) for pictures in (mine, its)
+        torch.stack(cut_boxes(pictures.clamp(max=BRIGHTEST_SEEN), inside))
+        for pictures in (mine, its)
     )
     with torch.no_grad():
         truth = features(its)
     return difference(features(mine), truth)
 
 
-def boxed(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list[torch.Tensor]:
+def cut_boxes(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list[torch.Tensor]:
     """Return each picture cut to a box around its object, [(C, h, w)] of one size for all.
 
     Most of a frame is empty. The margin is in pixels.

@@ -93,4 +93,6 @@ def _normals(n: torch.Tensor, mask: np.ndarray) -> np.ndarray:
 
 
 def _light(light: torch.Tensor, size: int) -> np.ndarray:
-    return montage.fitted(montage.light_picture(to_numpy(light.movedim(0, -1).float())), size)
+    return montage.fit_into_square(
+        montage.light_picture(to_numpy(light.movedim(0, -1).float())), size
+    )

@@ -62,7 +62,7 @@ def batches(
         prefetch_factor=2,
         pin_memory=pin_memory,
     )
-    yield from received(loader)
+    yield from receive(loader)
 
 
 class ErrorsAsValues(torch.utils.data.Dataset):
@@ -82,7 +82,7 @@ class ErrorsAsValues(torch.utils.data.Dataset):
             return error
 
 
-def received(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch]:
+def receive(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch]:
     """Yield the batches of a DataLoader over ErrorsAsValues.
 
     Raises the errors among them, and InputError where one of its workers was killed.

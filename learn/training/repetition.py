@@ -26,8 +26,8 @@ class Version:
 
     def of(self, batch: ExampleBatch) -> ExampleBatch:
         """Return the batch in this version."""
-        batch = mirrored(batch) if self.is_mirrored else batch
-        return recolored(batch, self.channels) if self.channels else batch
+        batch = mirror(batch) if self.is_mirrored else batch
+        return recolor(batch, self.channels) if self.channels else batch
 
 
 def versions(data: Data) -> list[Version]:
@@ -72,7 +72,7 @@ def batches(
                 del kept[old]
 
 
-def mirrored(batch: ExampleBatch) -> ExampleBatch:
+def mirror(batch: ExampleBatch) -> ExampleBatch:
     """Return a batch as a mirror shows it: left and right of pictures and light swapped."""
     n = batch.n.flip(-1)
     others = {
@@ -93,7 +93,7 @@ def mirrored(batch: ExampleBatch) -> ExampleBatch:
     )
 
 
-def recolored(batch: ExampleBatch, places: int) -> ExampleBatch:
+def recolor(batch: ExampleBatch, places: int) -> ExampleBatch:
     """Return a batch whose colour channels are moved cyclically, in pictures, labels and light."""
     pictures = {
         name: picture.roll(places, 1)

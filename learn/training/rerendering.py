@@ -28,7 +28,7 @@ def whole(
     """Return radiance (B, 3, H, W) at all pixels of the mask, 0 outside.
 
     n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w)
-    gradient_bound  as of `bounded`, for all pixels together
+    gradient_bound  as of `bound_gradient`, for all pixels together
     method          as losses.layer_method: "auto" is FRAME_LOSS, "quadrature" INTEGRAL_LOSS
     """
     shown = object_mask(batch) > 0
@@ -38,7 +38,7 @@ def whole(
         .contiguous()
     )
     if normals.requires_grad:
-        normals.register_hook(bounded(gradient_bound / shown.sum().clamp(min=1)))
+        normals.register_hook(bound_gradient(gradient_bound / shown.sum().clamp(min=1)))
     picture = predictions.radiance(
         normals,
         label,
@@ -51,7 +51,9 @@ def whole(
     return picture.movedim(-1, 1)
 
 
-def sampled(batch: ExampleBatch, pixels: int, rng: torch.Generator) -> tuple[torch.Tensor, int]:
+def sample_pixels(
+    batch: ExampleBatch, pixels: int, rng: torch.Generator
+) -> tuple[torch.Tensor, int]:
     """Return flat indices (B, P) of different pixels of each object, and their number.
 
     They lie at equal distances in the order of rows, after a random first one, so that each pixel
@@ -80,14 +82,14 @@ def at_pixels(
     """Return radiance (B, P, 3) at flat indices `where` (B, P), 0 where they are −1.
 
     n (B, 3, H, W), segments (B, H, W), label (B, S, 108), light (B, 3, h, w)
-    gradient_bound  as of `bounded`, for all pixels together
+    gradient_bound  as of `bound_gradient`, for all pixels together
     method          as losses.layer_method: "auto" is PIXEL_LOSS, "quadrature" INTEGRAL_LOSS
     """
     region = segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
-    normals = torch.where(mask[..., None], picked(n, where), n.new_tensor([0.0, 0.0, 1.0]))
+    normals = torch.where(mask[..., None], pick(n, where), n.new_tensor([0.0, 0.0, 1.0]))
     if normals.requires_grad:
-        normals.register_hook(bounded(gradient_bound / mask.sum().clamp(min=1)))
+        normals.register_hook(bound_gradient(gradient_bound / mask.sum().clamp(min=1)))
     picture = predictions.radiance(
         normals[:, None],
         label,
@@ -100,12 +102,12 @@ def at_pixels(
     return picture[:, 0]
 
 
-def picked(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
+def pick(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
     """Return (B, P, 3) of values (B, 3, H, W) at flat indices (B, P); undefined at −1."""
     return values.flatten(2).gather(2, where.clamp(min=0)[:, None].expand(-1, 3, -1)).movedim(1, -1)
 
 
-def bounded(gradient_bound: float | torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
+def bound_gradient(gradient_bound: float | torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
     """Return a hook that shortens each pixel's gradient to at most `gradient_bound`.
 
     A glossy material's picture changes abruptly once a normal is off by more than a lobe's width,

@@ -21,8 +21,8 @@ import numpy as np
 import torch
 
 from learn.data.batch import ExampleBatch
+from learn.data.data_split import DataSplit
 from learn.data.devices import to_numpy
-from learn.data.relit import DataSplit
 from learn.data.settings import Run
 from learn.data.sources import make_batch_source
 from learn.layer import predictions

@@ -41,7 +41,7 @@ LIMITS = (
 
 def data_card(samples: Samples, form: str, each: int, author: str = "") -> str:
     """Return the card's text: what, how many, rendered by what, licences, known limits."""
-    lines = [*_front_matter(samples, form), *_described(samples, form, each, author)]
+    lines = [*_front_matter(samples, form), *_description(samples, form, each, author)]
     return "\n".join(lines) + "\n"
 
 
@@ -70,7 +70,7 @@ def _front_matter(samples: Samples, form: str) -> Iterator[str]:
     yield "---"
 
 
-def _described(samples: Samples, form: str, each: int, author: str) -> Iterator[str]:
+def _description(samples: Samples, form: str, each: int, author: str) -> Iterator[str]:
     dataset, counts = samples.dataset, samples.counts
     jobs = ", ".join(plain(order.job.name) for order in dataset.orders) or "not recorded"
     yield "# " + (

@@ -19,7 +19,8 @@ from manifests.files import replacing, write_bytes, write_text
 from manifests.inputs import require_file
 from manifests.outputs import pin_settings
 from manifests.schema import Record, View
-from manifests.store import Store, inside, light_path
+from manifests.store import Store
+from manifests.store_paths import inside, light_path
 
 SETTINGS, CARD = "export.json", "README.md"
 # raised when parts of the same settings would hold other bytes

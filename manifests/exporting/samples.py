@@ -12,12 +12,13 @@ import numpy as np
 
 from manifests.errors import InputError
 from manifests.exporting.counts import Counts, split_of_line
-from manifests.line_files import encoded
+from manifests.line_files import encode
 from manifests.materials import load_catalogue
 from manifests.picture_files import Geometry, read_geometry, read_picture
 from manifests.placed_lines import PlacedLines
 from manifests.schema import Dataset, Record, View
-from manifests.store import Store, inside
+from manifests.store import Store
+from manifests.store_paths import inside
 from shaders import tone
 
 
@@ -47,7 +48,7 @@ class Sample(NamedTuple):
     def metadata(self) -> dict[str, Any]:
         """Return the line as plain values, and the exposure of its display values."""
         return {
-            **msgspec.json.decode(encoded(self.line)),
+            **msgspec.json.decode(encode(self.line)),
             **({} if self.exposure is None else {"exposure": self.exposure}),
         }
 
@@ -102,7 +103,7 @@ class Samples:
         """Return a hash of all lines: another one means that the data set has changed."""
         result = hashlib.sha256()
         for line in self.lines:
-            result.update(encoded(line))
+            result.update(encode(line))
         return result.hexdigest()
 
     def of_split(self, split: str) -> PlacedLines:

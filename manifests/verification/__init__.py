@@ -139,7 +139,7 @@ class Verification:
         yield from orders.faults()
         yield from files.packed_faults()
         yield from stray_faults(self.store.folder, files.named)
-        for name in self.store.unnamed(files.named):
+        for name in self.store.unnamed_objects(files.named):
             yield Fault(f"{name}: expected a record that names it, found none", stray=True)
 
 

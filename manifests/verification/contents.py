@@ -125,7 +125,7 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
         results.append(
             f"expected unit normals, found lengths {lengths.min():.4f}–{lengths.max():.4f}"
         )
-    if away := turned_away(geometry, camera):
+    if away := count_turned_away(geometry, camera):
         results.append(f"expected normals that face the viewer, found {away} turned away")
     places = positions(geometry.depth, camera)
     radius = float(np.sqrt(_dots(places, places)[mask].max()))
@@ -141,7 +141,7 @@ def geometry_faults(geometry: Geometry, camera: Camera) -> list[str]:
     return results
 
 
-def turned_away(geometry: Geometry, camera: Camera) -> int:
+def count_turned_away(geometry: Geometry, camera: Camera) -> int:
     """Return the number of the object's pixels whose normals face away: n·v ≤ 0."""
     if camera.fov_deg is None:
         return int((geometry.normals[geometry.mask][:, 2] <= 0).sum())

@@ -14,7 +14,7 @@ from manifests import splits
 from manifests.errors import InputError
 from manifests.materials import BUILT_IN, Entry, material, material_hash, read_catalogue
 from manifests.schema import Dataset, Draw, Job
-from manifests.store import light_path
+from manifests.store_paths import light_path
 from manifests.verification.faults import Fault
 
 # of shapes that go by number: "chair:17" is a chair

@@ -14,7 +14,7 @@ from manifests.inputs import require_file
 from manifests.materials import Entry
 from manifests.object_store import Unreachable
 from manifests.schema import Dataset, Record, View
-from manifests.store import image_path, light_path
+from manifests.store_paths import image_path, light_path
 from manifests.verification import contents
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
@@ -80,7 +80,7 @@ class Files:
             except Unreachable:
                 raise
             except (InputError, OSError) as problem:
-                yield Fault(_said(entry.file, problem), file=path)
+                yield Fault(_without_folder(entry.file, problem), file=path)
                 continue
             known = self._reference(name, entry.hash) if self._reference else None
             for text in contents.light_faults(L, scale, known, entry.scale):
@@ -128,7 +128,7 @@ class Files:
         except Unreachable:
             raise
         except (InputError, OSError) as problem:
-            return [_said(record.image, problem)]
+            return [_without_folder(record.image, problem)]
         mask = self._mask(record)
         lit = self._shines.get(record.light, False) and all(
             self._reflects.get(name) for name in record.materials
@@ -157,7 +157,7 @@ class Files:
         except Unreachable:
             raise
         except (InputError, OSError) as problem:
-            return _Seen([_said(line.geometry, problem)])
+            return _Seen([_without_folder(line.geometry, problem)])
         texts = [
             f"{line.geometry}: {text}" for text in contents.geometry_faults(geometry, line.camera)
         ]
@@ -212,7 +212,7 @@ class Files:
         return self._packed.faults()
 
 
-def _said(relative: str, error: InputError | OSError) -> str:
+def _without_folder(relative: str, error: InputError | OSError) -> str:
     """Return an error about a file, without the folder's own path."""
     if isinstance(error, InputError):
         return f"{relative}: expected {error.expected}, found {error.found}"

@@ -14,7 +14,7 @@ from manifests import ids
 from manifests.materials import Entry, material_hash
 from manifests.schema import Dataset, MaterialEntry, Record, View
 from manifests.splits import split_of
-from manifests.store import geometry_path, image_path
+from manifests.store_paths import geometry_path, image_path
 from manifests.verification.faults import Fault, Line
 from manifests.viewpoints import azimuths_deg
 from manifests.wording import number_of
@@ -106,7 +106,7 @@ class Judge:
                 break
         else:
             fitting = [ids.shot_id(digest, *place) for _, _, digest in group.hashings]
-            self._unfitting(
+            self._note_unfitting(
                 "record",
                 record,
                 line,
@@ -116,15 +116,18 @@ class Judge:
             return []
         self._fit += 1
         if group.differences or hashes is not group.materials:
-            self._differs(
-                "record", record, line, [*group.differences, *self._hashes_differ(record, hashes)]
+            self._note_differences(
+                "record",
+                record,
+                line,
+                [*group.differences, *self._hash_differences(record, hashes)],
             )
         if not group.confirms:
             self._confirm(group, record, hashes)
         geometry = geometry_path(
             ids.geometry_id(record.shape_hash, group.camera, record.viewpoint, render)
         )
-        faults = _misplaced("record", record, line, geometry)
+        faults = _place_faults("record", record, line, geometry)
         if record.image != (image := image_path(record.id)):
             faults.append(
                 Fault(
@@ -143,14 +146,14 @@ class Judge:
             for render in self._renders
         ]
         if view.id not in fitting:
-            self._unfitting("view", view, line, fitting, "render settings in dataset.json")
+            self._note_unfitting("view", view, line, fitting, "render settings in dataset.json")
             return []
         self._fit += 1
-        if differences := self._shape_differs(view, view.segments):
-            self._differs("view", view, line, differences)
+        if differences := self._shape_differences(view, view.segments):
+            self._note_differences("view", view, line, differences)
         else:
             self._confirmed.add(("shapes", view.shape))
-        faults = _misplaced("view", view, line, geometry_path(view.id))
+        faults = _place_faults("view", view, line, geometry_path(view.id))
         return faults
 
     def _new_group(self, key, record):
@@ -171,7 +174,7 @@ class Judge:
             for render in self._renders
             if hashes is not None
         ]
-        differences = self._shape_differs(record, len(record.materials))
+        differences = self._shape_differences(record, len(record.materials))
         light = self.dataset.lights.get(record.light)
         if light is None:
             differences.append(self._no_entry("lights", record.light, record.light_hash))
@@ -186,7 +189,7 @@ class Judge:
         self._groups[key] = group = _Group(camera, materials, hashings, differences)
         return group
 
-    def _shape_differs(self, line, segments):
+    def _shape_differences(self, line, segments):
         """Return the differences between a record or a view and the entry of its shape."""
         here, shape = ("shapes", line.shape), self.dataset.shapes.get(line.shape)
         if shape is None:
@@ -246,7 +249,7 @@ class Judge:
             self._own_hashes[name] = material_hash(label.label, label.mixture)
         return self._own_hashes[name]
 
-    def _hashes_differ(self, record, hashes):
+    def _hash_differences(self, record, hashes):
         """Yield the differences of dataset.json and the hashes with which a record's id fits."""
         for name, own in zip(record.materials, hashes, strict=True):
             entry = self.dataset.materials.get(name)
@@ -255,7 +258,7 @@ class Judge:
             elif entry.hash != own:
                 yield _Difference(("materials", name), "hash", entry.hash, own)
 
-    def _differs(self, kind, line, place, differences):
+    def _note_differences(self, kind, line, place, differences):
         """Remember differences until it is known which side was altered."""
         for difference in differences:
             (of, name), what, by_entry, by_line = difference
@@ -278,12 +281,12 @@ class Judge:
         }
         differing = {
             difference.entry
-            for difference in (*group.differences, *self._hashes_differ(record, hashes))
+            for difference in (*group.differences, *self._hash_differences(record, hashes))
         }
         self._confirmed |= named - differing
         group.confirms = True
 
-    def _unfitting(self, kind, line, place, fitting, needed):
+    def _note_unfitting(self, kind, line, place, fitting, needed):
         """Remember a line whose id is not the hash of its content."""
         text = f"{kind} {line.id}: expected {needed}, found none"
         if fitting:
@@ -312,7 +315,7 @@ class Judge:
                 yield from (fault for fault, _ in result)
             else:
                 doubted.pop(entry, None)
-                yield self._altered(entry, result)
+                yield self._altered_fault(entry, result)
         for (kind, name), many in doubted.items():
             if (kind, name) not in self._confirmed:
                 text = (
@@ -331,7 +334,7 @@ class Judge:
             ]
         return [(kind, name) for kind, name in named if name in getattr(self.dataset, kind)]
 
-    def _altered(self, entry, found):
+    def _altered_fault(self, entry, found):
         """Return the Fault of an entry that no line confirms."""
         (kind, name), (_, what, by_entry, by_line) = entry, found[0][1]
         lines = (
@@ -348,7 +351,7 @@ class Judge:
         return Fault(text, entry=entry)
 
 
-def _misplaced(kind, line, place, geometry):
+def _place_faults(kind, line, place, geometry):
     """Return the faults of where a line's geometry lies and of the azimuth that it states."""
     results = []
     if line.geometry != geometry:

@@ -31,13 +31,13 @@ class Orders:
 
         place  its file and line number
         """
-        if self._asked(line):
+        if self._is_asked(line):
             return
         kind = "record" if isinstance(line, Record) else "view"
         text = f"{kind} {line.id}: expected an order in dataset.json that asks for it, found none"
         self._unasked.append(Fault(text, line.id, place))
 
-    def _asked(self, line):
+    def _is_asked(self, line):
         if isinstance(line, View):
             for index, job in enumerate(self._jobs):
                 if (

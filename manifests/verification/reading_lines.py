@@ -37,13 +37,13 @@ def read_lines(store: Store, kind: str) -> Iterator[tuple[Path, int, Record | Vi
                 yield (
                     path,
                     number,
-                    _decoded(decoder, f"{where}:{number}", kind[:-1], text, (path, number)),
+                    _decode_lines(decoder, f"{where}:{number}", kind[:-1], text, (path, number)),
                 )
         except (InputError, OSError) as problem:
             yield path, 0, Fault(f"{where}: {problem}")
 
 
-def _decoded(decoder, where, what, text, line):
+def _decode_lines(decoder, where, what, text, line):
     if text is None:
         return Fault(str(too_long(where)), line=line)
     if not text.endswith(b"\n"):
@@ -66,7 +66,9 @@ def failure_faults(store: Store) -> Iterator[Fault]:
             continue
         try:
             for number, text in bounded_lines(path):
-                line = _decoded(decoder, f"{path.name}:{number}", "failure", text, (path, number))
+                line = _decode_lines(
+                    decoder, f"{path.name}:{number}", "failure", text, (path, number)
+                )
                 if isinstance(line, Fault):
                     yield line
         except (InputError, OSError) as problem:

@@ -14,7 +14,8 @@ from manifests import materials
 from manifests.errors import InputError
 from manifests.files import write_lines
 from manifests.line_files import bounded_lines
-from manifests.store import LINES, Store, geometry_path, image_path, light_path
+from manifests.store import LINES, Store
+from manifests.store_paths import geometry_path, image_path, light_path
 from manifests.verification.faults import Fault
 from manifests.verification.strays import kind_of
 
@@ -38,7 +39,7 @@ def repair(store: Store, faults: Iterable[Fault]) -> tuple[int, int]:
         lines += count
         unnamed |= {store.folder / relative for relative in named}
     if unnamed:  # a file that a remaining line names stays
-        unnamed -= {store.folder / relative for relative in _named(store)}
+        unnamed -= {store.folder / relative for relative in _named_files(store)}
     unnamed |= _drop_entries(store, {fault.entry for fault in faults if fault.entry})
     return lines, files + sum(_remove(store.folder, path) for path in sorted(unnamed))
 
@@ -70,7 +71,7 @@ def _files_of(line, type_):
     return result | ({record.geometry} if record.geometry == geometry_path(name) else set())
 
 
-def _named(store):
+def _named_files(store):
     """Return every file that the remaining lines name."""
     named = set()
     for kind in LINES:

@@ -35,7 +35,7 @@ def kind_of(path: str | os.PathLike) -> str | None:
 
 def folder_faults(folder: Path) -> Iterator[Fault]:
     """Yield the faults at the top of the folder: links, pipes, devices, no subfolders."""
-    for path in _listed(folder):
+    for path in _list_folder(folder):
         kind = kind_of(path)
         if path.name in KNOWN:
             if kind != "a folder":
@@ -55,14 +55,14 @@ def stray_faults(folder: Path, named: Mapping[str, Collection[str]]) -> Iterator
     for kind, known in named.items():
         yield from _strays(folder, folder / kind, known)
     for kind in LINES:
-        for path in _listed(folder / kind):
+        for path in _list_folder(folder / kind):
             if not path.name.endswith(".jsonl") and kind_of(path) is not None:
                 yield Fault(
                     f"{kind}/{path.name}: expected files *.jsonl, found {kind_of(path)}",
                     file=path,
                     stray=True,
                 )
-    for path in _listed(folder / "partial"):
+    for path in _list_folder(folder / "partial"):
         text = (
             f"partial/{path.name}: expected nothing, found a file half-written by a run that was"
             " killed"
@@ -98,7 +98,7 @@ def _strays(folder, top, known):
             yield Fault(text, file=path, stray=True)
 
 
-def _listed(folder):
+def _list_folder(folder):
     """Return what lies in a folder, in order of name; [] if it is none or cannot be read."""
     if kind_of(folder) != "a folder":
         return []

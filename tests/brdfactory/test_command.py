@@ -51,7 +51,7 @@ def test_help_and_errors_name_commands_as_they_are_typed(capsys, tmp_path):
         assert "python -m learn " not in text
     assert command_line.run(["preview", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
     assert "make one with: brdfactory render JOB" in capsys.readouterr().err
-    assert command_line.reworded("python -m learn.experiments exposure") == (
+    assert command_line.reword("python -m learn.experiments exposure") == (
         "python -m learn.experiments exposure"
     )
 

@@ -119,7 +119,7 @@ def test_refinement_renders_by_the_method_that_is_named(pictures, monkeypatch, t
     words = ["edit", str(files[0]), "--mask", str(files[1]), "--material", "red-fabric"]
     words += [] if method is None else ["--refinement-method", method]
     assert cli.main("learn", "", COMMANDS, [*words, "--out", str(tmp_path / "out")]) == 0
-    assert seen == 2 * [PHOTOGRAPHS.rendered_by(method or "auto")]
+    assert seen == 2 * [PHOTOGRAPHS.with_method(method or "auto")]
     report = json.loads((tmp_path / "out" / "edit.json").read_text())
     assert report["refinement"]["method"] == (method or "auto")
     assert {level["method"] for level in report["refinement"]["levels"]} == {method or "auto"}

@@ -39,7 +39,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.kill_and_resume import compared, recorded
@@ -228,7 +228,7 @@ def main():
     options = parser.parse_args()
     options.out = options.out.resolve()
     options.out.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/clock_jumps.py {words}")
     runs = Runs(options.job.resolve(), options.out, options.blender, options.seed)
     whole = options.out / "whole"

@@ -33,7 +33,7 @@ from factory.execution.run import RunOptions, make_plan
 from factory.execution.worker import STUDIO
 from factory.planning import jobs
 from factory.planning.assets import resolve
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from tests.endurance.lose_nodes import timed
 from tests.support.ray_cluster import started
 from tests.support.tetrahedron import FAKE, ROOT
@@ -121,7 +121,7 @@ def main():
     job, folder = jobs.load(options.job)
     plan = make_plan(job, resolve(job, folder))
     studio = FAKE if options.fake else STUDIO
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/cluster_rate.py {words}")
     report["rounds"] = []
     options.out.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ from factory.planning.assets import resolve
 from manifests import object_store
 from manifests.cached_store import open_store
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.verification import faults_of
 from tests.support import store_servers
 from tests.support.network_faults import KINDS, Proxy
@@ -107,7 +107,7 @@ def main():
     job, folder = jobs.load(options.job)
     plan = make_plan(job, resolve(job, folder))
     run_options = RunOptions(workers=2, threads=1, studio=FAKE)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/cut_off_store.py {words}")
     begun = time.monotonic()
     carry_out(plan, options.out / "whole", run_options)

@@ -26,7 +26,7 @@ from factory.planning.assets import resolve_unread
 from factory.planning.facts import Memory
 from factory.planning.reading import Reading
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.subprocesses import processors
 
 ROUND, ALONG = 100, 150  # vertices; there are two triangles for each
@@ -96,7 +96,7 @@ def main():
     folder = options.out / "data"
     if not (options.resumed and options.kept):
         shutil.rmtree(folder, ignore_errors=True)
-    given = " ".join(map(shortened, sys.argv[1:]))
+    given = " ".join(map(shorten, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/first_picture.py {given}")
     report |= {"meshes": options.meshes, "workers": options.workers}
     if options.resumed and not options.kept:

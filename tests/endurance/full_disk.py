@@ -36,7 +36,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from manifests.store import Store, readable_hash
+from manifests.store import Store
+from manifests.store_paths import readable_hash
 from tests.endurance.full_disk_commands import COMMANDS, STEPS, prepared
 from tests.endurance.kill_and_resume import compared
 

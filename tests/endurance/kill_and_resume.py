@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from manifests.picture_files import read_picture
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 
 # relative to the picture's largest value: two steps of a half, where Cycles' 2e-6 tips a rounding
@@ -131,7 +131,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--catalogue", action="append", default=[])
     options = parser.parse_args()
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/kill_and_resume.py {words}")
     extra = [word for path in options.catalogue for word in ("--catalogue", path)]
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import psutil
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from tests.endurance.kill_and_resume import compared, recorded
 
 
@@ -75,7 +75,7 @@ def main():
         words = ["render", options.job, "--out", str(options.out / name)]
         return [sys.executable, "-m", "factory", *words, "--workers", str(options.workers)]
 
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/kill_workers.py {words}")
     killed = options.out / "killed"
     status, hit, seconds = disturbed(

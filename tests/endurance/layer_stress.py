@@ -22,7 +22,7 @@ import torch
 
 from learn import methods
 from learn.layer import render
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from shaders.dsbrdf import half_angles
 from shaders.envmap import directions
 
@@ -112,7 +112,7 @@ def main():
     )
     parser.add_argument("--view-per-pixel", action="store_true")
     options = parser.parse_args()
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/layer_stress.py {words}")
     for method in options.method:
         start = time.perf_counter()

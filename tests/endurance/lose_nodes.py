@@ -27,7 +27,7 @@ from factory.execution.worker import STUDIO
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support.ray_cluster import STORE, started
@@ -53,7 +53,7 @@ def main():
     job, folder = jobs.load(options.job)
     plan = make_plan(job, resolve(job, folder))
     alone = RunOptions(workers=options.nodes, threads=1, studio=studio)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/lose_nodes.py {words}")
     report |= {"shots": len(plan), "losses": 0, "alone": timed(plan, options.out / "alone", alone)}
     draw = random.Random(options.seed)

@@ -36,7 +36,8 @@ from manifests.schema import (
     Statistics,
 )
 from manifests.splits import SIDES, light_side, role_of
-from manifests.store import Store, geometry_path, image_path, light_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, light_path
 from manifests.verification import Verification
 from manifests.viewpoints import azimuths_deg
 

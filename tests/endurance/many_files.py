@@ -39,8 +39,9 @@ from factory.execution.run import RunOptions, carry_out, make_plan
 from factory.planning import jobs
 from factory.planning.assets import resolve
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
-from manifests.store import Store, geometry_path, image_path
+from manifests.provenance import provenance, shorten
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path
 from tests.support.tetrahedron import FAKE, ROOT
 
 WORKERS, MISSING = 8, 3
@@ -160,7 +161,7 @@ def main():
     options = parser.parse_args()
     data = options.out.resolve() / "data"
     options.out.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/endurance/many_files.py {words}")
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     environment = {"PYTHONPATH": paths}

@@ -24,7 +24,7 @@ import numpy as np
 import psutil
 
 from manifests.files import write_figure, write_json, write_text
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 
 FIRST = 100  # pictures after which memory should not grow
 COLUMNS = ("seconds", "pictures", "memory_mb", "handles", "temporary")
@@ -131,7 +131,7 @@ def main():
     result = {
         **provenance(
             "PYTHONPATH=. python tests/endurance/many_pictures.py "
-            + " ".join(map(shortened, sys.argv[1:]))
+            + " ".join(map(shorten, sys.argv[1:]))
         ),
         "exit_status": status,
         "pictures": sum(1 for _ in (data / "images").rglob("*.exr")),  # the last look is earlier

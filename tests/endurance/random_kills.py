@@ -34,7 +34,7 @@ from pathlib import Path
 import psutil
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.full_disk import drafts
@@ -117,7 +117,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/random_kills.py {words}")
     module = "factory" if options.blender else "tests.support.fake_command"
     environment = os.environ | {

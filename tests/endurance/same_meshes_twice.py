@@ -30,7 +30,7 @@ from factory.planning.jobs import load
 from factory.planning.shape_names import list_sources
 from factory.shapes.catalogue import load as load_mesh
 from manifests.files import write_figure, write_json, write_text
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from tests.endurance.many_pictures import COLUMNS, FIRST, growth, watched
 
@@ -129,7 +129,7 @@ def main():
     if options.out.exists():
         raise SystemExit(f"{options.out}: expected a new folder, found one (name another --out)")
     temporary.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/same_meshes_twice.py {words}")
     job, triangles = doubled(load(options.job)[0], options.out)
     path = options.out / "job.json"

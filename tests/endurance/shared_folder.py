@@ -28,7 +28,7 @@ import time
 from pathlib import Path
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.support.small_machines import SHARE, Network, missing
@@ -176,7 +176,7 @@ def main():
         sys.exit(f"shared_folder.py: expected root, and {', '.join(lacking)}, found none")
     options.out = options.out.resolve()
     options.out.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/shared_folder.py {words}")
     job, whole = options.job.resolve(), options.out / "whole"
     subprocess.run(

@@ -35,7 +35,7 @@ from factory.execution.run import (
 from factory.execution.worker import Chunk, Reply
 from factory.planning import jobs
 from factory.planning.assets import resolve
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.subprocesses import processors
 
@@ -132,7 +132,7 @@ def main():
     parser.add_argument("--workers", type=int, default=640)
     parser.add_argument("--out", help="write the figures into this file too")
     options = parser.parse_args()
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/simulated_cluster.py {words}")
     with open(options.report) as file:
         cost = json.load(file)["presets"][options.preset]["processor"]["kinds"]

@@ -33,7 +33,7 @@ from pathlib import Path
 import psutil
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.full_disk import Disk, bad_records, drafts
@@ -199,7 +199,7 @@ def main():
     options = parser.parse_args()
     options.out = options.out.resolve()
     options.out.mkdir(parents=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/slow_disk.py {words}")
     job = options.job or options.out / "job.json"
     if options.job is None:

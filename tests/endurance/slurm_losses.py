@@ -18,7 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.store import Store
 from manifests.verification import faults_of
 from tests.endurance.kill_and_resume import compared, recorded
@@ -101,7 +101,7 @@ def main():
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     out, job = options.out.resolve(), options.job.resolve()
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/slurm_losses.py {words}")
     out.mkdir(parents=True)
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])

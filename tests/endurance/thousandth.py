@@ -36,7 +36,7 @@ from factory.planning.assets import resolve
 from factory.planning.plan import Plan
 from manifests import files, outputs
 from manifests.line_files import Lines
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.subprocesses import processors
 
 RUN = 30
@@ -150,7 +150,7 @@ def main():
     parser.add_argument("--minutes", type=float, default=1e6, help="end after so many")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    words = " ".join(map(shortened, sys.argv[1:]))
+    words = " ".join(map(shorten, sys.argv[1:]))
     made_by = provenance(f"PYTHONPATH=. python tests/endurance/thousandth.py {words}")
     report = {"made_by": made_by, "presets": {}}
     end = time.monotonic() + 60 * options.minutes

@@ -18,7 +18,8 @@ from manifests.light_files import read_light, read_scale
 from manifests.materials import read_catalogue
 from manifests.picture_files import encode_geometry, read_geometry
 from manifests.schema import Camera, Job
-from manifests.store import Store, file_hash
+from manifests.store import Store
+from manifests.store_paths import file_hash
 from manifests.verification import Verification, faults_of, repair
 from tests.support.tetrahedron import FAKE, ROOT
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from factory.__main__ import COMMANDS
-from factory.planning.material_names import chosen_entries
+from factory.planning.material_names import choose_entries
 from manifests import materials
 from manifests.cli import main
 from manifests.errors import InputError
@@ -259,7 +259,7 @@ def test_written_errors_are_those_of_the_written_numbers(merl):
     """Label against nodes needs no measurement: taken again for a few; four digits are written."""
     from shaders import errors, samples
 
-    s = samples.held_out()
+    s = samples.held_out_samples()
     for name in ("brass", "blue-rubber", "white-fabric", "specular-black-phenolic"):
         m = merl[name]
         result = errors.relative_l1(
@@ -295,7 +295,7 @@ def test_a_name_that_is_not_there_lists_the_closest(merl):
 
 def test_a_job_that_asks_for_an_everyday_word_is_told_what_looks_like_it():
     with pytest.raises(InputError, match="look like leather: natural-209"):
-        chosen_entries(["leather"])
+        choose_entries(["leather"])
 
 
 def test_an_unknown_key_in_a_catalogue_is_refused(tmp_path, own):
@@ -318,26 +318,26 @@ def catalogue_of(folder, name, file):
 def test_two_catalogues_of_one_name_are_refused(tmp_path):
     first, second = (catalogue_of(tmp_path, name, "mine.json") for name in ("felt", "cork"))
     with pytest.raises(InputError, match=r"'mine' of .*felt/mine.json, too .*rename"):
-        chosen_entries(["felt"], [first, second])
-    assert [each.name for each in chosen_entries(["mine"], [first, first])] == ["felt"]
+        choose_entries(["felt"], [first, second])
+    assert [each.name for each in choose_entries(["mine"], [first, first])] == ["felt"]
 
 
 def test_a_name_of_two_different_materials_is_refused_unless_a_set_says_which(tmp_path):
     own = catalogue_of(tmp_path, "chrome", "mine.json")  # another material by a built-in name
     with pytest.raises(InputError, match=r"merl and mine \(name one: .* or mine/chrome\)"):
-        chosen_entries(["chrome"], [own])
-    (mine,) = chosen_entries(["mine/chrome"], [own])
-    (built_in,) = chosen_entries(["chrome"])
+        choose_entries(["chrome"], [own])
+    (mine,) = choose_entries(["mine/chrome"], [own])
+    (built_in,) = choose_entries(["chrome"])
     assert mine.name == built_in.name == "chrome" and mine.hash != built_in.hash
     with pytest.raises(InputError, match="one material of a name"):
-        chosen_entries(["merl/chrome", "mine/chrome"], [own])
+        choose_entries(["merl/chrome", "mine/chrome"], [own])
     # a copy of the built-in one is no other material
     same = materials.read_catalogue(materials.BUILT_IN[0]).materials[0].name
     copy = catalogue_of(tmp_path, same, "copy.json")
-    assert chosen_entries([same], [copy])[0].hash == chosen_entries([same])[0].hash
+    assert choose_entries([same], [copy])[0].hash == choose_entries([same])[0].hash
 
 
 def test_a_catalogue_by_the_name_of_a_data_sets_own_leaves_the_built_in_materials(tmp_path):
     own = catalogue_of(tmp_path, "felt", "materials.json")
-    names = [each.name for each in chosen_entries(["brass", "materials/felt"], [own])]
+    names = [each.name for each in choose_entries(["brass", "materials/felt"], [own])]
     assert names == ["brass", "felt"]

@@ -37,7 +37,7 @@ def test_many_small_nnls_are_solved_as_scipy_solves_them(rng):
 
 
 def test_samples_integrate_the_cosine_over_the_hemisphere():
-    s = samples.held_out()
+    s = samples.held_out_samples()
     # midpoints: coarsest at the horizon, worst at 75° (0.4 %)
     np.testing.assert_allclose(s.measure.sum(1), np.pi, rtol=6e-3)
 
@@ -56,14 +56,16 @@ def test_no_reported_or_checked_view_is_a_stop():
 
 
 def test_the_label_model_is_the_dsbrdf(rng):
-    label = label_model.bounded(rng.normal(size=(3, 3, 2, 6)) + np.array([[-1.0], [2.0]]))
+    label = label_model.clip_to_bounds(rng.normal(size=(3, 3, 2, 6)) + np.array([[-1.0], [2.0]]))
     cos_h, theta_d = rng.uniform(0.1, 1, 50), rng.uniform(0, np.pi / 2, 50)
     result = label_model.values(label, spline.basis(theta_d), np.log(cos_h))
     np.testing.assert_allclose(result, dsbrdf.evaluate(np.exp(label), cos_h, theta_d), rtol=1e-10)
 
 
 def test_the_labels_slopes_are_its_differences(rng):
-    label = label_model.bounded(rng.normal(size=(1, 3, 2, 6)) * 0.5 + np.array([[-1.0], [2.0]]))
+    label = label_model.clip_to_bounds(
+        rng.normal(size=(1, 3, 2, 6)) * 0.5 + np.array([[-1.0], [2.0]])
+    )
     basis, log_c = spline.basis(rng.uniform(0, 1.5, 20)), np.log(rng.uniform(0.2, 0.99, 20))
     _, slope = label_model.slopes(label, basis, log_c)
     for i in range(36):
@@ -140,7 +142,7 @@ def test_a_material_that_a_label_can_hold_is_found_again(fitted_plastic):
 
 
 def test_errors_are_of_the_numbers_that_are_written(fitted_plastic):
-    written = recipe.rounded(fitted_plastic, plastic)
+    written = recipe.round_fit(fitted_plastic, plastic)
     assert written.nodes_vs_label.mean() == pytest.approx(
         fitted_plastic.nodes_vs_label.mean(), abs=2e-4
     )
@@ -207,7 +209,7 @@ def test_a_matte_material_is_given_no_more_closures_than_it_needs():
 
 
 def test_relative_l1_of_a_scaled_material_is_the_scale():
-    s = samples.held_out()
+    s = samples.held_out_samples()
     M = plastic(s.cos_h, s.cos_d)
     np.testing.assert_allclose(errors.relative_l1(1.07 * M, M, s), 0.07, rtol=1e-9)
 
@@ -310,7 +312,7 @@ def test_a_fit_that_fails_leaves_out_those_that_were_not_begun(
 
     names = [str(number) for number in range(24)]
     monkeypatch.setattr(recipe, "fit", fitted)
-    monkeypatch.setattr(recipe, "rounded", lambda fit, _: fit)
+    monkeypatch.setattr(recipe, "round_fit", lambda fit, _: fit)
     monkeypatch.setattr(fitting, "entry", lambda *_: None)
     monkeypatch.setattr(fitting, "write_entry", lambda *_: None)
     worker = {

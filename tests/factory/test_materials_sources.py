@@ -246,7 +246,7 @@ def test_merls_hundred_have_their_families(merl):
 
 
 def test_measurements_are_symmetric_finite_and_not_negative(merl):
-    s = samples.held_out()
+    s = samples.held_out_samples()
     for name in ("chrome", "blue-rubber", "red-fabric"):
         f = merl[name].measured(s.cos_h, s.cos_d)
         assert np.isfinite(f).all() and (f >= 0).all()

@@ -15,7 +15,7 @@ from factory.materials.standard_surface import Approximation, StandardSurface
 from manifests.cli import main
 from manifests.materials import find
 from shaders.mixture import Mixture
-from shaders.samples import Samples, held_out
+from shaders.samples import Samples, held_out_samples
 
 CHOSEN = ("green-latex", "satin_white")
 
@@ -41,7 +41,7 @@ def flux(material, theta_deg):
 
 
 def test_without_layers_it_is_lamberts():
-    samples = held_out()
+    samples = held_out_samples()
     f = surface(specular=0.0).evaluate(*samples.cosines)
     np.testing.assert_allclose(f, np.broadcast_to(np.array([0.4, 0.2, 0.1]) / np.pi, f.shape))
 
@@ -88,7 +88,7 @@ def test_the_fit_gives_back_a_matte_material_and_states_what_it_misses():
     np.testing.assert_allclose(flux(result.material, 30), [0.5, 0.2, 0.1], rtol=0.03)
     assert result.error < 0.03
     mixture = find("green-latex").mixture
-    samples = held_out()
+    samples = held_out_samples()
     result = standard_surface.fit(mixture)
     f, reference = (each.evaluate(*samples.cosines) for each in (result.material, mixture))
     weight = samples.measure[..., None]

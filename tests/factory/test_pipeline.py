@@ -13,7 +13,7 @@ import pytest
 
 from factory.execution.forecast import count_events, probe, probe_shots
 from factory.execution.run import RunOptions, carry_out, make_plan
-from factory.preview.contact_sheet import labelled, stored_light
+from factory.preview.contact_sheet import light_of_record, render_by_labels
 from factory.preview.shading import lights, mirror_sphere, shade
 from manifests.materials import load_catalogue
 from manifests.picture_files import read_geometry, read_picture
@@ -113,8 +113,8 @@ def test_the_stored_light_is_the_one_that_lit_the_picture(made):
             continue
         normals, _, segments, _ = geometry = read_geometry(made.folder / record.geometry)
         mask = geometry.mask
-        light = stored_light(made, dataset, record)
-        label = labelled(
+        light = light_of_record(made, dataset, record)
+        label = render_by_labels(
             record, normals, segments, np.zeros_like(normals), materials, light, np.radians(20.0)
         )
         picture = read_picture(made.folder / record.image)

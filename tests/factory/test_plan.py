@@ -302,7 +302,7 @@ def test_meshes_and_lights_of_options_are_also_looked_for_in_assets(
     render.register(parser.add_subparsers())
     words = "render --out x --material small --light lamp.exr --light city"
     words += " --mesh inner/a.ply?up=z --mesh b.ply --mesh cube --mesh none.ply"
-    job, folder = render.chosen_job(parser.parse_args([*words.split(), "--assets", str(assets)]))
+    job, folder = render.choose_job(parser.parse_args([*words.split(), "--assets", str(assets)]))
     assert job.shapes == (f"{assets}/inner/a.ply?up=z", "b.ply", "cube", "none.ply")
     assert job.lights == (f"{assets}/lamp.exr", "city")
     with pytest.raises(InputError, match=r"none\.ply"):

@@ -41,7 +41,8 @@ import numpy as np
 from manifests import arrays, exr, ids, picture_files
 from manifests.files import npz_bytes
 from manifests.schema import Camera, Job
-from manifests.store import Store, geometry_path, image_path, light_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, light_path
 from shaders.envmap import unit_mean
 from shaders.tone import LUMINANCE
 

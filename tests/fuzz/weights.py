@@ -148,7 +148,7 @@ def prepare(folder: Path) -> None:
         )
     rng = np.random.default_rng(0)
     maps = [np.exp(rng.normal(size=(64, 128, 3))) for _ in range(3)]
-    priors.save(folder / "priors.safetensors", priors.fitted(labels, maps), {"maps": 3})
+    priors.save(folder / "priors.safetensors", priors.fit(labels, maps), {"maps": 3})
     shapes, before = {}, 3
     for number, width in zip(
         features.NUMBERS, (w for block in features.WIDTHS for w in block), strict=True

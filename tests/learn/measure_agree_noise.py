@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from learn.agreement import facets
-from learn.agreement.measure import rendered
+from learn.agreement.measure import render_sample
 from learn.agreement.scenes import scenes
 from learn.data.records import Records
 from learn.metrics.pictures import squared_net_of_noise, standard_error_net_of_noise
@@ -44,7 +44,7 @@ def main() -> None:
         sample = records.load(condition.records[0])
         entries = [records.material(name) for name in condition.records[0].materials]
         layer, forms = (
-            rendered(sample, 4e-3),
+            render_sample(sample, 4e-3),
             facets.closed_forms(sample, [entry.mixture for entry in entries]),
         )
         assert forms is not None

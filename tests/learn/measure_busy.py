@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from manifests.files import write_json
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 
 SPIN = "while True: pass"
 
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--out", type=Path, metavar="DIR")
     options = parser.parse_args()
-    given = " ".join(map(shortened, sys.argv[1:]))
+    given = " ".join(map(shorten, sys.argv[1:]))
     report = provenance(f"PYTHONPATH=. python tests/learn/measure_busy.py {given}".rstrip())
     rows: list[dict[str, object]] = []
     ratios: dict[str, float] = {}

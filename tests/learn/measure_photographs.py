@@ -37,7 +37,7 @@ from learn.figures import html, montage
 from learn.networks import weights
 from learn.refinement import PHOTOGRAPHS
 from manifests import files
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from shaders import tone
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "photographs"
@@ -188,7 +188,7 @@ def main(arguments):
         "refined": settings is not None,
         "materials": list(MATERIALS),
     }
-    words = [shortened(word) for word in sys.argv[1:]]
+    words = [shorten(word) for word in sys.argv[1:]]
     command = " ".join(["python tests/learn/measure_photographs.py", *words])
     kept = arguments.out / "rows"
     kept.mkdir(parents=True, exist_ok=True)

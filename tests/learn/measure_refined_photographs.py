@@ -25,7 +25,7 @@ from learn.layer.display_method import method_for
 from learn.networks import weights
 from learn.refinement import PHOTOGRAPHS
 from manifests import files
-from manifests.provenance import provenance, shortened
+from manifests.provenance import provenance, shorten
 from manifests.training_runs import LAYER_METHODS
 from shaders import tone
 from tests.learn.measure_photographs import MATERIALS, TILE, sources
@@ -39,7 +39,7 @@ def by_method(path, mask, network, size):
     figures, tiles, edits = {}, {}, {}
     for method in LAYER_METHODS:
         began = time.process_time()
-        result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.rendered_by(method))
+        result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.with_method(method))
         seconds = time.process_time() - began
         compositor = Compositor(result, detail=0.25)
         again = compositor.rendered_again()
@@ -107,7 +107,7 @@ def main(arguments):
     known = sources(arguments.root)
     if unknown := [name for name in arguments.names if name not in known]:
         sys.exit(f"expected names of {', '.join(known)}, found {', '.join(unknown)}")
-    words = " ".join(shortened(word) for word in sys.argv[1:])
+    words = " ".join(shorten(word) for word in sys.argv[1:])
     made = provenance(f"python tests/learn/measure_refined_photographs.py {words}")
     rows, sheet = {}, []
     for name in arguments.names:

@@ -90,7 +90,9 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     )
 
     def by(count):
-        return causes.summed(*causes.lobe_samples(sample, m, count), m, brass.mixture, n, view)
+        return causes.sum_difference(
+            *causes.lobe_samples(sample, m, count), m, brass.mixture, n, view
+        )
 
     true = by(65536)
 
@@ -101,7 +103,10 @@ def test_taps_are_added_until_small_lamps_are_seen_alike(rng, monkeypatch):
     assert off(by(1024)) < 0.01
     assert causes.narrow(m) and off(by(64)) > 10 * causes.LARGEST_CHANGE**2
     # the last step's error is below what moved in it
-    assert off(causes.converged(sample, m, brass.mixture, n, view)) < causes.LARGEST_CHANGE**2
+    assert (
+        off(causes.converged_difference(sample, m, brass.mixture, n, view))
+        < causes.LARGEST_CHANGE**2
+    )
 
 
 def test_nodes_that_are_not_the_label_show_as_node_fit(tmp_path, rng):
@@ -181,9 +186,9 @@ def test_limit_keeps_whole_scenes():
             self.records = [None] * count
 
     groups = [[Condition(2), Condition(2)] for _ in range(10)]
-    kept = report.limited(groups, 9)
+    kept = report.limit_scenes(groups, 9)
     assert len(kept) == 2 and all(group in groups for group in kept)
-    assert len(report.limited(groups, 1)) == 1
+    assert len(report.limit_scenes(groups, 1)) == 1
 
 
 def test_inner_pixels_leave_out_silhouette_creases_and_steps():

@@ -87,7 +87,7 @@ def truth(sample, mixtures):
     """What Cycles would render: (H, W, 3), by the closed form at each surface of each pixel."""
     surfaces = (
         (
-            sample.facets.interpolated(sample.n.numpy()),
+            sample.facets.interpolated_normals(sample.n.numpy()),
             sample.facets.normals,
             sample.segments.numpy(),
             1 - sample.facets.share,

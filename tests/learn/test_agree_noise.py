@@ -135,4 +135,4 @@ def test_a_verdict_close_to_the_limit_says_so_and_stays_what_it_is(like, holds, 
     ],
 )
 def test_figures_are_rounded_as_their_error_asks(figure, error, limit, text):
-    assert uncertainty.written(figure, error, limit) == text
+    assert uncertainty.as_text(figure, error, limit) == text

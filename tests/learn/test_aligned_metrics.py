@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from learn.metrics import light_probes
-from learn.metrics.pictures import aligned, display_l2
+from learn.metrics.pictures import display_l2, l2_after_alignments
 from shaders import envmap, frames
 
 ELEVATION = np.radians(20)
@@ -25,27 +25,27 @@ def mask():
 
 @pytest.mark.parametrize("factor", [0.13, 0.8, 3.7])
 def test_a_picture_that_is_only_brighter_has_no_error_after_one_factor(truth, mask, factor):
-    result = aligned(factor * truth, truth, mask)
+    result = l2_after_alignments(factor * truth, truth, mask)
     assert result["l2_one_factor"] < 0.01 and result["l2_three_factors"] < 0.01
     assert result["l2_own_exposure"] < 1e-9
     assert display_l2(factor * truth, truth, mask) > 50
 
 
 def test_a_picture_of_another_colour_needs_three_factors(truth, mask):
-    result = aligned(truth * [0.5, 1.0, 1.6], truth, mask)
+    result = l2_after_alignments(truth * [0.5, 1.0, 1.6], truth, mask)
     assert result["l2_three_factors"] < 0.01 < 100 < result["l2_one_factor"]
     assert result["l2_one_factor"] < display_l2(truth * [0.5, 1.0, 1.6], truth, mask)
 
 
 def test_what_lies_outside_the_mask_moves_no_factor(truth, mask):
     picture = np.where(mask[..., None], 2 * truth, 7.0)
-    assert aligned(picture, truth, mask)["l2_one_factor"] < 0.01
+    assert l2_after_alignments(picture, truth, mask)["l2_one_factor"] < 0.01
 
 
 def test_no_factor_makes_an_edit_worse(rng, truth, mask):
     for _ in range(5):
         picture = rng.random(truth.shape) ** 3
-        result, l2 = aligned(picture, truth, mask), display_l2(picture, truth, mask)
+        result, l2 = l2_after_alignments(picture, truth, mask), display_l2(picture, truth, mask)
         assert result["l2_three_factors"] <= result["l2_one_factor"] <= l2
 
 

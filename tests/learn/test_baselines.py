@@ -12,14 +12,15 @@ import torch
 from learn import baselines
 from learn.baselines import material_swap, posterior, priors
 from learn.data import lights
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.evaluation import baseline_methods as methods
-from learn.evaluation.methods import rendered
+from learn.evaluation.methods import render_by_layer
 from learn.layer import render
 from learn.networks import weights as checkpoint
-from learn.networks.coding import Ranges, compressed
+from learn.networks.coding import Ranges, compress
 from learn.networks.encoder_decoder import EncoderDecoder, radiance
 from learn.networks.separate import Separate
 from learn.training.loop import Training
@@ -77,7 +78,7 @@ def run(network, **losses):
 
 @pytest.fixture(scope="module")
 def known(data_splits):
-    return priors.fitted(list(data_splits["train"].labels.values()), data_splits["train"].maps)
+    return priors.fit(list(data_splits["train"].labels.values()), data_splits["train"].maps)
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +161,7 @@ def test_the_three_networks_share_nothing():
 def test_the_true_target_is_the_layers_picture_in_the_target_material(data_splits):
     pair = material_swap.PairedDataset(data_splits["test"], Data(sharing=2), 4, SIZE, 5)[0]
     for i in range(4):
-        expected = rendered(
+        expected = render_by_layer(
             pair.n[i : i + 1],
             pair.target_label[i],
             pair.light[i : i + 1],
@@ -175,7 +176,7 @@ def test_a_true_edit_has_no_loss(data_splits):
     network = EncoderDecoder(Ranges(torch.zeros(108), torch.ones(108)))
     edited = network(pair.image, pair.mask, pair.target_label)
     code, embedded = network.ranges.code(pair.label), network.ranges.code(pair.target_label)
-    truth = edited._replace(code=code, embedded=embedded, picture=compressed(pair.target))
+    truth = edited._replace(code=code, embedded=embedded, picture=compress(pair.target))
     weights = Losses(material=1, target=20)
     assert (
         max(
@@ -191,7 +192,7 @@ def test_a_true_edit_has_no_loss(data_splits):
 
 def test_radiance_inverts_the_compressed_picture():
     image = torch.tensor([0.0, 1e-3, 0.2, 1.0, 50.0])
-    torch.testing.assert_close(radiance(compressed(image)), image, rtol=1e-5, atol=1e-6)  # float32
+    torch.testing.assert_close(radiance(compress(image)), image, rtol=1e-5, atol=1e-6)  # float32
 
 
 def test_the_wanted_material_changes_the_edit(data_splits, batch):
@@ -217,9 +218,9 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
     dark = replace(batch, image=picture, label=label)
     result = posterior.estimate(dark, known)
     assert result.after < 0.2 * result.before
-    again = rendered(dark.n, result.label[0], result.light, dark)
+    again = render_by_layer(dark.n, result.label[0], result.light, dark)
     start = posterior.Posterior(dark, known).start()
-    first = rendered(
+    first = render_by_layer(
         dark.n, known.label(start[0]).float(), known.light(start[1], 64, 128).float(), dark
     )
     seen, inside = picture[0].movedim(0, -1).numpy(), dark.mask[0, 0].numpy() > 0
@@ -230,7 +231,7 @@ def test_an_estimate_ends_below_its_start_and_nearer_to_the_pictures_brightness(
 
 def test_an_estimate_that_went_astray_is_not_taken(batch, known, monkeypatch):
     far = lambda posterior, point, *_: tuple(part + 30 for part in point)  # noqa: E731
-    monkeypatch.setattr(posterior, "lowered", far)
+    monkeypatch.setattr(posterior, "descend_from", far)
     result = posterior.estimate(batch, known)
     assert result.after == result.before
 
@@ -263,7 +264,7 @@ def test_a_picture_of_another_size_is_seen_at_the_networks_own(folder, data_spli
         name: getattr(batch, name).repeat_interleave(2, -1).repeat_interleave(2, -2)
         for name in ("image", "mask", "n", "segments")
     }
-    result = methods.predicting(net, SIZE)(replace(batch, **double))
+    result = methods.make_predictor_at_size(net, SIZE)(replace(batch, **double))
     torch.testing.assert_close(result.light, method.parts(batch).light)
     assert result.n.shape == (1, 3, 2 * SIZE, 2 * SIZE)
     torch.testing.assert_close(result.n.norm(dim=1), torch.ones(1, 2 * SIZE, 2 * SIZE))

@@ -9,7 +9,7 @@ import torch
 from learn.editing import brightness, decomposition, light_colour, targets
 from learn.editing.compositor import Compositor
 from learn.editing.edit import EditOptions, compute
-from learn.evaluation.methods import AsEdited, Layered, rendered
+from learn.evaluation.methods import AsEdited, Layered, render_by_layer
 from learn.layer import predictions
 from learn.layer.albedo import narrow_share
 from manifests.errors import InputError
@@ -134,7 +134,7 @@ def test_the_row_as_edited_has_the_corrections_of_edit() -> None:
     assert torch.equal(corrected.parts(result.batch).light, right.light)
     assert not torch.equal(right.light, read.light)
     target = torch.from_numpy(metal)[None]
-    shown = rendered(right.n, target, right.light, result.batch)
+    shown = render_by_layer(right.n, target, right.light, result.batch)
     assert shown.max() > 0
     np.testing.assert_allclose(
         corrected.edit(result.batch, target), brightness.factor(metal) * shown, rtol=1e-5

@@ -20,7 +20,7 @@ def test_white_is_marked_by_channel_and_through_resizing() -> None:
     display[8:16, 8:16, 0] = 255
     display[16:20, 8:16, 1] = photographs.NEAR_WHITE - 1
     radiance = photographs._linear(display / 255)
-    clipped = photographs.saturated(radiance)
+    clipped = photographs.find_saturated(radiance)
     assert clipped.sum() == 64
     assert clipped[8:16, 8:16, 0].all()
     mask = np.zeros((32, 32), bool)

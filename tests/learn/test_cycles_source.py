@@ -12,9 +12,10 @@ import pytest
 import torch
 
 from learn.data import preflight, sources
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
 from learn.data.records import Records
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.settings import Data, Losses, Run
 from learn.training import losses, validation

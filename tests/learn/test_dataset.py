@@ -15,7 +15,8 @@ from learn.evaluation import ladder, run
 from learn.layer import render
 from manifests.errors import InputError
 from manifests.line_files import Lines
-from manifests.store import Store, file_hash
+from manifests.store import Store
+from manifests.store_paths import file_hash
 from tests.support import synthetic
 
 

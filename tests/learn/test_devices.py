@@ -15,9 +15,9 @@ import torch.nn.functional as F
 from learn.__main__ import COMMANDS
 from learn.data import devices, lights
 from learn.data.batch import ExampleBatch
+from learn.data.data_split import DataSplit
 from learn.data.framing import Framed
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit
 from learn.data.settings import Data, Run, Schedule
 from learn.editing import compositor, decomposition, photograph
 from learn.figures import spheres

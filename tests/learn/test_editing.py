@@ -504,7 +504,7 @@ def test_the_observed_reflectance_map_of_a_ball_is_its_picture():
 
 def test_pictures_in_groups_are_all_there_and_none_alone():
     for count in range(2, 20):
-        groups = transfer_grids.grouped(list(range(count)), 6)
+        groups = transfer_grids.group_pictures(list(range(count)), 6)
         assert sorted(chain(*groups)) == list(range(count)) and all(
             2 <= len(group) <= 6 for group in groups
         )

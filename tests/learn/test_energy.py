@@ -17,7 +17,7 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import DARK, FAINT, Energy, explained
+from learn.refinement.energy import DARK, FAINT, Energy, explained_weights
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -93,7 +93,7 @@ def test_the_energy_of_a_displaced_state_is_what_it_is_by_hand(monkeypatch):
         + 5 * expected["material"]
     )
     settings = replace(RefinementSettings(), a=2.0, b=3.0, b_colour=7.0, c=5.0)
-    result = Energy(batch, start, settings).finest(moved)
+    result = Energy(batch, start, settings).terms_of_all_pixels(moved)
     assert result == pytest.approx(expected, rel=1e-5)  # float32
 
 
@@ -105,13 +105,13 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     share = half * (red.norm() + DARK) / (1 - half**2) ** 0.5 / (off.norm() + DARK)
     image = torch.stack([red, red, 0.3 * red, red + 0.4, off, blue, blue, blue, red])
     regions = torch.tensor([1, 1, 1, 1, 1, 2, 2, 2, 2])
-    weights = explained(image, regions, half).numpy()
+    weights = explained_weights(image, regions, half).numpy()
     assert weights[:4] == pytest.approx(1) and weights[5:8] == pytest.approx(1)
     assert weights[4] == pytest.approx(float(1 / (1 + (share / half) ** 2)), rel=1e-4)
     assert weights[4] == pytest.approx(0.5, abs=0.01) and weights[8] < 0.05
-    alike = explained(image, torch.ones(9, dtype=torch.long), half).numpy()
+    alike = explained_weights(image, torch.ones(9, dtype=torch.long), half).numpy()
     assert (alike[5:8] < 0.05).all() and alike[8] > 0.5  # of one region, about red
-    grey = explained(torch.full((5, 3), 0.4) + 0.01 * torch.eye(5, 3), torch.ones(5), half)
+    grey = explained_weights(torch.full((5, 3), 0.4) + 0.01 * torch.eye(5, 3), torch.ones(5), half)
     assert (grey > 0.95).all()
 
 
@@ -119,10 +119,10 @@ def test_clipped_pixels_are_no_print_and_say_nothing_of_the_objects_colour():
     orange = torch.tensor([1.0, 0.45, 0.08])
     image = torch.stack([0.5 * orange, 0.6 * orange, *[(2 * orange).clamp(max=1)] * 5])
     regions, clipped = torch.ones(7, dtype=torch.long), torch.tensor([0.0, 0.0] + 5 * [1.0])
-    assert explained(image, regions, 0.1, clipped).numpy() == pytest.approx(1, abs=1e-3)
-    assert (explained(image, regions, 0.1)[:2] < 0.5).all()  # as if not known to be clipped
-    partly = explained(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 0.5]))
-    whole = explained(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 1e-9]))
+    assert explained_weights(image, regions, 0.1, clipped).numpy() == pytest.approx(1, abs=1e-3)
+    assert (explained_weights(image, regions, 0.1)[:2] < 0.5).all()  # as if not known to be clipped
+    partly = explained_weights(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 0.5]))
+    whole = explained_weights(image[1:3], regions[:2], 0.1, torch.tensor([0.0, 1e-9]))
     assert float(partly[1]) == pytest.approx(0.5 + float(whole[1]) / 2, rel=1e-4)
 
 
@@ -131,7 +131,7 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
 ):
     lamplight, daylight = torch.tensor([0.5, 0.42, 0.33]), torch.tensor([0.3, 0.36, 0.45])
     image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
-    weights = explained(image, torch.ones(100), 0.1)
+    weights = explained_weights(image, torch.ones(100), 0.1)
     report = (root / "docs" / "refinement.md").read_text(encoding="utf-8")
     assert f"a grey one in lamplight and daylight {float(weights[-1]):.2f}." in report
     assert float(weights[0]) == pytest.approx(1)
@@ -140,7 +140,7 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
 def test_grey_and_black_regions_count_whole():
     image = torch.cat([torch.full((4, 3), 0.4), torch.zeros(4, 3)])
     regions = torch.tensor([1] * 4 + [2] * 4)
-    assert explained(image, regions, 0.1).numpy() == pytest.approx(1)
+    assert explained_weights(image, regions, 0.1).numpy() == pytest.approx(1)
 
 
 @pytest.mark.parametrize(("gamma", "least", "most"), [(0.5, 0.0, 0.15), (3000.0, 0.95, 1.0)])

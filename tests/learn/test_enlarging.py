@@ -42,10 +42,14 @@ def test_a_joint_bilateral_enlargement_keeps_a_constant(rng):
 def test_a_guided_enlargement_of_what_is_linear_in_the_guide_is_linear_in_the_photograph(rng):
     guide_low = rng.random((16, 16)).astype(np.float32)
     guide = np.repeat(np.repeat(guide_low, 4, 0), 4, 1)
-    result = upsampling_strategies.guided(2.0 * guide_low[..., None] + 0.5, guide_low, guide)
+    result = upsampling_strategies.upsample_guided(
+        2.0 * guide_low[..., None] + 0.5, guide_low, guide
+    )
     # FLAT against a variance of 1/12
     assert np.abs(result[..., 0] - (2.0 * guide + 0.5)).max() < 0.06
-    still = upsampling_strategies.guided(np.full((16, 16, 1), 0.3, np.float32), guide_low, guide)
+    still = upsampling_strategies.upsample_guided(
+        np.full((16, 16, 1), 0.3, np.float32), guide_low, guide
+    )
     np.testing.assert_allclose(still, 0.3, atol=1e-5)
 
 
@@ -86,8 +90,8 @@ def test_the_table_compares_with_the_way_in_use_on_the_same_edits():
 
 def test_the_truth_itself_has_no_error(rng):
     picture, mask = rng.random((20, 20, 3)), np.ones((20, 20), bool)
-    assert upsampling_comparison.compared(picture, picture, mask) == {
+    assert upsampling_comparison.compare_pictures(picture, picture, mask) == {
         "l2": 0,
         "ssim": pytest.approx(1),
     }
-    assert upsampling_comparison.compared(picture * 0.5, picture, mask)["l2"] > 100
+    assert upsampling_comparison.compare_pictures(picture * 0.5, picture, mask)["l2"] > 100

@@ -187,7 +187,7 @@ def told_the_truth(net):
 
 
 def test_truth_in_the_tables_say_so(options, monkeypatch):
-    monkeypatch.setattr(methods, "network", told_the_truth)
+    monkeypatch.setattr(methods, "make_predictor", told_the_truth)
     tables = run.make(options)["tables"]
     edits = {row["name"]: row["cells"] for row in tables["edits"]["rows"]}
     displayed = {row["name"]: row["cells"] for row in tables["displayed"]["rows"]}

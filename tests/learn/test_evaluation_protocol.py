@@ -26,7 +26,7 @@ from learn.networks.prediction import Prediction
 from learn.networks.separate import Separate
 from learn.networks.weights import save_weights
 from learn.refinement import RefinementResult, RefinementSettings
-from learn.refinement.coordinates import disk, hemisphere
+from learn.refinement.coordinates import disk_from_normals, normals_from_disk
 from learn.refinement.settings import Level
 from manifests import outputs
 from manifests.errors import InputError
@@ -139,7 +139,7 @@ def finished(data, weights, others, tmp_path_factory):
 
 def figures(n, label, light, batch):
     return metrics.compare(
-        methods.rendered(n, label, light, batch),
+        methods.render_by_layer(n, label, light, batch),
         batch.image[0].movedim(0, -1).numpy(),
         batch.segments[0].numpy() > 0,
     )
@@ -169,7 +169,9 @@ def test_a_refinement_that_is_given_true_normals_keeps_them(finished):
     batch, start, refined = finished.refined[2]
     assert torch.equal(start.n, batch.n)
     inside = batch.segments > 0
-    kept = hemisphere(disk(batch.n, inside))  # off the rim, as all of refinement's normals are
+    kept = normals_from_disk(
+        disk_from_normals(batch.n, inside)
+    )  # off the rim, as all of refinement's normals are
     np.testing.assert_allclose(
         refined.prediction.n.movedim(1, -1)[inside], kept.movedim(1, -1)[inside], atol=1e-6
     )
@@ -187,7 +189,7 @@ def test_a_refined_row_is_what_refinement_makes_of_that_methods_prediction(finis
     records = Records(finished.options.data)
     (edit,) = pairs.choose_edits(records.records, 1, 0)
     mask = batch.segments[0].numpy() > 0
-    picture = methods.rendered(p.n, pairs.target_label(records, edit), p.light, batch)
+    picture = methods.render_by_layer(p.n, pairs.target_label(records, edit), p.light, batch)
     expected = metrics.compare(picture, records.image(edit.truth) * mask[..., None], mask)
     message = finished.edit["methods"]
     assert {key: message[f"{name}, refined"][key] for key in expected} == expected

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset, gloss
+from learn.data.data_split import DataSplit, gloss
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run, Schedule
 from learn.evaluation import model_card
 from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants
@@ -37,7 +38,7 @@ def data_splits(tmp_path_factory):
 
 
 def result(l2, seed=0):
-    """A result of `variants.trained` on 6 shapes × 4 materials."""
+    """A result of `variants.train_and_measure` on 6 shapes × 4 materials."""
     rng = np.random.default_rng(seed)
     groups = [{"shape": f"s{i}", "material": f"m{j}"} for i in range(6) for j in range(4)]
     rows = [
@@ -68,24 +69,24 @@ def test_pictures_like_the_truth_have_no_l2_and_the_frame_dilutes_the_rest():
     truth = np.zeros((16, 16, 3))
     truth[4:12, 4:12] = 0.5
     mask = truth[..., 0] > 0
-    assert variants._compared(truth, truth, mask) == pytest.approx(
+    assert variants._compare(truth, truth, mask) == pytest.approx(
         {"l2": 0, "l2_frame": 0, "ssim": 1}
     )
-    results = variants._compared(truth * 0.9, truth, mask)
+    results = variants._compare(truth * 0.9, truth, mask)
     assert results["l2"] > 0
     assert results["l2_frame"] == pytest.approx(results["l2"] / 4)
 
 
 def test_a_variant_ends_by_its_clock_and_is_not_trained_again(data_splits, tmp_path):
     run = layer_ablation.settings("normals", "combined", Data(sharing=2), SIZE, 0.4, seed=1)
-    tests = variants.held_out(data_splits, run.data, SIZE, 1)
-    results = variants.trained(run, data_splits, tests, tmp_path, workers=0)
+    tests = variants.held_out_batches(data_splits, run.data, SIZE, 1)
+    results = variants.train_and_measure(run, data_splits, tests, tmp_path, workers=0)
     assert results["seconds"] >= 0.4
     assert 1 <= results["steps"] < 100  # of a million that it may make
     assert {"l2", "l2_frame", "ssim", "angle_deg", "cosine"} <= set(results["rows"][0])
     assert len(results["rows"]) == variants.BATCH
     assert not (tmp_path / "checkpoint.safetensors").exists()
-    assert variants.trained(run, None, None, tmp_path) == results
+    assert variants.train_and_measure(run, None, None, tmp_path) == results
 
 
 def test_a_report_has_every_variant_with_its_interval():
@@ -119,7 +120,7 @@ def test_normals_have_a_table_and_a_chart():
 
 def test_fewer_shapes_than_a_variant_asks_for_are_told(data_splits):
     with pytest.raises(InputError, match="expected 60 training shapes, found 1"):
-        normals_ablation._limited(data_splits, 60)
+        normals_ablation._limit_shapes(data_splits, 60)
 
 
 def test_every_variant_is_a_run_that_can_be_read_back():

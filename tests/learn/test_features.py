@@ -129,7 +129,7 @@ def test_boxes_hold_every_object_and_are_of_one_size():
     inside[0, 0, 3:20, 40:60] = True
     inside[1, 0, 30:40, 0:12] = True
     pictures = torch.rand(2, 3, 64, 64) * inside
-    result = losses.boxed(pictures, inside)
+    result = losses.cut_boxes(pictures, inside)
     assert result[0].shape == result[1].shape
     assert result[0].shape[1] < 64
     for cut, picture in zip(result, pictures, strict=True):

@@ -37,7 +37,7 @@ def test_quadrature_is_within_a_hundredth_of_the_integral_where_the_sum_is_not()
     """γ = 3e4, a lobe of a quarter of a texel; and at γ = 1, where both are the same sum, both
     are.
     """
-    narrow, broad = converged_integrals.compared(1e-2, 1, gammas=(3e4, 1.0), size=32)
+    narrow, broad = converged_integrals.compare_lobes(1e-2, 1, gammas=(3e4, 1.0), size=32)
     assert narrow["converged to"] <= 2e-3
     assert narrow["quadrature"]["error"] <= 1e-2 < 0.1 < narrow["exact"]["error"]
     assert broad["quadrature"]["error"] == broad["exact"]["error"] <= 3e-3

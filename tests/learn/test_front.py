@@ -113,8 +113,8 @@ def test_plain_torch_is_compared_with_the_sum_and_its_time_is_scaled_to_all_pixe
         24,
     )
     batch, _ = case.batch()
-    monkeypatch.setattr(torch_rival, "_clocked", lambda work: (1.0, work()))
-    timed = torch_rival.timed(eager_sum.tuned, batch)
+    monkeypatch.setattr(torch_rival, "_time_once", lambda work: (1.0, work()))
+    timed = torch_rival.time_formula(eager_sum.tune, batch)
     assert timed.seconds == timed.forward == len(batch.n) / len(timed.pick)
     errors = chart_measurement.truth_at(batch, timed.pick).errors(timed.radiance.numpy())
     assert errors["error"] < 1e-5 < errors["integral"]
@@ -138,7 +138,7 @@ def test_a_renewed_report_has_the_new_rows_of_the_methods_and_the_old_ones_of_al
             if methods is None or each.method in methods
         ]
 
-    monkeypatch.setattr(chart_measurement, "measured", measured)
+    monkeypatch.setattr(chart_measurement, "measure_rows", measured)
     monkeypatch.setattr(chart_drawing, "chart", lambda report: None)  # which takes seconds
     words = ["--size", "8", "--material", "chrome", "--light", "sky", "--further", "cube"]
 

@@ -465,7 +465,7 @@ def test_errors_are_those_of_the_stored_codes(made):
     page, light = Page(made.text), made.result.decomposition.parts.light
     _, n = interactive.picture_data(made.compositor, Chunks())
     scene = interactive.make_scene(made.compositor, light)
-    checked = interactive.checked_of(n)
+    checked = interactive.normals_to_check(n)
     for name in CHOSEN:
         read = store.interpolated(page.values(0, name), checked)
         label = label_of(name)[0]

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from learn.data import lights, patterns, settings, shadows
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
 from learn.data.label_augmentation import LabelAugmentation, in_order, principled_label
-from learn.data.relit import BRIGHTEST, DataSplit, RelitDataset
+from learn.data.relit import BRIGHTEST, RelitDataset
 from learn.data.settings import Data, Run
 from learn.layer import render
 from manifests.errors import InputError
@@ -82,7 +83,7 @@ def test_drawn_labels_lie_in_the_range_of_the_training_labels_and_in_order(kind,
     rng, names = np.random.default_rng(3), sorted(data_split.labels)
     for i in range(60):
         name = names[i % len(names)]
-        _, label = source.drawn(rng, name, data_split.labels[name], names)
+        _, label = source.draw(rng, name, data_split.labels[name], names)
         channels = label.reshape(3, 36)
         assert label.dtype == np.float32
         assert (channels >= known.min(0)).all()
@@ -103,7 +104,7 @@ def test_materials_come_in_the_shares_that_a_run_asks_for(data_split):
     source = LabelAugmentation(data_split.labels, data, 1)
     rng, name = np.random.default_rng(0), sorted(data_split.labels)[0]
     drawn = [
-        source.drawn(rng, name, data_split.labels[name], sorted(data_split.labels))[0]
+        source.draw(rng, name, data_split.labels[name], sorted(data_split.labels))[0]
         for _ in range(500)
     ]
     shares = [sum(each.startswith(kind) for each in drawn) / 500 for kind in ("mixture", "scaled")]

@@ -23,7 +23,7 @@ from learn.evaluation import (
     ladder_report,
 )
 from learn.evaluation.ladder_design import OWN_GROUP, PARTS, RUNGS
-from learn.metrics.pictures import aligned, display_l2
+from learn.metrics.pictures import display_l2, l2_after_alignments
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.weights import save_weights
@@ -254,7 +254,7 @@ def test_a_png_clips_and_rounds_and_nothing_else():
 def test_pictures_of_rungs(data, job, small):
     records = Records(data)
     scene = ladder_design.scenes(records.records, job)[0]
-    by_name = {rung.name: ladder_pictures.shown(records, scene, rung, SIZE) for rung in RUNGS}
+    by_name = {rung.name: ladder_pictures.load_scene(records, scene, rung, SIZE) for rung in RUNGS}
     direct, eight_bit, camera = (by_name[name] for name in ("direct", "8-bit", "camera"))
     assert torch.equal(direct.batch.image, by_name["full"].batch.image) and direct.exposure == 1
     for picture in by_name.values():
@@ -277,7 +277,7 @@ def test_pictures_of_rungs(data, job, small):
 def test_alignment_is_free_of_exposure():
     rng = np.random.default_rng(4)
     truth, mask = rng.uniform(0.01, 1, (8, 8, 3)), np.ones((8, 8), bool)
-    one_factor = lambda picture: aligned(picture, truth, mask)["l2_one_factor"]  # noqa: E731
+    one_factor = lambda picture: l2_after_alignments(picture, truth, mask)["l2_one_factor"]  # noqa: E731
     assert one_factor(3.7 * truth) < 0.05
     other = rng.uniform(0.01, 1, (8, 8, 3))
     least = one_factor(other)
@@ -378,7 +378,7 @@ def test_other_settings_are_refused(options, monkeypatch):
 def test_targets_count_as_tested(data, job, small):
     records = Records(data)
     scenes = ladder_design.scenes(records.records, job)
-    result = ladder.tested(records, scenes)
+    result = ladder.list_tested(records, scenes)
     assert set(result["materials"].values()) == set(ALBEDOS)
     assert set(result["lights"].values()) == {"sky"} and SHAPE[:16] in result["shapes"]
 

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from learn.data.batch import ExampleBatch
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, decode_run
 from learn.layer import render
 from learn.networks.prediction import Prediction
@@ -60,19 +61,19 @@ def start_of(batch, truth):
 
 def test_settings_by_a_method_differ_in_that_method_alone():
     for settings in (RefinementSettings(), PHOTOGRAPHS):
-        assert settings.rendered_by("auto") == settings
-        by = settings.rendered_by("quadrature")
+        assert settings.with_method("auto") == settings
+        by = settings.with_method("quadrature")
         assert [by.method, *(level.method for level in by.levels)] == 3 * ["quadrature"]
-        assert by.rendered_by("auto") == settings
+        assert by.with_method("auto") == settings
 
 
 def test_the_energy_of_the_truth_is_least_by_the_method_that_made_the_picture(scene):
     batch, truth = scene
     state = start_of(batch, truth)
     image = {
-        method: Energy(batch, state, RefinementSettings().rendered_by(method)).finest(state)[
-            "image"
-        ]
+        method: Energy(batch, state, RefinementSettings().with_method(method)).terms_of_all_pixels(
+            state
+        )["image"]
         for method in LAYER_METHODS
     }
     assert image["quadrature"] < 1e-5 < 1e-3 < image["auto"]
@@ -84,7 +85,7 @@ def test_glossy_objects_are_refined_by_the_integral(scene, gamma):
     batch, truth = scene
     label = torch.tensor(glossy(gamma=gamma).label).reshape(1, 1, 108).float()
     start = truth._replace(label=label, light=0.7 * truth.light)
-    settings = RefinementSettings().rendered_by("quadrature")
+    settings = RefinementSettings().with_method("quadrature")
     levels = tuple(replace(each, rounds=0, joint_iterations=3) for each in settings.levels)
     result = refine(batch, start, replace(settings, levels=levels, outer_iterations=1))
     assert result.after["total"] < 0.8 * result.before["total"]

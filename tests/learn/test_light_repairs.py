@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule, read_run
 from learn.experiments import light_repairs, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches
@@ -53,7 +54,7 @@ def test_every_variant_trains_the_light_alone_and_undoes_one_repair(data_splits,
     for name, variant in VARIANTS.items():
         run = light_repairs.settings(name, RUN, options())
         make = objective_training.maker(kept, True, variant.of_luminance)
-        result = variants.trained(
+        result = variants.train_and_measure(
             run, data_splits, tested, tmp_path / name, 0, make, light_repairs.rows
         )
         lines = (tmp_path / name / "log.jsonl").read_text().splitlines()

@@ -200,7 +200,7 @@ def test_a_damaged_material_stops_a_run_or_is_left_out_and_told(tmp_path, entrie
 def test_priors_of_one_grey_material_hold_that_material_alone(rng):
     # the three channels alike: nothing spreads
     grey = np.tile(np.linspace(-1.0, 0.0, 36, dtype=np.float32), 3)
-    fitted = priors.fitted([grey], [lights.draw_computed(rng).astype(np.float32)])
+    fitted = priors.fit([grey], [lights.draw_computed(rng).astype(np.float32)])
     assert all(part.isfinite().all() for part in vars(fitted).values())
     z = torch.ones(1, len(fitted.directions), dtype=torch.float64)
     np.testing.assert_allclose(fitted.label(z)[0], grey, atol=1e-12)  # float64

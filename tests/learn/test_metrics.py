@@ -270,8 +270,7 @@ def test_pictures_are_scaled_for_lpips_as_its_package_scales_them():
     .448, .450).
     """
     black, white = (
-        perceptual.prepared(np.full((1, 1, 3), value))[0, :, 0, 0].tolist()
-        for value in (0.0, 255.0)
+        perceptual.prepare(np.full((1, 1, 3), value))[0, :, 0, 0].tolist() for value in (0.0, 255.0)
     )
     np.testing.assert_allclose(black, [-0.97 / 0.458, -0.912 / 0.448, -0.812 / 0.450], rtol=1e-5)
     np.testing.assert_allclose(white, [1.03 / 0.458, 1.088 / 0.448, 1.188 / 0.450], rtol=1e-5)

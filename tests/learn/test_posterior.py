@@ -18,7 +18,7 @@ from learn.data.settings import Data, Run
 from learn.evaluation import baseline_methods as methods
 from learn.layer import predictions
 from learn.networks import weights
-from learn.networks.coding import compressed
+from learn.networks.coding import compress
 from learn.networks.encoder_decoder import Edited
 
 SIZE, HARMONICS = 16, (priors.DEGREE + 1) ** 2
@@ -66,7 +66,7 @@ def test_a_posterior_adds_the_pictures_misfit_and_both_priors(batch, monkeypatch
 
 def test_baseline_1_draws_each_region_in_its_own_material(batch):
     def flatly(image, mask, target):
-        return Edited(None, None, None, compressed(target[0, 0, 0]).expand(image.shape))
+        return Edited(None, None, None, compress(target[0, 0, 0]).expand(image.shape))
 
     label = torch.tensor([0.2, 0.7])[:, None].expand(2, 108)
     picture = methods.Swapped("Baseline 1", flatly, SIZE).edit(batch, label)
@@ -92,28 +92,31 @@ def options(tmp_path):
 
 def test_a_preset_holds_out_the_lights_that_other_weights_held_out(options):
     preset = Run(name="baseline", data=Data(sharing=2, validation_lights=("lawn",)))
-    run = making.resolved(preset, options)
+    run = making.resolve_preset(preset, options)
     assert run.data == Data(sharing=2, validation_lights=("sky",), test_lights=("room",))
     assert run.schedule.steps == 7
-    assert making.resolved(preset, SimpleNamespace(like=None, steps=None, materials=None)) == preset
+    assert (
+        making.resolve_preset(preset, SimpleNamespace(like=None, steps=None, materials=None))
+        == preset
+    )
 
 
 def test_baselines_draw_from_the_materials_of_the_weights_they_are_like(options):
-    assert making.held_out(options, Data(materials="built-in")).materials == "dataset"
+    assert making.hold_out(options, Data(materials="built-in")).materials == "dataset"
     options.materials = "built-in"  # as --materials asks
-    assert making.held_out(options, Data()).materials == "built-in"
+    assert making.hold_out(options, Data()).materials == "built-in"
     # a run of version 1, which could not choose
     options.materials, options.like = None, TABLE_WEIGHTS
-    assert making.held_out(options, Data()).materials == "built-in"
+    assert making.hold_out(options, Data()).materials == "built-in"
     options.like = None
-    assert making.held_out(options, Data()).materials == "dataset"
+    assert making.hold_out(options, Data()).materials == "dataset"
 
 
 def test_baselines_have_the_measured_lights_of_the_weights_they_are_like(options):
-    assert not making.held_out(options, Data()).measured_lights
-    assert making.held_out(options, Data(measured_lights=True)).measured_lights
+    assert not making.hold_out(options, Data()).measured_lights
+    assert making.hold_out(options, Data(measured_lights=True)).measured_lights
     options.like = EDITING_WEIGHTS  # its run draws from them, and names them as held out
-    assert making.held_out(options, Data()).measured_lights
+    assert making.hold_out(options, Data()).measured_lights
 
 
 def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(

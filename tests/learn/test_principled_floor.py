@@ -6,13 +6,13 @@ import pytest
 from learn.experiments import principled_fit as experiment
 from shaders import principled_fit
 from shaders.principled import PrincipledMaterial, ggx, lambert
-from shaders.samples import held_out
+from shaders.samples import held_out_samples
 
 COAT = PrincipledMaterial((0.9, 0.9, 0.9), roughness=0.6, coat=1.0, coat_roughness=0.3)
 
 
 def test_a_matte_material_is_a_function_of_both_angles_and_a_coated_one_is_not():
-    samples = held_out()
+    samples = held_out_samples()
     assert experiment.least_error(lambert((0.7, 0.3, 0.1)), samples) < 1e-3
     least = experiment.least_error(COAT, samples)
     assert 2e-3 < least < principled_fit.fit(COAT).error
@@ -20,7 +20,7 @@ def test_a_matte_material_is_a_function_of_both_angles_and_a_coated_one_is_not()
 
 def test_smooth_metals_leave_error_to_the_lobes_and_hardly_any_to_the_angles():
     metal = ggx(0.8, 0.1)
-    assert experiment.least_error(metal, held_out()) < 0.3 * principled_fit.fit(metal).error
+    assert experiment.least_error(metal, held_out_samples()) < 0.3 * principled_fit.fit(metal).error
 
 
 def test_a_quantiles_interval_holds_it_and_narrows_with_materials():

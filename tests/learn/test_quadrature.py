@@ -266,7 +266,7 @@ def test_taps_cover_the_hemisphere_and_follow_the_lobes():
 
 def test_lobes_without_reflection_cost_nothing_and_change_nothing():
     m = scene(1e4)["material"].reshape(1, 3, 3, 2, 6)
-    kept = quadrature.keep(m, torch.zeros(1, 3, 3, dtype=torch.bool))
+    kept = quadrature.keep_lobes(m, torch.zeros(1, 3, 3, dtype=torch.bool))
     assert (kept[..., 0, :] == 0).all()
     one = scene(1e4)
     torch.testing.assert_close(

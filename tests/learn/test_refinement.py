@@ -175,7 +175,7 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     batch, truth = scene
     start = perturbed(truth, 1)
     once = refine(batch, start, replace(QUICK, outer_iterations=1))
-    plain, calls = descent.outer_iteration, []
+    plain, calls = descent.run_outer_iteration, []
 
     def lost(batch, state, *rest):
         calls.append(state)
@@ -186,7 +186,7 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
             else (result, report)
         )
 
-    monkeypatch.setattr(descent, "outer_iteration", lost)
+    monkeypatch.setattr(descent, "run_outer_iteration", lost)
     result = refine(batch, start, replace(QUICK, outer_iterations=2))
     assert len(calls) == 2
     assert (
@@ -373,7 +373,7 @@ def test_a_weight_moved_beside_the_default_alone_is_charted():
 
 def test_starts_are_of_every_kind_in_turn(scene, tmp_path):
     start = perturbed(scene[1], 3)
-    report = refinement_initialisations.measured(
+    report = refinement_initialisations.measure_refinements(
         lambda _: start, known_cases(scene, 4), 6, tmp_path, LABELS, QUICK
     )
     rows = [json.loads(line) for line in (tmp_path / "starts.jsonl").read_text().splitlines()]
@@ -424,7 +424,7 @@ def test_starts_count_what_ended_above_and_what_is_not_finite(scene, tmp_path, m
         "picture",
         lambda parts, *_: np.zeros((SIZE, SIZE, 3), np.float32),
     )
-    report = refinement_initialisations.measured(
+    report = refinement_initialisations.measure_refinements(
         lambda _: start, known_cases(scene, 1), 4, tmp_path, LABELS
     )
     assert (report["starts"], report["above_their_start"], report["not_finite"]) == (4, 2, 1)

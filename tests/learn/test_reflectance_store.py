@@ -43,7 +43,7 @@ def test_many_normals_under_a_narrow_lobe_are_looked_up_and_doubtful_ones_render
         return rendered[-1][1]
 
     monkeypatch.setattr(store, "radiance", counted)
-    result = store.at_normals(material, n, light(), ELEVATION, predictions.SHOWN.tolerance)
+    result = store.radiance_at_normals(material, n, light(), ELEVATION, predictions.SHOWN.tolerance)
     doubtful, exact = rendered[-1]
     assert len(rendered) > 1 and 0 < len(doubtful) < count / 4
     place = {each.tobytes(): k for k, each in enumerate(n)}
@@ -62,7 +62,7 @@ def test_few_normals_and_broad_lobes_are_rendered_each(name, count):
     n = normals(count)
     scene = store.Scene(light(), ELEVATION, np.ones(3), predictions.SHOWN.tolerance, n)
     np.testing.assert_array_equal(
-        store.at_normals(label(name), n, light(), ELEVATION, predictions.SHOWN.tolerance),
+        store.radiance_at_normals(label(name), n, light(), ELEVATION, predictions.SHOWN.tolerance),
         store.radiance(n, label(name), scene, ""),
     )
 
@@ -72,6 +72,8 @@ def test_where_most_normals_are_doubtful_all_are_rendered(monkeypatch):
     n = normals(10_000)
     scene = store.Scene(light(), ELEVATION, np.ones(3), predictions.SHOWN.tolerance, n)
     np.testing.assert_array_equal(
-        store.at_normals(label("brass"), n, light(), ELEVATION, predictions.SHOWN.tolerance),
+        store.radiance_at_normals(
+            label("brass"), n, light(), ELEVATION, predictions.SHOWN.tolerance
+        ),
         store.radiance(n, label("brass"), scene, ""),
     )

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from learn.data import lights
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.layer import render
 from learn.training import repetition
@@ -63,7 +64,7 @@ def error_of(seen):
 
 def test_the_mirrored_truth_renders_the_mirrored_picture(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    seen = repetition.mirrored(batch)
+    seen = repetition.mirror(batch)
     assert error_of(seen) < DATA.tolerance
     assert not torch.equal(seen.image, batch.image)
     assert torch.equal(seen.mask[:, 0] > 0, seen.segments > 0)
@@ -71,7 +72,7 @@ def test_the_mirrored_truth_renders_the_mirrored_picture(data_splits):
 
 def test_a_mirror_image_of_a_mirror_image_is_the_batch(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    again = repetition.mirrored(repetition.mirrored(batch))
+    again = repetition.mirror(repetition.mirror(batch))
     for name in ("image", "mask", "n", "segments", "label", "light", "target_label"):
         assert torch.equal(getattr(again, name), getattr(batch, name)), name
 
@@ -119,10 +120,10 @@ def test_a_run_that_continues_is_shown_the_same_batches(first, data):
 
 def test_recoloured_pictures_are_those_of_the_recoloured_scene(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    seen = repetition.recolored(batch, 1)
+    seen = repetition.recolor(batch, 1)
     assert error_of(seen) < DATA.tolerance
     assert torch.equal(seen.image[:, 1], batch.image[:, 0])
-    again = repetition.recolored(repetition.recolored(seen, 1), 1)
+    again = repetition.recolor(repetition.recolor(seen, 1), 1)
     for name in ("image", "light", "label", "target_label", "n"):
         assert torch.equal(getattr(again, name), getattr(batch, name)), name
 

@@ -33,7 +33,7 @@ def test_the_style_sheet_keeps_to_a_hundred_columns():
 
 def test_a_picture_inside_a_page_is_the_rounded_display_picture(rng):
     display = rng.uniform(-5, 260, (4, 5, 3))
-    source = html.encoded_picture(display)
+    source = html.encode_picture(display)
     kind, _, data = source.partition(",")
     assert kind == "data:image/png;base64"
     read = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from learn.training.rerendering import sampled
+from learn.training.rerendering import sample_pixels
 
 PIXELS = 16
 
@@ -24,7 +24,7 @@ def test_sampled_pixels_are_different_and_all_inside(batch):
     rng = torch.Generator().manual_seed(1)
     inside = (batch.segments > 0).flatten(1)
     for _ in range(50):
-        where, count = sampled(batch, PIXELS, rng)
+        where, count = sample_pixels(batch, PIXELS, rng)
         assert count == sum(min(PIXELS, int(each.sum())) for each in inside)
         for places, each in zip(where, inside, strict=True):
             chosen = places[places >= 0]
@@ -36,7 +36,7 @@ def test_each_pixel_of_an_object_is_equally_likely(batch):
     rng, draws = torch.Generator().manual_seed(1), 4000
     counts = collections.Counter()
     for _ in range(draws):
-        counts.update(sampled(batch, PIXELS, rng)[0][0].tolist())
+        counts.update(sample_pixels(batch, PIXELS, rng)[0][0].tolist())
     number = int((batch.segments[0] > 0).sum())
     assert PIXELS < number == len(counts)
     expected = draws * PIXELS / number

@@ -22,7 +22,7 @@ from manifests import light_files, measured_lights
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import LightEntry
-from manifests.store import light_path
+from manifests.store_paths import light_path
 from shaders import envmap
 from tests.support import synthetic
 from tests.support.synthetic import matte
@@ -253,9 +253,9 @@ def test_lists_of_thousands_stay_small_and_say_that_they_were_cut(rng):
 def test_a_run_that_began_from_weights_without_lists_does_not_claim_to_know_all():
     own = seen.make_seen({"shapes": ["a" * 16], "materials": [], "lights": []})
     theirs = seen.make_seen({"shapes": ["b" * 16], "materials": ["c" * 16], "lights": []})
-    assert not own.joined(None).complete
-    assert own.joined(theirs).shapes == ("a" * 16, "b" * 16)
-    assert own.joined(theirs).complete and not own.joined(theirs.joined(None)).complete
+    assert not own.join(None).complete
+    assert own.join(theirs).shapes == ("a" * 16, "b" * 16)
+    assert own.join(theirs).complete and not own.join(theirs.join(None)).complete
 
 
 def test_lists_put_together_later_say_so_and_hand_it_on():
@@ -268,11 +268,11 @@ def test_lists_put_together_later_say_so_and_hand_it_on():
     theirs = seen.make_seen(
         {kind: ["c" * 16] for kind in seen.KINDS}, reconstructed="the log alone has them"
     )
-    both = own.joined(theirs)
-    assert both.reconstructed == own.joined(theirs).joined(theirs).reconstructed
+    both = own.join(theirs)
+    assert both.reconstructed == own.join(theirs).join(theirs).reconstructed
     assert both.reconstructed == "the log alone has them" and both.complete
     assert seen.read_seen({seen.KEY: seen.encode_seen(both)}, "file") == both
-    assert own.joined(None).reconstructed is msgspec.UNSET
+    assert own.join(None).reconstructed is msgspec.UNSET
 
 
 def test_lists_written_later_leave_every_tensor_as_it_is(old, evaluate, capsys, tmp_path):

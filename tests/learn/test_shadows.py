@@ -4,8 +4,9 @@ import numpy as np
 import torch
 
 from learn.data import shadows
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data
 from manifests.schema import Camera
 from tests.support import synthetic

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from learn.data import lights, settings, sources
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit
 from learn.data.settings import Data, Losses, Run, Schedule, Stage
 from learn.training import loop, processes
 from learn.training.loop import Training
@@ -411,7 +411,7 @@ def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
     loader = torch.utils.data.DataLoader(
         processes.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1
     )
-    batches = processes.received(loader)
+    batches = processes.receive(loader)
     assert torch.equal(next(batches), torch.zeros(2))
     with pytest.raises(type(error)) as raised:
         next(batches)
@@ -430,7 +430,7 @@ def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
         processes.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1
     )
     with pytest.raises(InputError, match="--workers: expected processes that live"):
-        next(processes.received(loader))
+        next(processes.receive(loader))
 
 
 @pytest.mark.parametrize("name", ["views.json", "skipped.json", "sums.json"])

@@ -15,9 +15,10 @@ import pytest
 import torch
 
 from learn.data import augmentation, lights, sources
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
 from learn.data.light_copies import KnownLights
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
 from learn.layer import light_maps
 from learn.metrics import radiometry
@@ -277,7 +278,7 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
 
 def test_a_light_reduced_keeps_its_energy(rng):
     L = torch.from_numpy(rng.random((1, 3, 64, 128)))
-    small = light_maps.reduced(L, (8, 16))
+    small = light_maps.reduce_maps(L, (8, 16))
     torch.testing.assert_close(
         (small * light_maps.solid_angles(small)).sum((2, 3)),
         (L * light_maps.solid_angles(L)).sum((2, 3)),
@@ -287,7 +288,7 @@ def test_a_light_reduced_keeps_its_energy(rng):
 def test_no_pixel_pulls_harder_than_its_bound():
     x = torch.ones(2, 5, 3, requires_grad=True)
     y = x * 1.0
-    y.register_hook(rerendering.bounded(torch.tensor(1e-3)))
+    y.register_hook(rerendering.bound_gradient(torch.tensor(1e-3)))
     (y**2).sum().backward()
     assert x.grad.norm(dim=-1).max().item() == pytest.approx(1e-3, rel=1e-5)
 

@@ -94,7 +94,7 @@ def test_what_either_saw_the_joined_weights_have_seen(tmp_path, files):
         weights.save_weights(path, network, network.state_dict(), "{}", SIZE, seen=own)
     joining.join(*files, tmp_path / "joined.safetensors")
     result = weights.seen_by(tmp_path / "joined.safetensors")
-    assert result == lists[0].joined(lists[1])
+    assert result == lists[0].join(lists[1])
     assert len(result.shapes) == 2
     assert result.complete
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from learn.data import lights
+from learn.data.data_split import DataSplit
 from learn.data.geometry import Geometry
-from learn.data.relit import DataSplit, RelitDataset
+from learn.data.relit import RelitDataset
 from learn.data.settings import Data
 from manifests.errors import InputError
 from tests.support import synthetic

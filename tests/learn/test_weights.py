@@ -265,7 +265,7 @@ def test_lpips_of_other_shapes_or_without_numbers_is_refused(tmp_path, lpips, na
 def known(rng):
     """Priors of a few labels and maps."""
     labels = [rng.normal(-3, 1, 108) for _ in range(4)]
-    return priors.fitted(labels, [np.exp(rng.normal(size=(64, 128, 3))) for _ in range(3)])
+    return priors.fit(labels, [np.exp(rng.normal(size=(64, 128, 3))) for _ in range(3)])
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from manifests.schema import (
     ShapeEntry,
     Statistics,
 )
-from manifests.store import Store, file_hash, geometry_path, image_path
+from manifests.store import Store
+from manifests.store_paths import file_hash, geometry_path, image_path
 from tests.support.whole_dataset import JOB, entry, write_dataset
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from manifests import ids
-from manifests.line_files import encoded
+from manifests.line_files import encode
 from manifests.schema import Camera, CameraRanges, Job
 
 RANGES = CameraRanges(
@@ -78,13 +78,13 @@ def test_without_roll_words_and_files_are_those_of_before_there_was_one():
     assert ids.camera_words(Camera(roll_deg=-0.0)) == ids.camera_words(Camera())
     assert ids.camera_words(Camera(roll_deg=4)).endswith(" roll 4.0")
     job = msgspec.structs.replace(JOB, camera_ranges=None, name=',"roll_deg":0.0')
-    held = json.loads(encoded(job))
+    held = json.loads(encode(job))
     assert "roll_deg" not in held["camera"] and "camera_ranges" not in held
     assert held["name"] == ',"roll_deg":0.0'
-    assert msgspec.json.decode(encoded(job), type=Job) == job
+    assert msgspec.json.decode(encode(job), type=Job) == job
 
 
 @pytest.mark.parametrize("roll", [0.001, -15.0])
 def test_roll_and_ranges_are_written_where_they_have_an_effect(roll):
     job = msgspec.structs.replace(JOB, camera=Camera(roll_deg=roll))
-    assert msgspec.json.decode(encoded(job), type=Job) == job
+    assert msgspec.json.decode(encode(job), type=Job) == job

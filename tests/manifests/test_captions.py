@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from manifests.captions import LINE, shortened, write_caption
+from manifests.captions import LINE, shorten, write_caption
 
 
 def ink(text, width, canvas=400):
@@ -16,11 +16,11 @@ def ink(text, width, canvas=400):
 
 def test_a_caption_that_fits_is_whole_and_a_longer_one_keeps_both_ends():
     name = "a-measured-material-with-a-long-name"
-    assert shortened(name, 400) == name
-    short = shortened(name, 120)
+    assert shorten(name, 400) == name
+    short = shorten(name, 120)
     beginning, end = short.split("…")
     assert name.startswith(beginning) and name.endswith(end) and len(beginning) >= 4 <= len(end)
-    assert shortened(name, 1) == "…"
+    assert shorten(name, 1) == "…"
 
 
 @pytest.mark.parametrize("text", ["M" * 50, "i" * 200, "Grüße aus 東京 " * 9])

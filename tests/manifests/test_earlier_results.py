@@ -18,7 +18,7 @@ def run(folder, names, inputs=(), content=b"picture of "):
     with files.transaction():
         for name in names:
             files.write_bytes(folder / name, content + name.encode())
-        written = earlier_results.written()
+        written = earlier_results.written_hashes()
         files.write_json(folder / "edit.json", {"files": written})
         return earlier_results.remove(folder / "edit.json", written, OWN, inputs)
 

@@ -11,7 +11,7 @@ from manifests.errors import InputError
 from manifests.export import to_parquet, to_tars
 from manifests.line_files import Lines
 from manifests.schema import Accuracy, Camera, Record
-from manifests.store import image_path
+from manifests.store_paths import image_path
 
 
 def test_tars_hold_each_record_with_its_files_and_labels_beside(a_dataset, tmp_path):

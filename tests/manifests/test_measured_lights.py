@@ -9,7 +9,7 @@ from factory.lights.catalogue import names, wheel_maps
 from learn.data.light_copies import without_duplicates
 from learn.data.lights import read_maps
 from learn.data.seen import map_hash
-from learn.data.sources import _held_out
+from learn.data.sources import _held_out_maps
 from manifests import measured_lights
 from manifests.errors import InputError
 from manifests.training_runs import Data
@@ -43,7 +43,7 @@ def test_there_are_26_different_credited_maps_of_unit_mean():
 
 
 def test_they_repeat_the_split_of_the_committed_weights():
-    held = list(_held_out(HELD, measured_lights.load_all(), {}).values())
+    held = list(_held_out_maps(HELD, measured_lights.load_all(), {}).values())
     assert (26 - len(held), held.count("validation"), held.count("test")) == (17, 3, 6)
 
 

@@ -11,7 +11,7 @@ import pytest
 from manifests import object_store
 from manifests.cached_store import CachedStore, open_store
 from manifests.errors import InputError
-from manifests.object_store import ObjectFolder, Unreachable, is_url, normalised
+from manifests.object_store import ObjectFolder, Unreachable, is_url, normalise
 from manifests.store import Store
 from manifests.verification import faults_of
 
@@ -58,8 +58,8 @@ def test_a_url_is_one_and_a_path_is_not():
         assert is_url(text), text
     for text in ("out/x", "/tmp/x", "C:/x", "./s3", "a b://c"):
         assert not is_url(text), text
-    assert normalised("S3:/bucket/x/") == "s3://bucket/x"  # as pathlib writes it
-    assert normalised("file:/tmp/x") == "file:///tmp/x"
+    assert normalise("S3:/bucket/x/") == "s3://bucket/x"  # as pathlib writes it
+    assert normalise("file:/tmp/x") == "file:///tmp/x"
 
 
 @pytest.mark.parametrize(

@@ -54,4 +54,4 @@ def test_outside_a_checkout_there_is_no_commit(tmp_path, monkeypatch):
 def test_a_published_command_has_no_folders_of_this_machine():
     given = ["/a/b=c/d", "x=/a/w.safetensors", "--out=/a/b", "x=a/b", "a/b", "--size"]
     expected = ["…/d", "x=…/w.safetensors", "--out=…/b", "x=a/b", "a/b", "--size"]
-    assert [provenance.shortened(word) for word in given] == expected
+    assert [provenance.shorten(word) for word in given] == expected

@@ -53,7 +53,7 @@ def test_each_piece_has_one_result_though_workers_are_lost(monkeypatch, capsys):
 
 def test_no_piece_needs_no_worker(monkeypatch):
     tasks = fake_ray.installed(monkeypatch)
-    monkeypatch.setattr(tasks, "_started", None)
+    monkeypatch.setattr(tasks, "_start_worker", None)
     assert results([]) == []
 
 

@@ -20,7 +20,7 @@ def home(tmp_path, monkeypatch):
 def configured(host: str) -> dict:
     system = object.__new__(sftp.SSHFileSystem)  # without a connection
     system.host = host
-    return system._configured()
+    return system._read_configuration()
 
 
 def test_keys_that_are_missing_are_left_out_as_ssh_does(home):

@@ -10,9 +10,10 @@ import msgspec
 import pytest
 
 from manifests.errors import InputError
-from manifests.line_files import Lines, encoded
+from manifests.line_files import Lines, encode
 from manifests.schema import Record
-from manifests.store import Store, file_hash, geometry_path, image_path, inside, light_path
+from manifests.store import Store
+from manifests.store_paths import file_hash, geometry_path, image_path, inside, light_path
 from manifests.verification import Fault, repair
 from tests.support.work_count import calls
 
@@ -139,12 +140,12 @@ def test_a_damaged_line_of_failures_says_that_nothing_hangs_on_it(a_dataset):
 
 
 def test_what_lines_name_is_known_by_one_reading(a_dataset):
-    ids, hashes = a_dataset.known()
+    ids, hashes = a_dataset.known_ids()
     assert ids == a_dataset.ids() == {f"{k:024x}" for k in range(3)}
     assert hashes == {
         geometry_path("9" * 24): file_hash(a_dataset.folder / geometry_path("9" * 24))
     }
-    assert a_dataset.known("views") == (set(), hashes)
+    assert a_dataset.known_ids("views") == (set(), hashes)
 
 
 def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path):
@@ -246,7 +247,7 @@ def test_a_line_on_a_full_disk_is_written_whole_or_not_at_all(tmp_path, a_record
     be raised again.
     """
     path = tmp_path / "records" / "worker-00.jsonl"
-    size = len(encoded(a_record("0" * 24))) + 1
+    size = len(encode(a_record("0" * 24))) + 1
     code = f"""
 import resource, signal, msgspec
 from manifests.schema import Record

@@ -10,7 +10,7 @@ import pytest
 from manifests import exr
 from manifests.arrays import DEPTH_CHANNEL, NORMAL_CHANNELS, SEGMENT_CHANNEL
 from manifests.errors import InputError
-from manifests.facets import OTHER_NORMALS, OTHERS, SHARE, Facets, numbered
+from manifests.facets import OTHER_NORMALS, OTHERS, SHARE, Facets, number_channels
 from manifests.files import npz_bytes, write_bytes
 from manifests.light_files import encode_light, read_light
 from manifests.picture_files import encode_geometry, encode_picture, read_geometry, read_picture
@@ -98,7 +98,7 @@ def test_geometry_whose_points_are_of_an_earlier_version_is_read_without_them(
 
 
 @pytest.mark.parametrize(
-    "wrong", [{numbered(OTHER_NORMALS[0])[2]: None}, {numbered(SHARE)[0]: np.nan}]
+    "wrong", [{number_channels(OTHER_NORMALS[0])[2]: None}, {number_channels(SHARE)[0]: np.nan}]
 )
 def test_facets_in_part_or_not_finite_are_refused(tmp_path, geometry, facets, wrong):
     geometry.facets = facets
@@ -120,7 +120,7 @@ def test_interpolated_normals_are_what_they_were_before_they_faced_the_viewer(fa
     given = np.concatenate([np.sqrt(1 - cosine**2)[..., None] * across, cosine[..., None]], axis=-1)
     seen = np.maximum(cosine, 1e-3)
     stored = np.concatenate([np.sqrt(1 - seen**2)[..., None] * across, seen[..., None]], axis=-1)
-    back = facets._replace(cosine=cosine).interpolated(stored.astype(np.float32))
+    back = facets._replace(cosine=cosine).interpolated_normals(stored.astype(np.float32))
     np.testing.assert_allclose(back, given, atol=1e-6)
 
 

@@ -14,7 +14,8 @@ from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.materials import encode, read_catalogue
 from manifests.schema import Camera, Draw, Record
-from manifests.store import Store, file_hash, geometry_path, image_path
+from manifests.store import Store
+from manifests.store_paths import file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
 from tests.support.whole_dataset import JOB, RENDER, hash_of
 

@@ -47,14 +47,14 @@ def scene(monkeypatch):
         yield
         known.stops_at = None
 
-    monkeypatch.setattr(measured, "stopping_at", stopping_at)
+    monkeypatch.setattr(measured, "stop_where_noise_is_below", stopping_at)
     reference = Halves(shown(Known(noise=1e-4), 77))
     reference.grow(16)
     return SimpleNamespace(studio=SimpleNamespace(_scene=None)), shown(known, 5), reference
 
 
 def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
-    figures = measured.measured_scene(*scene)
+    figures = measured.measure_scene(*scene)
     assert [row["setting"] for row in figures["equal"]] == [
         f"{each} samples" for each in measured.EQUAL
     ]
@@ -65,7 +65,7 @@ def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
     assert errors[0] > errors[1] > errors[2]
     halves = Halves(scene[1])
     halves.grow(16)
-    pair = halves.denoised()
+    pair = halves.denoised_pictures()
     truth = error((pair[0] + pair[1]) / 2, scene[1].renderer)
     assert errors[0] == pytest.approx(truth, rel=0.02)
     for row in (*figures["equal"], *figures["adaptive"]):
@@ -82,19 +82,19 @@ def test_each_setting_has_the_error_and_bias_of_its_own_picture(scene):
 
 
 def test_other_samples_and_thresholds_can_be_requested(scene):
-    figures = measured.measured_scene(*scene, counts=(8, 32), thresholds=(0.05,))
+    figures = measured.measure_scene(*scene, counts=(8, 32), thresholds=(0.05,))
     assert [row["setting"] for row in figures["equal"]] == ["8 samples", "32 samples"]
     assert [row["setting"] for row in figures["adaptive"]] == ["threshold 0.05"]
 
 
 def test_smaller_thresholds_are_left_out_where_one_took_too_long(scene, monkeypatch):
     monkeypatch.setattr(measured, "LONGEST", -1.0)
-    figures = measured.measured_scene(*scene)
+    figures = measured.measure_scene(*scene)
     assert [row["setting"] for row in figures["adaptive"]] == ["threshold 0.1"]
 
 
 def test_the_page_has_a_row_for_each_setting(scene):
-    figures = measured.measured_scene(*scene)
+    figures = measured.measure_scene(*scene)
     words = {"shape": "cube", "material": "steel", "light": "city"}
     result = {"size": 48, "reference": 16, "scenes": [{**words, **figures}]}
     result |= {key: "x" for key in ("command", "commit", "date", "machine")}
@@ -107,7 +107,7 @@ def test_the_page_has_a_row_for_each_setting(scene):
 
 
 def test_settings_of_equal_samples_have_no_mark(scene):
-    figures = measured.measured_scene(*scene, counts=(8, 32), thresholds=(0.05,))
+    figures = measured.measure_scene(*scene, counts=(8, 32), thresholds=(0.05,))
     figures["equal"][0]["error"] = figures["equal"][1]["error"] / 2  # by noise, for example
     words = {"shape": "cube", "material": "steel", "light": "city"}
     result = {"size": 48, "reference": 16, "scenes": [{**words, **figures}]}

@@ -25,7 +25,7 @@ def test_the_bias_of_a_pair_is_what_its_spread_does_not_show(bias):
         known = Known(noise=0.2, bias=bias)
         halves = Halves(shown(known, seed))
         halves.grow(64)
-        pair = halves.denoised()
+        pair = halves.denoised_pictures()
         slope = halves.slope(pair)
         estimates.append(halves.error_and_bias(pair, halves.pictures, slope)[1])
         truths.append(squared_bias(pair, known))
@@ -36,8 +36,8 @@ def test_a_blend_has_less_error_and_less_bias_than_what_it_is_made_of():
     known = Known(noise=0.6, bias=0.08)
     halves = Halves(shown(known))
     halves.grow(64)
-    pair = halves.denoised()
-    blend = blends.best(halves, pair, halves.pictures, 1000.0)
+    pair = halves.denoised_pictures()
+    blend = blends.choose_blend(halves, pair, halves.pictures, 1000.0)
     errors = [error(sum(each) / 2, known) for each in (blend.pair, pair, halves.pictures)]
     assert errors[0] < 0.8 * min(errors[1:])
     assert squared_bias(blend.pair, known) < 0.6 * squared_bias(pair, known)
@@ -48,21 +48,21 @@ def test_a_small_bias_goes_before_a_small_error():
     known = Known(noise=0.9, bias=0.08)
     halves = Halves(shown(known))
     halves.grow(64)
-    pair = halves.denoised()
-    free = blends.best(halves, pair, halves.pictures, 1000.0)
-    bound = blends.best(halves, pair, halves.pictures, 2 * free.bias)
+    pair = halves.denoised_pictures()
+    free = blends.choose_blend(halves, pair, halves.pictures, 1000.0)
+    bound = blends.choose_blend(halves, pair, halves.pictures, 2 * free.bias)
     assert bound.bias <= 2 / 3 * free.bias
     assert bound.estimate.error >= free.estimate.error
     # where no share suffices, the least error stands
-    assert blends.best(halves, pair, halves.pictures, 1e-3).bias == free.bias
+    assert blends.choose_blend(halves, pair, halves.pictures, 1e-3).bias == free.bias
 
 
 def test_smooth_pictures_stay_as_they_are_where_they_have_no_bias():
     known = Known(noise=0.6, left=0.1)
     halves = Halves(shown(known))
     halves.grow(16)
-    pair = halves.denoised()
-    blend = blends.best(halves, pair, halves.pictures, 1000.0)
+    pair = halves.denoised_pictures()
+    blend = blends.choose_blend(halves, pair, halves.pictures, 1000.0)
     assert all(a is b for a, b in zip(blend.pair, pair, strict=True))
 
 
@@ -70,9 +70,9 @@ def test_blends_with_pictures_below_zero_are_not_negative():
     known = Known(noise=0.6, bias=0.08)
     halves = Halves(shown(known))
     halves.grow(64)
-    pair = halves.denoised()
+    pair = halves.denoised_pictures()
     below = [each - 5 for each in halves.pictures]
-    blend = blends.best(halves, pair, below, 1000.0, shares=(0.6,))
+    blend = blends.choose_blend(halves, pair, below, 1000.0, shares=(0.6,))
     assert min(each.min() for each in blend.pair) == 0
 
 

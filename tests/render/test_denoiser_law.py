@@ -20,7 +20,7 @@ def test_the_denoisers_law_is_fitted_within_shots():
     rows = [{**row, "error": 1.5 * row["bias"]} for row in rows]
     # a bias that is lost in its uncertainty says nothing
     unseen = {"shot": 0, "pixels": 4096, "samples": 4, "noise": 9.0, "bias": -3.0, "error": 1.0}
-    law = denoiser_law.fitted([*rows, unseen])
+    law = denoiser_law.fit_law([*rows, unseen])
     assert (law["power"], law["size"]) == pytest.approx((0.7, 0.3))
     assert law["scale_10_50_90"][1] == pytest.approx(1.3)
     assert law["error_over_bias"] == pytest.approx(1.5)

@@ -57,9 +57,9 @@ def test_a_wide_lobe_at_grazing_angles_is_as_bright_as_cycles_shows_it(studio, m
         "misdirected",
         lambda self, n, facets=None: np.zeros_like(n, np.float32),
     )
-    studio._direct.clear()
+    studio._direct_light.forget_closed_forms()
     assert error(studio, mixture, FINE) > 5
-    studio._direct.clear()
+    studio._direct_light.forget_closed_forms()
 
 
 @pytest.mark.parametrize("alpha, gain", [(0.5, 1), (0.15, 4)])

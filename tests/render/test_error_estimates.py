@@ -26,8 +26,8 @@ def mean_ratio(known, samples, denoise):
     for seed in range(20):
         halves = Halves(shown(known, seed))
         halves.grow(samples)
-        pair = halves.denoised() if denoise else []
-        estimate = halves.denoised_estimate(pair) if denoise else halves.estimate()
+        pair = halves.denoised_pictures() if denoise else []
+        estimate = halves.estimate_denoised(pair) if denoise else halves.estimate()
         picture = (pair[0] + pair[1]) / 2 if denoise else halves.picture
         ratios.append(estimate.error / error(picture, known))
     return np.mean(ratios)
@@ -81,17 +81,17 @@ def test_the_error_is_kept_and_no_more_samples_are_taken_than_that_needs(request
 
 def test_every_try_denoises_all_samples_so_far():
     known, seen = Shaded(), []
-    denoise = known.denoised
-    known.denoised = lambda portion, effort: (
+    denoise = known.denoise
+    known.denoise = lambda portion, effort: (
         seen.append((portion, effort)) or denoise(portion, effort)
     )
     halves = Halves(shown(known))
     halves.grow(4)
-    halves.unblocked()
+    halves.unblocked_pictures()
     halves.grow(60)
     for _ in range(2):  # the second time nothing is rendered or denoised again
-        halves.denoised()
-        halves.unblocked_denoised()
+        halves.denoised_pictures()
+        halves.denoised_unblocked_pictures()
     assert len(seen) == 4 and {effort for _, effort in seen} == {EFFORTS[40]}
     np.testing.assert_array_equal(seen[0][0].noisy, halves.pictures[0])
     counts = [count for _, count, _ in known.requested]
@@ -105,7 +105,7 @@ def test_every_try_denoises_all_samples_so_far():
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_guides_are_denoised_first_where_they_are_noisy(noise):
     known, seen = Known(), []
-    portion, denoise = known.portion, known.denoised
+    portion, denoise = known.portion, known.denoise
 
     def with_noisy_guides(*requested):
         rng = np.random.default_rng(requested[2])
@@ -113,18 +113,18 @@ def test_guides_are_denoised_first_where_they_are_noisy(noise):
         return portion(*requested)._replace(guides=guides)
 
     known.portion = with_noisy_guides
-    known.denoised = lambda at, effort: seen.append(effort.prefilter) or denoise(at, effort)
+    known.denoise = lambda at, effort: seen.append(effort.prefilter) or denoise(at, effort)
     halves = Halves(shown(known))
     halves.grow(4)
-    halves.denoised()
-    halves.unblocked_denoised()
+    halves.denoised_pictures()
+    halves.denoised_unblocked_pictures()
     assert seen == 4 * [noise > 0]
 
 
 def test_more_samples_are_denoised_more_thoroughly():
-    costs = [denoised.cost(samples, "full") for samples in (4, 39, 40, 127, 128, 2048)]
+    costs = [denoised.cost_in_samples(samples, "full") for samples in (4, 39, 40, 127, 128, 2048)]
     assert costs[0] == costs[1] < costs[2] == costs[3] < costs[4] == costs[5]
-    assert denoised.cost(4, "direct") > denoised.cost(4, "full")
+    assert denoised.cost_in_samples(4, "direct") > denoised.cost_in_samples(4, "full")
 
 
 def test_the_denoiser_is_taken_where_it_saves_samples_and_left_where_its_bias_is_too_large():
@@ -165,27 +165,30 @@ def test_a_mean_over_few_bright_pixels_is_less_certain():
 
 def test_the_models_ask_for_the_samples_that_they_say_suffice():
     pilot = Estimate(100.0, 0.0)
-    assert path_tracing.predicted(pilot, 4, 40) == pytest.approx(10)
-    assert path_tracing.needed(pilot, 4, 10.0) == 42
-    scale = denoised.scale(64 * 64)
-    m = denoised.needed(pilot.noise, 4, scale, 10.0)
-    error = [denoised.predicted(100.0 * 4 / n, scale, m, 10.0) for n in (m, m / 1.2)]
+    assert path_tracing.predict_error(pilot, 4, 40) == pytest.approx(10)
+    assert path_tracing.needed_samples(pilot, 4, 10.0) == 42
+    scale = denoised.expected_scale(64 * 64)
+    m = denoised.needed_samples(pilot.noise, 4, scale, 10.0)
+    error = [denoised.predict_error(100.0 * 4 / n, scale, m, 10.0) for n in (m, m / 1.2)]
     assert m < 40 and error[0] <= 10 < error[1]
 
 
 def test_the_denoisers_law_counts_the_bias_that_a_limit_allows():
-    scale = denoised.scale(64 * 64)
-    m = denoised.needed(100.0, 4, scale, 10.0)
+    scale = denoised.expected_scale(64 * 64)
+    m = denoised.needed_samples(100.0, 4, scale, 10.0)
     bias = scale * (100.0 * 4 / m) ** denoised.POWER
     assert bias * (1 - max(blends.SHARES)) ** 2 <= blends.MOST_BIAS * 10
     # noise that the largest share would allow, with a bias that it does not
     noisy, biased = 20.0, 60.0
-    assert denoised.predicted(noisy, biased / noisy**denoised.POWER, 4, 25.0) <= 25
-    assert denoised.needed(noisy, 4, biased / noisy**denoised.POWER, 25.0) > 4
+    assert denoised.predict_error(noisy, biased / noisy**denoised.POWER, 4, 25.0) <= 25
+    assert denoised.needed_samples(noisy, 4, biased / noisy**denoised.POWER, 25.0) > 4
 
 
 def test_the_denoiser_is_expected_to_leave_less_where_the_frame_has_more_pixels():
-    counts = [denoised.needed(400.0, 4, denoised.scale(n * n), 10.0) for n in (64, 128, 256)]
+    counts = [
+        denoised.needed_samples(400.0, 4, denoised.expected_scale(n * n), 10.0)
+        for n in (64, 128, 256)
+    ]
     assert counts[0] > counts[1] > counts[2]
 
 
@@ -308,7 +311,7 @@ def test_the_ratio_stands_where_there_is_light_and_the_denoised_picture_elsewher
         np.array(values)[None, :, None] * np.ones(3)
         for values in ([0.5, 0.3, 9.0], [1.0, 0.0, 1.0])
     )
-    picture = ratio.combined(direct, shown_, unblocked)
+    picture = ratio.multiply_by_ratio(direct, shown_, unblocked)
     np.testing.assert_allclose(picture[0, :, 0], [1.0, 0.3, 2 * ratio.MOST])
 
 
@@ -317,7 +320,9 @@ def test_an_unbiased_picture_has_only_the_noise_that_is_not_common():
     halves = Halves(shown(known))
     halves.grow(4)
     slope = halves.slope_map(halves.pictures)
-    unbiased = ratio.unbiased(known.unblocked, halves.pictures, halves.unblocked(), slope)
+    unbiased = ratio.reduce_noise(
+        known.unblocked, halves.pictures, halves.unblocked_pictures(), slope
+    )
     for picture in unbiased:
         np.testing.assert_allclose(picture[MASK], known.truth[MASK], atol=1e-5)
 
@@ -331,9 +336,9 @@ def test_noise_of_light_that_is_blocked_is_not_brought_in():
     for seed in range(20):
         halves = Halves(shown(known, seed))
         halves.grow(16)
-        slope, unblocked = halves.slope_map(halves.pictures), halves.unblocked()
+        slope, unblocked = halves.slope_map(halves.pictures), halves.unblocked_pictures()
         direct = known.unblocked
-        regressed = ratio.unbiased(direct, halves.pictures, unblocked, slope)
+        regressed = ratio.reduce_noise(direct, halves.pictures, unblocked, slope)
         whole = [s - (u - direct) for s, u in zip(halves.pictures, unblocked, strict=True)]
         off = [(np.mean(e, 0) - known.truth)[MASK] for e in (regressed, whole, halves.pictures)]
         errors.append([(each**2).mean() for each in off])
@@ -344,7 +349,7 @@ def test_noise_of_light_that_is_blocked_is_not_brought_in():
 
 def test_the_sum_around_a_pixel_leaves_it_out():
     values = np.random.default_rng(1).normal(size=(7, 9))
-    sums = ratio._around(values, 2)
+    sums = ratio._sums_around(values, 2)
     assert sums[3, 4] == pytest.approx(values[1:6, 2:7].sum() - values[3, 4])
     assert sums[0, 8] == pytest.approx(values[:3, 6:].sum() - values[0, 8])
 
@@ -353,10 +358,10 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
     expected = Estimate(0.5, 0.3)
 
     def direct(samples):
-        return closed_form.weighed(Estimate(0.5, 24 / samples), expected)
+        return closed_form.combine_with_expectation(Estimate(0.5, 24 / samples), expected)
 
-    scale = ratio.scale(4096)
-    few, many = (ratio.needed(200.0, 4, scale, limit, direct) for limit in (40.0, 6.0))
+    scale = ratio.expected_scale(4096)
+    few, many = (ratio.needed_samples(200.0, 4, scale, limit, direct) for limit in (40.0, 6.0))
     assert ratio.LEAST <= few < many
 
     def bound(samples):
@@ -368,34 +373,34 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
         )
 
     assert bound(many) <= 6
-    assert ratio.needed(200.0, 4, ratio.scale(65536), 6.0, direct) < many
+    assert ratio.needed_samples(200.0, 4, ratio.expected_scale(65536), 6.0, direct) < many
     # the same noise by twice the samples is twice as much for one
-    assert ratio.needed(200.0, 8, scale, 6.0, direct) > 1.8 * many
+    assert ratio.needed_samples(200.0, 8, scale, 6.0, direct) > 1.8 * many
     # less than the closed form's own error is never reached
-    assert ratio.needed(200.0, 4, scale, 0.45, direct) > attempts.MOST_SAMPLES
+    assert ratio.needed_samples(200.0, 4, scale, 0.45, direct) > attempts.MOST_SAMPLES
     # without bias the noise decides
-    alone = ratio.needed(200.0, 4, 0.0, 6.0, lambda samples: Estimate(0.0, 0.0))
+    alone = ratio.needed_samples(200.0, 4, 0.0, 6.0, lambda samples: Estimate(0.0, 0.0))
     assert alone == ratio.LEAST
 
 
 def test_unbiased_pictures_alone_are_the_last_resort_where_the_denoiser_errs():
     none = Estimate(0.0, 0.0)
-    needed = ratio.needed(100.0, 4, 1e3, 10.0, lambda samples: none)
+    needed = ratio.needed_samples(100.0, 4, 1e3, 10.0, lambda samples: none)
     assert needed == pytest.approx(400 * (1 + 1.645 * ratio.UNCERTAINTY) / 10, rel=0.11)
 
 
 def test_what_was_expected_of_the_closed_form_is_no_less_certain_with_few_samples():
     expected = Estimate(2.0, 1.0)
-    direct = closed_form.weighed(Estimate(4.0, 0.8), expected)
-    again, more = (ratio.seen_with_more(direct, expected, 8, count) for count in (8, 32))
+    direct = closed_form.combine_with_expectation(Estimate(4.0, 0.8), expected)
+    again, more = (ratio.error_with_more_samples(direct, expected, 8, count) for count in (8, 32))
     assert again == Estimate(direct.error, pytest.approx(direct.standard_error))
     assert more.standard_error == pytest.approx(
-        closed_form.weighed(Estimate(4.0, 0.2), expected).standard_error
+        closed_form.combine_with_expectation(Estimate(4.0, 0.2), expected).standard_error
     )
     vague = Estimate(2.0, 1e6)
-    assert ratio.seen_with_more(Estimate(4.0, 0.8), vague, 8, 32).standard_error == pytest.approx(
-        0.2
-    )
+    assert ratio.error_with_more_samples(
+        Estimate(4.0, 0.8), vague, 8, 32
+    ).standard_error == pytest.approx(0.2)
 
 
 def test_the_share_of_noise_that_is_left_is_that_of_the_unbiased_pictures():
@@ -404,8 +409,10 @@ def test_the_share_of_noise_that_is_left_is_that_of_the_unbiased_pictures():
         halves = Halves(shown(known))
         halves.grow(16)
         slope = halves.slope_map(halves.pictures)
-        left = ratio.left_of_noise(halves.pictures, halves.unblocked(), slope)
-        pair = ratio.unbiased(known.unblocked, halves.pictures, halves.unblocked(), slope)
+        left = ratio.share_of_noise_left(halves.pictures, halves.unblocked_pictures(), slope)
+        pair = ratio.reduce_noise(
+            known.unblocked, halves.pictures, halves.unblocked_pictures(), slope
+        )
         a, b = ((each - known.truth) * slope for each in (pair[0], halves.pictures[0]))
         assert left == pytest.approx((a**2).sum() / (b**2).sum(), rel=0.2, abs=1e-6)
         assert least <= left <= most
@@ -416,7 +423,7 @@ def test_the_ratios_law_goes_by_what_a_try_has_shown():
     attempt = attempts.Attempt(shown(known), 0.3, choice.ALL)
     attempt.direct, attempt.blocked = known.direct_light(), Estimate(50.0, 1.0)
     before = attempt.ratio_scale
-    attempt.halves.unblocked()  # by the same portions, so that the noise is common
+    attempt.halves.unblocked_pictures()  # by the same portions, so that the noise is common
     assert attempt.run(attempts.Plan(0.0, ratio.NAME, 8)) is None
     assert attempt.ratio_scale != before and attempt.left < 1
     attempt.error, attempt.now = 20.0, attempt.halves.estimate()
@@ -434,15 +441,15 @@ def test_doubt_about_the_closed_forms_own_error_does_not_count_as_bias():
 
 
 def test_the_closed_form_is_out_only_beyond_doubt():
-    assert closed_form.is_out(Estimate(30.0, 5.0), 20.0)
-    assert not closed_form.is_out(Estimate(25.0, 5.0), 20.0)
-    assert closed_form.needed(Estimate(30.0, 5.0), 4, 20.0) is None
-    assert closed_form.needed(Estimate(10.0, 20.0), 4, 20.0) == 14
-    few = closed_form.cost(10_000, DirectWork(16, 0.0, 400.0))
-    assert closed_form.cost(1000, DirectWork(16, 0.0, 400.0)) > few
-    assert closed_form.cost(10_000, DirectWork(16, 0.0, 800.0)) > few
-    assert closed_form.cost(10_000, DirectWork(16, 0.5, 400.0)) > few
-    assert closed_form.cost(10_000, DirectWork(64, 0.0, 400.0)) > few
+    assert closed_form.is_surely_above(Estimate(30.0, 5.0), 20.0)
+    assert not closed_form.is_surely_above(Estimate(25.0, 5.0), 20.0)
+    assert closed_form.needed_samples(Estimate(30.0, 5.0), 4, 20.0) is None
+    assert closed_form.needed_samples(Estimate(10.0, 20.0), 4, 20.0) == 14
+    few = closed_form.cost_in_samples(10_000, DirectWork(16, 0.0, 400.0))
+    assert closed_form.cost_in_samples(1000, DirectWork(16, 0.0, 400.0)) > few
+    assert closed_form.cost_in_samples(10_000, DirectWork(16, 0.0, 800.0)) > few
+    assert closed_form.cost_in_samples(10_000, DirectWork(16, 0.5, 400.0)) > few
+    assert closed_form.cost_in_samples(10_000, DirectWork(64, 0.0, 400.0)) > few
 
 
 EACH = np.full(int(MASK.sum()), 16)  # points per pixel
@@ -454,29 +461,34 @@ def _left(direct, points, finer):
     for each in finer:
         counts[each.where] = each.points
     fewer = direct.variance * (points / counts)[..., None]
-    return closed_form.differences(direct._replace(variance=fewer), MASK), counts[MASK].mean()
+    return closed_form.error_by_differences(direct._replace(variance=fewer), MASK), counts[
+        MASK
+    ].mean()
 
 
 def test_small_limits_and_grids_that_differ_take_more_points():
     same = Shaded().direct_light()
     off = same._replace(variance=np.full_like(same.radiance, 2e-4))
-    assert closed_form.differences(off, MASK) > 4
-    assert closed_form.finer(same, MASK, EACH, 2.0) == []
-    assert closed_form.finer(off, MASK, EACH, 60.0) == []
+    assert closed_form.error_by_differences(off, MASK) > 4
+    assert closed_form.plan_more_points(same, MASK, EACH, 2.0) == []
+    assert closed_form.plan_more_points(off, MASK, EACH, 60.0) == []
     left, points = zip(
-        *(_left(off, 16, closed_form.finer(off, MASK, EACH, limit)) for limit in (2.0, 0.5)),
+        *(
+            _left(off, 16, closed_form.plan_more_points(off, MASK, EACH, limit))
+            for limit in (2.0, 0.5)
+        ),
         strict=True,
     )
     assert left[1] < left[0] and 16 < points[0] < points[1] <= closed_form.MOST_PER_PIXEL
     sampled = off._replace(sampled=True)  # whose differences say more
-    assert _left(sampled, 16, closed_form.finer(sampled, MASK, EACH, 2.0))[1] > points[0]
+    assert _left(sampled, 16, closed_form.plan_more_points(sampled, MASK, EACH, 2.0))[1] > points[0]
 
 
 def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_too():
     off = Shaded().direct_light()
     row, column = (side // 2 for side in MASK.shape)
     off.variance[row, column] = 1.0
-    finer = closed_form.finer(off, MASK, EACH, 2.0)
+    finer = closed_form.plan_more_points(off, MASK, EACH, 2.0)
     counts = np.full(MASK.shape, 16)
     for each in finer:
         counts[each.where] = each.points
@@ -490,10 +502,10 @@ def test_no_more_points_are_asked_for_than_memory_holds(monkeypatch):
     off.variance[:] = 1.0
     most = 64 * int(MASK.sum()) // 2
     monkeypatch.setattr(closed_form, "MOST_POINTS", most)
-    finer = closed_form.finer(off, MASK, EACH, 0.5)
+    finer = closed_form.plan_more_points(off, MASK, EACH, 0.5)
     assert finer and sum(each.points * int(each.where.sum()) for each in finer) <= most
     monkeypatch.setattr(closed_form, "MOST_PER_PIXEL", 16)
-    assert closed_form.finer(off, MASK, EACH, 0.5) == []
+    assert closed_form.plan_more_points(off, MASK, EACH, 0.5) == []
 
 
 def test_no_pixel_is_given_fewer_points_than_it_has():
@@ -501,12 +513,12 @@ def test_no_pixel_is_given_fewer_points_than_it_has():
     off.variance[:] = 2e-4
     columns = np.arange(MASK.shape[1]) < MASK.shape[1] // 2
     counts = np.where(columns, 64, 16) * np.ones(MASK.shape, int)
-    finer = closed_form.finer(off, MASK, counts[MASK], 5.0)
+    finer = closed_form.plan_more_points(off, MASK, counts[MASK], 5.0)
     assert finer and sum(each.where.sum() for each in finer) > 0.9 * (MASK & ~columns).sum()
     assert not any(each.where[counts >= each.points].any() for each in finer)
     # nor are those that it has left out of the error
     parts, own, levels = np.array([1.0, 1e-9]), np.array([16, 64]), np.array([16, 32])
-    assert (closed_form._counts(parts, own, levels, 1e-3) == [32, 64]).all()
+    assert (closed_form._points_per_pixel(parts, own, levels, 1e-3) == [32, 64]).all()
 
 
 @pytest.mark.parametrize("factor", [1.0, 50.0])
@@ -526,7 +538,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
             variance=np.where(inside, off.variance * 16 / more.points, known.variance),
         )
 
-    direct = closed_form.refined(off, MASK, 16, 8.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 8.0, finer)
     untouched = MASK & (direct.radiance == off.radiance).all(-1)
     scale = direct.variance[untouched] / off.variance[untouched]
     if factor == 1:
@@ -537,7 +549,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
         np.testing.assert_allclose(scale, factor, rtol=0.01)
     # after a round, the pixels that were given points have their own variance
     monkeypatch.setattr(closed_form, "ROUNDS", 1)
-    direct = closed_form.refined(off, MASK, 16, 8.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 8.0, finer)
     given = MASK & (direct.radiance != off.radiance).any(-1)
     assert given.any() and (direct.variance[given] <= off.variance[given] / 4).all()
 
@@ -545,7 +557,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
 def test_a_frame_without_more_points_stays_as_it_is():
     off = Shaded().direct_light()
     off.variance[:] = 2e-4
-    assert closed_form.refined(off, MASK, 16, 2.0, lambda known, more: None) is off
+    assert closed_form.refine_direct_light(off, MASK, 16, 2.0, lambda known, more: None) is off
 
 
 def test_grids_that_differ_are_made_finer():
@@ -616,7 +628,7 @@ def test_few_samples_of_direct_light_measure_the_closed_form_without_bias():
     measured = []
     for seed in range(40):
         pair = [known.portion(0, 4, 2 * seed + half, "direct").noisy for half in (0, 1)]
-        measured.append(closed_form.measured(direct, pair, MASK))
+        measured.append(closed_form.measure_error(direct, pair, MASK))
     mean, spread = (f([each.error for each in measured]) for f in (np.mean, np.std))
     assert mean == pytest.approx(truth, rel=0.15)
     assert 0.5 * spread < np.mean([each.standard_error for each in measured]) < 2 * spread
@@ -628,40 +640,44 @@ def test_points_are_enough_and_do_not_depend_on_the_last_bits_of_their_parts(rng
         parts = rng.lognormal(0, 2, 200)
         own = np.full(200, 16)
         most = rng.uniform(0.05, 0.5) * parts.mean()
-        points = closed_form._counts(parts, own, levels, most)
+        points = closed_form._points_per_pixel(parts, own, levels, most)
         assert (parts * 16 / points).mean() <= most
         rounded = parts * (1 + 1e-7 * rng.standard_normal(200))
-        assert np.array_equal(closed_form._counts(rounded, own, levels, most), points)
+        assert np.array_equal(closed_form._points_per_pixel(rounded, own, levels, most), points)
 
 
 def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():
     expected = Estimate(2.0, 3.0)
-    vague, sharp = (closed_form.weighed(Estimate(6.0, s), expected) for s in (100.0, 0.1))
+    vague, sharp = (
+        closed_form.combine_with_expectation(Estimate(6.0, s), expected) for s in (100.0, 0.1)
+    )
     assert vague.error == pytest.approx(2, abs=0.01)
     assert vague.standard_error == pytest.approx(3, abs=0.01)
     assert (sharp.error, sharp.standard_error) == pytest.approx((6.0, 0.1), abs=0.01)
-    assert closed_form.weighed(Estimate(400.0, 100.0), expected) == Estimate(400.0, 100.0)
+    assert closed_form.combine_with_expectation(Estimate(400.0, 100.0), expected) == Estimate(
+        400.0, 100.0
+    )
     # noise of few samples is above by two standard errors now and then
-    assert closed_form.weighed(Estimate(200.0, 100.0), expected).error < 3
+    assert closed_form.combine_with_expectation(Estimate(200.0, 100.0), expected).error < 3
 
 
 def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
     known = Shaded()
     same = known.direct_light()
-    least = closed_form.expected(same, MASK)
+    least = closed_form.expected_error(same, MASK)
     assert (least.error, least.standard_error) == (closed_form.OTHER, closed_form.OTHER_SPREAD)
     # grids that differ by noise: the variance says by how much their mean is off
     noise = np.random.default_rng(3).normal(0, 0.02, (4, *same.radiance.shape)).astype(np.float32)
     variance = np.var(noise, axis=0, ddof=1) / 4
-    expected = closed_form.expected(same._replace(variance=variance), MASK)
+    expected = closed_form.expected_error(same._replace(variance=variance), MASK)
     exposure = tone.auto_exposure(same.radiance, MASK)
     off = tone.display_l2(same.radiance + noise.mean(0), same.radiance, exposure, MASK)
     left, _ = closed_form.LEFT[False]
     assert (expected.error - closed_form.OTHER) / left == pytest.approx(off, rel=0.1)
     assert expected.standard_error > least.standard_error
-    sampled = closed_form.expected(same._replace(variance=variance, sampled=True), MASK)
+    sampled = closed_form.expected_error(same._replace(variance=variance, sampled=True), MASK)
     assert sampled.bound > expected.bound
-    small, large = (closed_form.hoped(limit) for limit in (1.0, 100.0))
+    small, large = (closed_form.expected_error_at_limit(limit) for limit in (1.0, 100.0))
     assert least.error < small.error < large.error
 
 
@@ -670,7 +686,7 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
     for closed in (1.0, 1.03):
         known = Shaded(noise=0.1, deepest=0.8, closed=closed)
         attempt = attempts.Attempt(shown(known), 60.0, choice.ALL)
-        assert attempt.closed() is None or closed
+        assert attempt.try_closed_form() is None or closed
         attempt.direct = known.direct_light()
         made = attempt.run(attempts.Plan(0.0, ratio.NAME, 64))
         assert made is not None and made.estimator == ratio.NAME
@@ -713,11 +729,11 @@ def test_a_limit_on_rare_light_is_kept():
 def test_path_tracing_plans_the_display_curves_part_by_the_square_of_the_samples():
     pilot = Estimate(100.0, 0.0, curve=40.0)
     assert (pilot.noise, pilot.noise_bound) == (60.0, 60.0)
-    assert path_tracing.predicted(pilot, 4, 8) == pytest.approx(30 + 10)
-    needed = path_tracing.needed(pilot, 4, 10.0)
-    at_one = [path_tracing.predicted(pilot, 4, n) for n in (needed, needed - 1)]
+    assert path_tracing.predict_error(pilot, 4, 8) == pytest.approx(30 + 10)
+    needed = path_tracing.needed_samples(pilot, 4, 10.0)
+    at_one = [path_tracing.predict_error(pilot, 4, n) for n in (needed, needed - 1)]
     assert at_one[0] <= 10 < 1.05 * at_one[1]
-    assert needed < path_tracing.needed(Estimate(100.0, 0.0), 4, 10.0)
+    assert needed < path_tracing.needed_samples(Estimate(100.0, 0.0), 4, 10.0)
 
 
 def test_the_display_curves_part_is_of_the_fingerprint(monkeypatch):

@@ -68,7 +68,7 @@ def test_portions_of_a_sequence_add_up_to_the_whole(chair):
 )
 def test_a_portion_shows_each_change_and_does_not_depend_on_what_was_before(chair, change):
     before = chair.portion(0, 4, 3, "full")
-    chair.denoised(before, effort(4))
+    chair.denoise(before, effort(4))
     assert not same(show(chair, **change).portion(0, 4, 3, "full").noisy, before.noisy)
     chair.portion(4, 8, 3, "direct")
     chair.geometry()
@@ -80,7 +80,7 @@ def test_after_portions_the_canary_still_sees_a_light_that_cycles_did_not_notice
 
     from factory.render import canary, light
 
-    chair.denoised(chair.portion(0, 4, 3, "full"), effort(4))
+    chair.denoise(chair.portion(0, 4, 3, "full"), effort(4))
     canary.check(chair._scene, chair._seen, nearest=True)
     other = chair._seen[::-1].copy()
     (image,) = (each for each in bpy.data.images if each.name.startswith("light"))
@@ -103,7 +103,7 @@ def test_portions_leave_no_setting_behind(chair):
     settings = held()
     portion = chair.portion(4, 8, 3, "full")
     assert held() == settings
-    chair.denoised(portion, effort(8))
+    chair.denoise(portion, effort(8))
     assert held() == settings and not any(layer.path_resolve(path) for path in GUIDES)
 
 
@@ -114,14 +114,14 @@ def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair)
     alone = chair.picture(4, 3, "full")[0]
     chair.portion(0, 1, 3, "full")
     before = chair.picture(4, 3, "full")[0]
-    chair.denoised(chair.portion(4, 8, 3, "full"), effort(8))
+    chair.denoise(chair.portion(4, 8, 3, "full"), effort(8))
     assert same(chair.picture(4, 3, "full")[0], before)
     assert same(show(chair).picture(4, 3, "full")[0], alone)
 
 
 def test_the_denoiser_removes_most_noise(chair):
     plain = chair.portion(0, 4, 3, "shadow")
-    smooth = chair.denoised(plain, effort(64))
+    smooth = chair.denoise(plain, effort(64))
     assert smooth.min() >= 0
     exact = chair.portion(0, 1024, 4, "shadow").noisy
     mask = chair.geometry().mask
@@ -137,15 +137,15 @@ def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
     portion = chair.portion(0, 4, 3, "shadow")
     once, four = (Effort("BALANCED", flips, 1.0, 1.0) for flips in (1, 4))
     each = [
-        denoiser.denoised(chair._scene, *(part[::rows, ::columns] for part in portion), once)[
+        denoiser.denoise(chair._scene, *(part[::rows, ::columns] for part in portion), once)[
             ::rows, ::columns
         ]
         for rows, columns in denoiser.FLIPS
     ]
-    mean = denoiser.denoised(chair._scene, *portion, four)
+    mean = denoiser.denoise(chair._scene, *portion, four)
     np.testing.assert_allclose(mean, sum(each) / 4, atol=1e-5)
     assert np.abs(each[0] - each[1]).max() > 1e-3 and len(set(denoiser.FLIPS)) == 4
-    filtered = denoiser.denoised(chair._scene, *portion, once._replace(prefilter=True))
+    filtered = denoiser.denoise(chair._scene, *portion, once._replace(prefilter=True))
     assert np.abs(filtered - each[0]).max() > 1e-3
     assert not chair._scene.cycles.use_denoising
     assert not list(Path(bpy.app.tempdir).glob("*.exr"))  # nothing is left behind
@@ -173,7 +173,7 @@ def test_more_points_of_direct_light_are_nearer_to_the_most_as_their_differences
     for points in (16, 64):
         direct = chair.direct_light(points)
         errors.append(tone.display_l2(direct.radiance, finest.radiance, exposure, mask))
-        expected.append(closed_form.differences(direct, mask))
+        expected.append(closed_form.error_by_differences(direct, mask))
     assert errors[1] < errors[0] / 2 and expected[1] < expected[0] / 2
     assert all(0.02 < e / d < 0.6 for e, d in zip(errors, expected, strict=True))
 
@@ -191,7 +191,7 @@ def test_direct_light_is_made_finer_where_it_is_asked_for(chair):
 
 
 def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypatch):
-    from factory.render import studio as module
+    from factory.render import view_light as module
 
     surface, seen = chair._surface, []
 
@@ -219,12 +219,12 @@ def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypa
     seen.clear()
     assert (chair.direct_light(64).radiance == other).all()
     assert (chair.direct_light(64).radiance == other).all()
-    assert len(seen) == 8 and not chair._grids
+    assert len(seen) == 8 and not chair._direct_light.grids
 
 
 def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
     def kept():
-        return [weakref.ref(grid.depth) for grid in chair._grids.values()]
+        return [weakref.ref(grid.depth) for grid in chair._direct_light.grids.values()]
 
     def alive(references):
         gc.collect()
@@ -238,7 +238,7 @@ def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
     second = kept()
     assert (alive(first), alive(second)) == (0, len(first))
     chair.set_shape(assets()[0])
-    assert alive(second) == 0 and not chair._grids
+    assert alive(second) == 0 and not chair._direct_light.grids
 
 
 def test_the_share_of_leaning_points_is_known_before_direct_light_is_computed(chair):
@@ -300,7 +300,9 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
         assert (chair.direct_light() is None) == (not grids)
         assert scales == grids
         if grids:  # as many directions per pixel, whatever the points
-            at = direct_light.points_of(chair._direct_lights(lens), lens, 64)
+            at = direct_light.points_of(
+                chair._direct_light.closed_forms(chair._shown_view()), lens, 64
+            )
             assert at.per_pixel * at.samples == 256
     monkeypatch.undo()
     # few points of a mirror-like material mean nothing
@@ -312,7 +314,12 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
     assert chair.direct_light_work().maps == pytest.approx(1 / 0.05**2)
     glossy(0.02)
     chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
-    assert direct_light.points_of(chair._direct_lights(lens), chair._lens, 64).samples == 256
+    assert (
+        direct_light.points_of(
+            chair._direct_light.closed_forms(chair._shown_view()), chair._lens, 64
+        ).samples
+        == 256
+    )
 
 
 @pytest.mark.parametrize("tier", ["direct", "full"])

@@ -94,7 +94,7 @@ def stage_of(monkeypatch, noise):
     monkeypatch.setattr(error_target.choice, "render_within_error", lambda *_: Picture())
     monkeypatch.setattr(
         error_target,
-        "compared",
+        "compare",
         lambda one, other, reference: Estimate(1.0, noise * 256 / reference.samples),
     )
     return Stage()
@@ -103,8 +103,8 @@ def stage_of(monkeypatch, noise):
 @pytest.mark.parametrize("noise, samples", [(0.1, 256), (1.0, 1024), (8.0, 4096), (1e3, 4096)])
 def test_a_reference_has_as_many_samples_as_a_verdict_needs(monkeypatch, noise, samples):
     stage = stage_of(monkeypatch, noise)
-    scene = scenes.drawn(0, 0, list(stage.materials))
-    row = error_target.measured(stage, scene)
+    scene = scenes.draw_scene(0, 0, list(stage.materials))
+    row = error_target.measure_shot(stage, scene)
     assert row["reference_samples"] == samples
     assert row["squared_bias_standard_error"] == noise * 256 / samples
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators.relighting import summed
+from factory.render.estimators.relighting import sum_basis_pictures
 from factory.render.validation.light_bases import cells, factors, harmonics
 from manifests.arrays import LIGHT_SHAPE
 from shaders import envmap
@@ -63,6 +63,8 @@ def test_a_picture_under_a_light_is_the_sum_of_pictures_under_the_basis():
         return (of[one] + 2 * of[other]) * share[None, None]
 
     under_maps = np.stack([picture(np.repeat(each[..., None], 3, -1)) for each in basis.maps])
-    np.testing.assert_allclose(summed(under_maps, basis.weights(L)), picture(L), rtol=1e-4)
-    negative = summed(under_maps, -basis.weights(L))
+    np.testing.assert_allclose(
+        sum_basis_pictures(under_maps, basis.weights(L)), picture(L), rtol=1e-4
+    )
+    negative = sum_basis_pictures(under_maps, -basis.weights(L))
     assert negative.shape == (1, 1, 3) and np.all(negative == 0)

@@ -83,7 +83,7 @@ def test_geometry_of_points_looks_through_the_centres(studio):
     studio.set_view(0.35)
     shot = studio.geometry()
     x, y = (grid * lens.half_extent for grid in frames.pixel_grid(*lens.size))
-    corners = camera.seen(mesh.vertices, 0.35, lens)[mesh.faces]
+    corners = camera.vertices_from_camera(mesh.vertices, 0.35, lens)[mesh.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(across, axis=1)
     across /= areas[:, None]

@@ -122,7 +122,7 @@ def test_points_of_the_surface_are_where_the_mesh_is(studio, tmp_path, fov, half
     at, lens = studio._surface(), studio._require_camera()
     points = camera.points(lens, at.mask, at.depth)
     # back in the object's frame each point lies on one of the box's faces
-    inside = np.abs(points @ camera.seen(np.eye(3), 0.7, lens).T)
+    inside = np.abs(points @ camera.vertices_from_camera(np.eye(3), 0.7, lens).T)
     half = np.abs(studio._vertices).max()
     np.testing.assert_allclose(inside.max(1), half, rtol=0, atol=TOLERANCE / 4)
 

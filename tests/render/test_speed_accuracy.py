@@ -115,7 +115,7 @@ def test_each_picture_of_a_setting_has_a_seed_of_its_own():
 
     renderer = Renderer()
     shown = Shown(renderer, 8, "full", np.ones((1, 1), bool))
-    pictures, _ = settings.timed(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
+    pictures, _ = settings.time_pictures(lambda at: np.full((1, 1, 3), at.seed), shown, 2)
     assert renderer.forgotten == 2  # each is timed as the first of its view
     assert pictures.shape == (2, 1, 1, 3) and pictures[0, 0, 0, 0] != pictures[1, 0, 0, 0]
 
@@ -125,8 +125,8 @@ def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scen
 ):
     longest = settings.LONGEST
     known = {("a", "1"): longest - 1, ("a", "2"): longest + 1, ("a", "3"): 1.0, ("b", "1"): 2.0}
-    monkeypatch.setattr(settings, "timed", lambda seconds, shown, count: (None, seconds))
-    pictures = settings.rendered(known, None)
+    monkeypatch.setattr(settings, "time_pictures", lambda seconds, shown, count: (None, seconds))
+    pictures = settings.render_settings(known, None)
     assert [each[:2] for each in pictures] == [("a", "1"), ("a", "2"), ("b", "1")]
     rows = [*LIMITS, *(dict(each, scene=1) for each in LIMITS[1:])]
     figures = speed_accuracy_report.summary(rows)
@@ -150,8 +150,8 @@ def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scen
 def test_smaller_limits_are_measured_until_one_is_as_good_as_the_other_program(
     monkeypatch, peer, seconds, measured
 ):
-    monkeypatch.setattr(settings, "limited", lambda limit: 0.7 * limit)
-    monkeypatch.setattr(settings, "timed", lambda error, shown, count: (error, seconds))
+    monkeypatch.setattr(settings, "render_to_limit", lambda limit: 0.7 * limit)
+    monkeypatch.setattr(settings, "time_pictures", lambda error, shown, count: (error, seconds))
     pictures = [(LIMIT, "5", 3.0, 1.0), (LIMIT, "2", 1.2, 2.0), ("denoised", "16", 0.01, 2.0)]
     pictures += [("BlenderProc", "16 samples", 9.0, 1.0)]
     pictures += [] if peer is None else [("BlenderProc", "defaults", peer, 1.0)]
@@ -250,7 +250,7 @@ def measuring(monkeypatch):
             return [{"family": "ratio", "setting": "4 samples", "seconds": 2.0, "error": 1.0}]
 
         monkeypatch.setattr(speed_accuracy, "Stage", Unset)
-        monkeypatch.setattr(speed_accuracy, "measured_scene", measured)
+        monkeypatch.setattr(speed_accuracy, "measure_scene", measured)
         usual = {
             "seed": 7,
             "size": 16,
@@ -291,7 +291,7 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(measuring, tmp_pa
     def again(stage, known, scene, options, rows):
         return [(rows[0]["family"], rows[0]["setting"], None, next(times))]
 
-    monkeypatch.setattr(speed_accuracy, "timed_again", again)
+    monkeypatch.setattr(speed_accuracy, "time_again", again)
     options.rounds = 2
     with pytest.raises((StopIteration, RuntimeError)):  # stopped at the third scene
         speed_accuracy.measure(options)
@@ -335,7 +335,7 @@ def test_a_plain_loop_renders_the_same_scene_by_its_own_settings(studio):
     mask = studio.geometry().mask
     shown = Shown(studio, 3, "direct", mask)
     expected = studio.picture(256, 3, "direct")[0]
-    made = {name: (of, spent) for _, name, of, spent in settings.rendered_by_bare_loop(shown, 2)}
+    made = {name: (of, spent) for _, name, of, spent in settings.render_by_bare_loop(shown, 2)}
     assert list(made) == list(settings.BARE_SETTINGS)
     for pictures, spent in made.values():
         assert pictures.shape == (2, 32, 32, 3) and spent > 0
@@ -415,9 +415,9 @@ def test_the_doubt_about_an_error_is_how_much_it_differs_between_references():
 
 
 def settings_compared(picture, reference):
-    from factory.render.validation.scenes import compared
+    from factory.render.validation.scenes import compare
 
-    return compared(picture, picture, reference).error
+    return compare(picture, picture, reference).error
 
 
 def test_the_page_says_what_a_longer_reference_changes():

@@ -54,7 +54,7 @@ def test_tilted_cosines_are_those_of_the_tilted_vector(tilt, rng):
     across = w_o - (w_o @ n)[:, None] * n
     n_tilted = n + tilt * across
     n_tilted /= np.linalg.norm(n_tilted, axis=-1, keepdims=True)
-    *result, seen = closures.tilted(tilt, *cosines(n, w_i, w_o))
+    *result, seen = closures.tilt_cosines(tilt, *cosines(n, w_i, w_o))
     expected = cosines(n_tilted, w_i, w_o)[:3]
     assert np.array_equal(seen, (expected[0] > 1e-4) & (expected[1] > 1e-4) & (expected[2] > 1e-4))
     for a, b in zip(result, expected, strict=True):
@@ -72,7 +72,7 @@ def test_a_tilt_of_nothing_changes_nothing(rng):
 def test_a_tilted_matte_surface_reflects_by_its_own_cosine(rng):
     n, w_i, w_o = directions(rng)
     c = cosines(n, w_i, w_o)
-    cos_tilted, _, _, seen = closures.tilted(0.4, *c)
+    cos_tilted, _, _, seen = closures.tilt_cosines(0.4, *c)
     np.testing.assert_allclose(
         (closures.evaluate("diffuse", 1.0, 0.4, *c) * c[0])[seen],
         (cos_tilted / np.pi)[seen],

@@ -141,7 +141,7 @@ def test_a_label_is_as_close_as_three_lobes_allow(name):
 
 def test_the_error_of_a_fit_is_that_of_its_label():
     material, _ = LIMITS["plastic"]
-    result, samples = principled_fit.fit(material), principled_fit.held_out()
+    result, samples = principled_fit.fit(material), principled_fit.held_out_samples()
     theta_d = np.arccos(samples.cos_d)
     f = np.stack(
         [

@@ -18,7 +18,7 @@ class FakeTasks(ray_tasks.Tasks):
     draw = random.Random(0)
     ended = 0
 
-    def _started(self):
+    def _start_worker(self):
         worker = ray_tasks.Worker(self._maker, self._settings)
 
         def method(call):
@@ -26,7 +26,7 @@ class FakeTasks(ray_tasks.Tasks):
 
         return SimpleNamespace(ready=method(worker.ready), do=method(worker.do))
 
-    def _finished(self):
+    def _finished_workers(self):
         return [self.draw.choice(self._hands)]
 
     def _answer(self, hand):

@@ -92,7 +92,7 @@ class Studio:
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
         return Portion(noisy, alpha, self._normals)
 
-    def denoised(self, portion, effort):
+    def denoise(self, portion, effort):
         return portion.guides[..., 2:] * np.float32(self._colour) * np.ones(3, np.float32)
 
     def may_shade_itself(self):

@@ -29,7 +29,7 @@ class Known:
         noisy = (self.truth + noise).astype(np.float32)
         return Portion(noisy, MASK.astype(np.float32), NO_GUIDES)
 
-    def denoised(self, portion, effort):
+    def denoise(self, portion, effort):
         self.tries += 1
         smooth = self.truth + self.left * (portion.noisy - self.truth)
         smooth[:, ::2] += self.bias
@@ -70,7 +70,7 @@ class Shaded(Known):
         guides = np.broadcast_to(share, (*MASK.shape, 1))
         return Portion(noisy, MASK.astype(np.float32), guides)
 
-    def denoised(self, portion, effort):
+    def denoise(self, portion, effort):
         self.tries += 1
         unblocked = portion.guides * self.unblocked
         smooth = unblocked + self.left * (portion.noisy - unblocked)

@@ -24,7 +24,8 @@ from manifests.schema import (
     View,
 )
 from manifests.splits import split_of
-from manifests.store import Store, geometry_path, image_path, light_path
+from manifests.store import Store
+from manifests.store_paths import geometry_path, image_path, light_path
 from manifests.viewpoints import azimuths_deg
 from shaders import envmap, frames
 from shaders.mixture import Mixture

@@ -29,7 +29,7 @@ from factory.render.settings import Setting, apply, assign
 
 
 @contextlib.contextmanager
-def stopping_at(scene: Any, threshold: float) -> Iterator[None]:
+def stop_where_noise_is_below(scene: Any, threshold: float) -> Iterator[None]:
     """Let Cycles stop sampling pixels whose noise is below a threshold, as its default does.
 
     scene  Blender's, with the camera

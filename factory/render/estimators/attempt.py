@@ -56,7 +56,7 @@ class Plan(NamedTuple):
     samples: int
 
 
-class _Tried(NamedTuple):
+class _Candidate(NamedTuple):
     """Pictures of both halves by an estimator, and the unbiased ones that they are compared with.
 
     predicted  error by the estimator's model
@@ -109,43 +109,43 @@ class Attempt:
         self.halves = Halves(self.shown)
         self.halves.grow(PILOT)
         self.pilot = self.now = self.halves.estimate()
-        self.scale = denoised.scale(self.shown.mask.size)
-        self.ratio_scale = ratio.scale(self.shown.mask.size)
-        self.expected = closed_form.hoped(self.error)
+        self.scale = denoised.expected_scale(self.shown.mask.size)
+        self.ratio_scale = ratio.expected_scale(self.shown.mask.size)
+        self.expected = closed_form.expected_error_at_limit(self.error)
 
     @property
     def is_over(self) -> bool:
         """Whether path tracing keeps the limit, or no more samples may be rendered."""
         return self.now.bound <= self.error or self.halves.samples >= MOST_SAMPLES
 
-    def path_traced(self) -> Picture:
+    def path_traced_picture(self) -> Picture:
         """Return path tracing's picture of all samples so far."""
         return Picture(
             radiance=self.halves.picture,
             alpha=self.halves.alpha,
             estimator=path_tracing.NAME,
             samples=2 * self.halves.samples,
-            predicted=path_tracing.predicted(self.pilot, PILOT, self.halves.samples),
+            predicted=path_tracing.predict_error(self.pilot, PILOT, self.halves.samples),
             estimated=self.now,
             traced=self.shown.tier,
         )
 
-    def closed(self) -> Picture | None:
+    def try_closed_form(self) -> Picture | None:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
         if not self.asked and self._is_worth_asking():
             self.asked = True
-            self.direct = self._direct_light()
+            self.direct = self._compute_direct_light()
             if self.direct is not None:
-                self.expected = closed_form.expected(self.direct, self.shown.mask)
+                self.expected = closed_form.expected_error(self.direct, self.shown.mask)
         if self.direct is None or closed_form.NAME not in self.estimators:
             return None
         # without noise if it may, since a blend is not worth it
         for shares in ((0.0,), blends.SHARES):
             smooth = [self.direct.radiance] * 2
             blend = self._at_least_as_blocked(
-                blends.best(self.halves, smooth, self.halves.pictures, self.error, shares)
+                blends.choose_blend(self.halves, smooth, self.halves.pictures, self.error, shares)
             )
-            bias = blends.doubted(blend.bias, blend.estimate)
+            bias = blends.bias_with_doubt(blend.bias, blend.estimate)
             if shares == (0.0,) and self.shown.tier == "direct":
                 known = self._error_in_direct_light(self.halves.pictures)
                 blend, bias = blend._replace(estimate=known), known.error
@@ -176,7 +176,7 @@ class Attempt:
         estimate = replace(blend.estimate, error=max(blend.estimate.error, known))
         return blend._replace(estimate=estimate, bias=max(blend.bias, known))
 
-    def _direct_light(self) -> DirectPicture | None:
+    def _compute_direct_light(self) -> DirectPicture | None:
         """Return direct light by as many points per pixel as the limit needs."""
         renderer, mask = self.shown.renderer, self.shown.mask
         points = closed_form.POINTS
@@ -189,13 +189,13 @@ class Attempt:
                 return None  # the frame has no more points
             return renderer.direct_light(more.points, known, more.where)
 
-        return closed_form.refined(direct, mask, work.points, self.error, finer)
+        return closed_form.refine_direct_light(direct, mask, work.points, self.error, finer)
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""
         assert self.direct is not None
-        measured = closed_form.measured(self.direct.radiance, unblocked, self.shown.mask)
-        return closed_form.weighed(measured, self.expected)
+        measured = closed_form.measure_error(self.direct.radiance, unblocked, self.shown.mask)
+        return closed_form.combine_with_expectation(measured, self.expected)
 
     def _is_kept(self, estimate: Estimate, bias: float) -> bool:
         """Whether a picture has an error and a squared bias that the limit allows."""
@@ -208,7 +208,7 @@ class Attempt:
         work = self.shown.renderer.direct_light_work(closed_form.POINTS)
         if work is None:
             return False
-        cost = closed_form.cost(int(self.shown.mask.sum()), work)
+        cost = closed_form.cost_in_samples(int(self.shown.mask.sum()), work)
         least = min(self.plans()).cost
         if least <= cost:
             return False
@@ -235,23 +235,27 @@ class Attempt:
         """Return what may be done next; path tracing is always there."""
         samples, error, tier = self.halves.samples, self.error, self.shown.tier
         most = MOST_SAMPLES - samples
-        further = min(path_tracing.needed(self.now, samples, error), MOST_SAMPLES) - samples
+        further = min(path_tracing.needed_samples(self.now, samples, error), MOST_SAMPLES) - samples
         plans = [Plan(further, path_tracing.NAME, further)]
-        if self._may(denoised.NAME, denoised.MOST_TRIES):
-            count = denoised.needed(self.now.noise_bound, samples, self.scale, error)
+        if self._may_try(denoised.NAME, denoised.MOST_TRIES):
+            count = denoised.needed_samples(self.now.noise_bound, samples, self.scale, error)
             if tried := self.tried.get(denoised.NAME):
                 count = math.ceil(max(denoised.CAUTION * count, MORE * tried[1]))
             further = max(count - samples, 0)
             if further <= most:
-                cost = denoised.cost(samples + further, tier)
+                cost = denoised.cost_in_samples(samples + further, tier)
                 plans.append(Plan(further + cost, denoised.NAME, further))
         if self.direct is None:
             return plans
         by_ratio = tier != "direct" and self.blocked is not None
-        if by_ratio and self._may(ratio.NAME, ratio.MOST_TRIES) and (plan := self._ratio_plan()):
+        if (
+            by_ratio
+            and self._may_try(ratio.NAME, ratio.MOST_TRIES)
+            and (plan := self._ratio_plan())
+        ):
             plans.append(plan)
         if closed_form.NAME in self.tried and not self._is_blocked():
-            total = closed_form.needed(*self.tried[closed_form.NAME], error)
+            total = closed_form.needed_samples(*self.tried[closed_form.NAME], error)
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(Plan(total - samples, closed_form.NAME, total - samples))
         return plans
@@ -259,7 +263,9 @@ class Attempt:
     def _measure_noise_left(self, smooth: Sequence[np.ndarray]) -> None:
         """Measure how much noise the ratio's unbiased pictures have; smooth: for the slope."""
         slope = self.halves.slope_map(smooth)
-        self.left = ratio.left_of_noise(self.halves.pictures, self.halves.unblocked(), slope)
+        self.left = ratio.share_of_noise_left(
+            self.halves.pictures, self.halves.unblocked_pictures(), slope
+        )
 
     def _ratio_plan(self) -> Plan | None:
         """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
@@ -269,7 +275,7 @@ class Attempt:
         if ratio.NAME in self.tried:
             least = math.ceil(MORE * self.tried[ratio.NAME][1])
         noise = self.left * self.now.noise_bound
-        count = ratio.needed(
+        count = ratio.needed_samples(
             noise, halves.samples, self.ratio_scale, self.error, self._direct_light_error, least
         )
         if count > MOST_SAMPLES:
@@ -277,7 +283,7 @@ class Attempt:
         further = max(count - halves.samples, 0)
         total = halves.samples + further
         rendered = further + total - halves.unblocked_samples
-        cost = rendered + 2 * denoised.cost(total, self.shown.tier)
+        cost = rendered + 2 * denoised.cost_in_samples(total, self.shown.tier)
         return Plan(cost, ratio.NAME, further)
 
     def _direct_light_error(self, samples: int) -> Estimate:
@@ -287,11 +293,13 @@ class Attempt:
             # the uncertainty of the picture is taken for that of direct light, of which a half
             # alone has twice as much
             uncertain = 2 * self.now.standard_error * halves.samples / samples
-            return closed_form.weighed(Estimate(self.expected.error, uncertain), self.expected)
+            return closed_form.combine_with_expectation(
+                Estimate(self.expected.error, uncertain), self.expected
+            )
         tried = halves.unblocked_samples
-        return ratio.seen_with_more(self.closed_direct, self.expected, tried, samples)
+        return ratio.error_with_more_samples(self.closed_direct, self.expected, tried, samples)
 
-    def _may(self, name: Estimator, most: int) -> bool:
+    def _may_try(self, name: Estimator, most: int) -> bool:
         return name in self.estimators and self.tries.get(name, 0) < most
 
     def run(self, plan: Plan) -> Picture | None:
@@ -307,43 +315,43 @@ class Attempt:
         self.now = halves.estimate()
         return None
 
-    def _pairs(self, with_ratio: bool) -> list[_Tried]:
+    def _pairs(self, with_ratio: bool) -> list[_Candidate]:
         """Return the samples' denoised pictures, and before them those by the ratio."""
         halves = self.halves
-        smooth = halves.denoised()
+        smooth = halves.denoised_pictures()
         noise = self.pilot.noise * PILOT / halves.samples
-        by_law = denoised.predicted(noise, self.scale, halves.samples, self.error)
-        by_denoiser = _Tried(denoised.NAME, smooth, by_law, halves.pictures)
+        by_law = denoised.predict_error(noise, self.scale, halves.samples, self.error)
+        by_denoiser = _Candidate(denoised.NAME, smooth, by_law, halves.pictures)
         if not with_ratio:
             return [by_denoiser]
         assert self.direct is not None
-        radiance, unblocked = self.direct.radiance, halves.unblocked()
+        radiance, unblocked = self.direct.radiance, halves.unblocked_pictures()
         self.closed_direct = self._error_in_direct_light(unblocked)
-        pairs = zip(smooth, halves.unblocked_denoised(), strict=True)
+        pairs = zip(smooth, halves.denoised_unblocked_pictures(), strict=True)
         self._measure_noise_left(smooth)
-        by_ratio = _Tried(
+        by_ratio = _Candidate(
             ratio.NAME,
-            [ratio.combined(radiance, *pair) for pair in pairs],
-            ratio.predicted(self.left * noise, self.ratio_scale, self.error),
-            ratio.unbiased(radiance, halves.pictures, unblocked, halves.slope_map(smooth)),
+            [ratio.multiply_by_ratio(radiance, *pair) for pair in pairs],
+            ratio.predict_error(self.left * noise, self.ratio_scale, self.error),
+            ratio.reduce_noise(radiance, halves.pictures, unblocked, halves.slope_map(smooth)),
         )
         return [by_ratio, by_denoiser]
 
-    def _judge(self, tried: _Tried) -> Picture | None:
+    def _judge(self, tried: _Candidate) -> Picture | None:
         """Return the best blend of an estimator's pictures if it keeps the error.
 
         Its law's scale is measured.
         """
         halves, name = self.halves, tried.estimator
         shares = ratio.SHARES if name == ratio.NAME else blends.SHARES
-        blend = blends.best(halves, tried.pair, tried.unbiased, self.error, shares)
+        blend = blends.choose_blend(halves, tried.pair, tried.unbiased, self.error, shares)
         estimate, bias = self._estimate(name, blend)
         self.tried[name] = _with_bias(estimate, bias), halves.samples
         noise = halves.estimate().noise
         if name == denoised.NAME:
-            self.scale = denoised.scale_measured(blend, noise, halves.samples)
+            self.scale = denoised.measure_scale(blend, noise, halves.samples)
         else:
-            self.ratio_scale = ratio.scale_measured(blend, self.left * noise)
+            self.ratio_scale = ratio.measure_scale(blend, self.left * noise)
         if not self._is_kept(estimate, bias):
             return None
         return Picture(
@@ -362,11 +370,11 @@ class Attempt:
         What is compared with pictures that contain the closed form cannot show its error: that is
         added, unless the samples as rendered show beyond doubt that it is more.
         """
-        bias = blends.doubted(blend.bias, blend.estimate)
+        bias = blends.bias_with_doubt(blend.bias, blend.estimate)
         if name != ratio.NAME:
             return blend.estimate, bias
-        plain = self.halves.denoised_estimate(blend.pair)
-        if closed_form.is_out(plain, self.error):
+        plain = self.halves.estimate_denoised(blend.pair)
+        if closed_form.is_surely_above(plain, self.error):
             return plain, bias
         known = self.closed_direct
         assert known is not None

@@ -39,12 +39,12 @@ class Blend(NamedTuple):
     share: float
 
 
-def doubted(bias: float, estimate: Estimate) -> float:
+def bias_with_doubt(bias: float, estimate: Estimate) -> float:
     """Return the squared bias of a picture that was chosen by its estimate."""
     return bias + DOUBT * estimate.standard_error
 
 
-def best(
+def choose_blend(
     halves: Halves,
     smooth: Sequence[np.ndarray],
     unbiased: Sequence[np.ndarray],
@@ -69,5 +69,7 @@ def best(
         estimate, bias = halves.error_and_bias(pair, unbiased, slope)
         alone = blends[0].bias if blends else bias
         blends.append(Blend(pair, estimate, bias, alone, share))
-    allowed = [each for each in blends if doubted(each.bias, each.estimate) <= MOST_BIAS * error]
+    allowed = [
+        each for each in blends if bias_with_doubt(each.bias, each.estimate) <= MOST_BIAS * error
+    ]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

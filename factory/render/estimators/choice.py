@@ -28,8 +28,8 @@ def render_within_error(
         shown = replace(shown, tier="direct")
     attempt = Attempt(shown, error, estimators)
     while not attempt.is_over:
-        if made := attempt.closed():
+        if made := attempt.try_closed_form():
             return made
         if made := attempt.run(min(attempt.plans())):
             return made
-    return attempt.path_traced()
+    return attempt.path_traced_picture()

@@ -5,7 +5,8 @@ bias      all light that the object blocks or reflects onto itself: none in the 
           in the others none where a shape cannot shade itself, as seen from this side
 checked   against the samples of both halves, in every tier: the estimate contains the bias. Where
           it is above a third of the limit a share of the samples is blended in (`blends`). In the
-          tier `direct` what is expected by the differences of its points counts too (`weighed`)
+          tier `direct` what is expected by the differences of its points counts too
+          (`combine_with_expectation`)
 cost      none but its own, for the samples of the pilot are there already
 fails     few: edges and mirror-like materials that the points miss, and materials whose lobes at
           grazing angles are not quite Cycles'
@@ -23,16 +24,16 @@ from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "closed-form"
-POINTS = 16  # per pixel, before `finer`
+POINTS = 16  # per pixel, before `plan_more_points`
 MOST_POINTS = 1 << 21  # of all pixels that have more than those
 MOST_PER_PIXEL = 1024
 FINER = ((2,), (4,), (4, 16), (4, 16, 64))  # times the points, of pixels whose points differ
 ROUNDS = 3  # of giving more points, after each of which it is known better where they lack
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 ENOUGH = 0.3  # of the limit: doubt about the points' own part of the error that needs no more
-# the error that is expected: LEFT times the points' `differences`, and OTHER. It is less than of
-# points at random, for grids lie between each other, but narrow lobes have the noise of their
-# directions. With how much it differs between shots; measured on own shapes and other meshes
+# the error that is expected: LEFT times the points' `error_by_differences`, and OTHER. It is less
+# than of points at random, for grids lie between each other, but narrow lobes have the noise of
+# their directions. With how much it differs between shots; measured on own shapes and other meshes
 # (docs/log.md)
 LEFT = {False: (0.2, 0.17), True: (0.25, 0.3)}  # by whether lobes are sampled
 OTHER, OTHER_SPREAD = 0.1, 0.2
@@ -53,7 +54,7 @@ class Finer(NamedTuple):
     where: np.ndarray
 
 
-def refined(
+def refine_direct_light(
     direct: DirectPicture,
     mask: np.ndarray,
     points: int,
@@ -73,7 +74,7 @@ def refined(
     counts = np.full(int(mask.sum()), points)
     for _ in range(ROUNDS):
         before, known = direct, counts
-        plan = finer(direct, mask, counts, error)
+        plan = plan_more_points(direct, mask, counts, error)
         if not plan:
             break
         for more in plan:
@@ -100,13 +101,19 @@ def _surprise(
     """
     slope = _slope(before.radiance, mask)
     off = (((after.radiance - before.radiance)[mask] * slope) ** 2).mean(-1, dtype=np.float64)
-    parts = _differences(before, mask)
-    said = _left(before).error * max(float(parts[changed].mean()), float(parts.mean()))
+    parts = _errors_by_differences(before, mask)
+    said = _error_per_difference(before).error * max(
+        float(parts[changed].mean()), float(parts.mean())
+    )
     return max(1.0, float(off[changed].mean()) / max(said, 1e-12))
 
 
-def finer(direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: float) -> list[Finer]:
-    """Return what makes the points' own error small beside a limit: nothing if it is.
+def plan_more_points(
+    direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: float
+) -> list[Finer]:
+    """Return which pixels get more points, and how many; [] if the points' own error is small.
+
+    It is small below a share ENOUGH of the limit `error`.
 
     The error lies at edges and in reflections, so that a few pixels are given many points: in
     proportion to the root of their part of it, which falls in proportion to their points. Which
@@ -114,18 +121,18 @@ def finer(direct: DirectPicture, mask: np.ndarray, counts: np.ndarray, error: fl
 
     direct  by so many points per pixel of the mask: counts (P,)
     """
-    most = ENOUGH * error / _left(direct).bound
-    if differences(direct, mask) <= most:
+    most = ENOUGH * error / _error_per_difference(direct).bound
+    if error_by_differences(direct, mask) <= most:
         return []
     points = int(counts.min())
     # of as many points everywhere
-    parts = _with_neighbours(_differences(direct, mask) * (counts / points), mask)
+    parts = _with_neighbours(_errors_by_differences(direct, mask) * (counts / points), mask)
     best: tuple[float, float, np.ndarray] | None = None
     for levels in FINER:
         steps = np.array([points * times for times in (1, *levels)])
         if steps[-1] > MOST_PER_PIXEL:
             continue
-        known = _counts(parts, counts, steps, most)
+        known = _points_per_pixel(parts, counts, steps, most)
         left = float((parts * points / known).mean())
         more = known > counts
         used = steps[1:][[bool((known[more] == count).any()) for count in steps[1:]]]
@@ -158,7 +165,9 @@ def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result * (values.sum() / max(result.sum(), 1e-12))
 
 
-def _counts(parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float) -> np.ndarray:
+def _points_per_pixel(
+    parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float
+) -> np.ndarray:
     """Return points per pixel (P,) by which the mean of the parts is `most`: its own, or a level.
 
     It is more where memory does not suffice.
@@ -185,23 +194,23 @@ def _counts(parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: flo
     return largest
 
 
-def _left(direct: DirectPicture) -> Estimate:
+def _error_per_difference(direct: DirectPicture) -> Estimate:
     """Return the error in units of the differences, and how much it differs between shots."""
     return Estimate(*LEFT[direct.sampled])
 
 
-def cost(pixels: int, work: DirectWork) -> float:
+def cost_in_samples(pixels: int, work: DirectWork) -> float:
     """Return the samples of each half that take as long as the closed form of so many pixels."""
     maps = (MAPS * work.maps + WIDE_MAPS) / max(pixels, 1)
     return EACH_POINT * work.points + LEANING * work.leaning + maps
 
 
-def differences(direct: DirectPicture, mask: np.ndarray) -> float:
+def error_by_differences(direct: DirectPicture, mask: np.ndarray) -> float:
     """Return the display error that a picture would have if its grids were placed at random."""
-    return float(_differences(direct, mask).mean())
+    return float(_errors_by_differences(direct, mask).mean())
 
 
-def _differences(direct: DirectPicture, mask: np.ndarray) -> np.ndarray:
+def _errors_by_differences(direct: DirectPicture, mask: np.ndarray) -> np.ndarray:
     """Return the same of each pixel of the mask, (P,) float64."""
     slope = _slope(direct.radiance, mask)
     return (direct.variance[mask] * slope**2).mean(-1, dtype=np.float64)
@@ -212,22 +221,24 @@ def _slope(radiance: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return tone.display_slope(radiance[mask], tone.auto_exposure(radiance, mask))
 
 
-def expected(direct: DirectPicture, mask: np.ndarray) -> Estimate:
+def expected_error(direct: DirectPicture, mask: np.ndarray) -> Estimate:
     """Return the closed form's error in the tier `direct` before samples measure it."""
-    return _expected(differences(direct, mask), _left(direct))
+    return _expected_error(error_by_differences(direct, mask), _error_per_difference(direct))
 
 
-def hoped(error: float) -> Estimate:
+def expected_error_at_limit(error: float) -> Estimate:
     """Return the same before direct light is computed by as many points as a limit needs."""
     left = Estimate(*LEFT[False])
-    return _expected(min(USUAL, ENOUGH * error / left.bound), left)
+    return _expected_error(min(USUAL, ENOUGH * error / left.bound), left)
 
 
-def _expected(own: float, left: Estimate) -> Estimate:
+def _expected_error(own: float, left: Estimate) -> Estimate:
     return Estimate(left.error * own + OTHER, left.standard_error * own + OTHER_SPREAD)
 
 
-def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray) -> Estimate:
+def measure_error(
+    direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarray
+) -> Estimate:
     """Return the closed form's error by two independent pictures of the tier `direct`.
 
     Differences are taken of radiance and scaled by the display curve's slope (tone.display_slope).
@@ -240,7 +251,7 @@ def measured(direct: np.ndarray, unblocked: Sequence[np.ndarray], mask: np.ndarr
     return mean_over((one * other).mean(-1))
 
 
-def weighed(measured: Estimate, expected: Estimate) -> Estimate:
+def combine_with_expectation(measured: Estimate, expected: Estimate) -> Estimate:
     """Return the closed form's error in the tier `direct` by a measurement and by what is expected.
 
     Both count as their certainty: few samples say less than the points' differences. What is
@@ -254,17 +265,17 @@ def weighed(measured: Estimate, expected: Estimate) -> Estimate:
     return Estimate(max(error, 0.0), math.sqrt(weight) * measured.standard_error)
 
 
-def is_out(estimate: Estimate, error: float) -> bool:
+def is_surely_above(estimate: Estimate, error: float) -> bool:
     """Whether an estimate is above the limit beyond doubt, whatever more samples would say."""
     return estimate.error - CONFIDENCE * estimate.standard_error > error
 
 
-def needed(estimate: Estimate, samples: int, error: float) -> int | None:
+def needed_samples(estimate: Estimate, samples: int, error: float) -> int | None:
     """Return the samples of each half that show whether the error is kept, or None if it is not.
 
     estimate  by `samples` of each half; its uncertainty falls in proportion to 1/samples
     """
-    if is_out(estimate, error):
+    if is_surely_above(estimate, error):
         return None
     if estimate.bound <= error:  # its bias may be too large: a look that is twice as close
         return 2 * samples

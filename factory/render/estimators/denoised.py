@@ -30,23 +30,26 @@ MOST_TRIES = 4
 COST = {"direct": 4.5, "shadow": 5.0, "full": 4.0}
 
 
-def cost(samples: int, tier: Tier) -> float:
+def cost_in_samples(samples: int, tier: Tier) -> float:
     """Return the samples that take as long as denoising a half of so many samples."""
     return COST[tier] * effort(samples).cost
 
 
-def left(pixels: int) -> float:
-    """Return the error that a denoiser leaves in a frame of so many pixels, beside STANDARD."""
+def size_factor(pixels: int) -> float:
+    """Return the error that a denoiser leaves in a frame of so many pixels.
+
+    It is in units of what it leaves in one of STANDARD pixels.
+    """
     return float((STANDARD / pixels) ** SIZE)
 
 
-def scale(pixels: int) -> float:
-    """Return the law's scale for a frame of so many pixels that was not tried yet."""
-    return SCALE * left(pixels)
+def expected_scale(pixels: int) -> float:
+    """Return the law's scale for a frame of so many pixels before any try has measured it."""
+    return SCALE * size_factor(pixels)
 
 
-def scale_measured(blend: Blend, noise: float, samples: int) -> float:
-    """Return the law's scale by denoised halves whose blend is given.
+def measure_scale(blend: Blend, noise: float, samples: int) -> float:
+    """Return the law's scale as denoised halves show it, whose blend is given.
 
     noise    error of the same samples without denoiser
     samples  of each half
@@ -56,7 +59,7 @@ def scale_measured(blend: Blend, noise: float, samples: int) -> float:
     return seen / (noise**POWER * effort(samples).leaves)
 
 
-def predicted(noise: float, scale: float, samples: int, limit: float) -> float:
+def predict_error(noise: float, scale: float, samples: int, limit: float) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all.
 
     noise    error of the same samples without denoiser
@@ -67,7 +70,9 @@ def predicted(noise: float, scale: float, samples: int, limit: float) -> float:
     return min(allowed or [error for error, _ in known])
 
 
-def needed(noise: float, samples: int, scale: float, limit: float, least: int = LEAST) -> int:
+def needed_samples(
+    noise: float, samples: int, scale: float, limit: float, least: int = LEAST
+) -> int:
     """Return the samples of each half whose blend keeps a limit on error and bias, by the law.
 
     noise  error of `samples` of each half without denoiser

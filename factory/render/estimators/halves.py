@@ -64,7 +64,7 @@ def half_seed(seed: int, half: int) -> int:
     return int.from_bytes(hashlib.blake2b(f"half {seed}".encode(), digest_size=4).digest(), "big")
 
 
-class _Growing:
+class _GrowingPicture:
     """The portions of one seed's sequence that were rendered so far, in one tier.
 
     samples  per pixel
@@ -86,12 +86,12 @@ class _Growing:
         self.mean, self._denoised = part, None
         self.samples += count
 
-    def denoised(self, prefilter: bool) -> np.ndarray:
+    def denoised_picture(self, prefilter: bool) -> np.ndarray:
         """Return radiance (height, width, 3) of all samples, denoised."""
         if self._denoised is None:
             assert self.mean is not None
             how = effort(self.samples)._replace(prefilter=prefilter)
-            self._denoised = self._renderer.denoised(self.mean, how)
+            self._denoised = self._renderer.denoise(self.mean, how)
         return self._denoised
 
 
@@ -104,8 +104,8 @@ class Halves:
     def __init__(self, shown: Shown):
         self.shown = shown
         seeds = [half_seed(shown.seed, half) for half in (0, 1)]
-        self._shown = [_Growing(shown.renderer, seed, shown.tier) for seed in seeds]
-        self._unblocked = [_Growing(shown.renderer, seed, "direct") for seed in seeds]
+        self._shown = [_GrowingPicture(shown.renderer, seed, shown.tier) for seed in seeds]
+        self._unblocked = [_GrowingPicture(shown.renderer, seed, "direct") for seed in seeds]
 
     @property
     def samples(self) -> int:
@@ -121,10 +121,10 @@ class Halves:
         for half in self._shown:
             half.grow(count)
 
-    def denoised(self) -> list[np.ndarray]:
+    def denoised_pictures(self) -> list[np.ndarray]:
         """Return both halves' radiance (height, width, 3), each of all its samples, denoised."""
         prefilter = self.has_noisy_guides
-        return [half.denoised(prefilter) for half in self._shown]
+        return [half.denoised_picture(prefilter) for half in self._shown]
 
     @property
     def has_noisy_guides(self) -> bool:
@@ -135,7 +135,7 @@ class Halves:
         difference = first.guides[mask][:, :3] - second.guides[mask][:, :3]
         return math.sqrt(float((difference**2).mean(dtype=np.float64)) / 2) > NOISY_GUIDES
 
-    def unblocked(self) -> list[np.ndarray]:
+    def unblocked_pictures(self) -> list[np.ndarray]:
         """Return radiance (height, width, 3) of direct light without shadows, of both halves.
 
         It has the samples that both halves have, of which only new ones are rendered.
@@ -145,11 +145,11 @@ class Halves:
                 half.grow(self.samples - half.samples)
         return [half.mean.noisy for half in self._unblocked if half.mean]
 
-    def unblocked_denoised(self) -> list[np.ndarray]:
+    def denoised_unblocked_pictures(self) -> list[np.ndarray]:
         """Return the same, denoised."""
-        self.unblocked()
+        self.unblocked_pictures()
         prefilter = self.has_noisy_guides
-        return [half.denoised(prefilter) for half in self._unblocked]
+        return [half.denoised_picture(prefilter) for half in self._unblocked]
 
     def error_of_direct_light(self) -> Estimate:
         """Return the error that direct light without shadows would have as the picture.
@@ -159,7 +159,7 @@ class Halves:
         mask, exposure = self.shown.mask, self.exposure
         one, other = (
             tone.display(shown[mask], exposure) - tone.display(alone[mask], exposure)
-            for shown, alone in zip(self.pictures, self.unblocked(), strict=True)
+            for shown, alone in zip(self.pictures, self.unblocked_pictures(), strict=True)
         )
         return mean_over((one * other).mean(-1))
 
@@ -197,7 +197,7 @@ class Halves:
         estimate = mean_over(tone.squared_difference(a, b) / 4 + curve)
         return replace(estimate, curve=float(curve.mean(dtype=np.float64)))
 
-    def denoised_estimate(self, denoised: Sequence[np.ndarray]) -> Estimate:
+    def estimate_denoised(self, denoised: Sequence[np.ndarray]) -> Estimate:
         """Return the error of the mean of two pictures, each independent of the other's half.
 
         Bias is included. The pictures are denoised halves, or what was computed from them.

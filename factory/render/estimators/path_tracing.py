@@ -16,7 +16,7 @@ NAME: Estimator = "path-tracing"
 AIM = 1.03  # times the samples that the model asks for, so that a second step is rare
 
 
-def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
+def predict_error(pilot: Estimate, pilot_samples: int, samples: int) -> float:
     """Return the error at `samples` of each half.
 
     Noise is in proportion to 1/samples, and the display curve's part to its square.
@@ -25,7 +25,7 @@ def predicted(pilot: Estimate, pilot_samples: int, samples: int) -> float:
     return pilot.noise * share + pilot.curve * share**2
 
 
-def needed(now: Estimate, samples: int, error: float) -> int:
+def needed_samples(now: Estimate, samples: int, error: float) -> int:
     """Return the samples of each half that keep an error, by the estimate at `samples`."""
     # noise_bound / growth + curve / growth² = error
     root = math.sqrt(now.noise_bound**2 + 4 * error * now.curve)

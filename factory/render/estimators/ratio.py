@@ -5,7 +5,7 @@ what      closed form · denoised picture / denoised picture without shadows and
           their ratio has little (Heitz, Hill and McGuire 2018, "Combining analytic direct
           illumination and stochastic shadows")
 bias      of the denoiser, where it treats the two pictures differently: the estimate contains it,
-          and a share of `unbiased` beside it keeps it below a third of the limit (`blends`).
+          and a share of unbiased pictures (`reduce_noise`) keeps it below a third of the limit.
           That of the closed form is added: it is measured by the samples without shadows
 cost      every sample twice, both denoisings, and the closed form
 fails     interreflection in strong highlights, which unoccluded light does not show. The ratio is
@@ -25,8 +25,8 @@ from manifests.schema import Estimator
 NAME: Estimator = "ratio"
 MOST = 3.0  # of the ratio: light that is reflected on raises it above 1
 DARK = 1e-6  # radiance by which nothing is divided
-# squared bias: scale · noise^POWER, where noise is the error of `unbiased`. The scale is SCALE by
-# the size of the frame (denoised.left) until the first try has measured it
+# squared bias: scale · noise^POWER, where noise is the error of the unbiased pictures. The scale is
+# SCALE by the size of the frame (denoised.size_factor) until the first try has measured it
 SCALE, POWER = 1.5, 0.55
 WITH_NOISE = 1.2  # error of the mean of both halves, over its bias
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
@@ -39,7 +39,7 @@ AROUND = 4  # pixels to each side by whose noise β is known
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
 
 
-def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
+def multiply_by_ratio(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:
     """Return the picture (height, width, 3).
 
     direct     (height, width, 3) by the closed form
@@ -50,7 +50,7 @@ def combined(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np
     return np.where(unblocked > DARK, direct * share, shown).astype(np.float32)
 
 
-def unbiased(
+def reduce_noise(
     direct: np.ndarray,
     shown: Sequence[np.ndarray],
     unblocked: Sequence[np.ndarray],
@@ -69,13 +69,14 @@ def unbiased(
     """
     noise, explained = (slope * (pair[0] - pair[1]) for pair in (shown, unblocked))
     common, own = (
-        _around((each * explained).sum(-1, dtype=np.float64), AROUND) for each in (noise, explained)
+        _sums_around((each * explained).sum(-1, dtype=np.float64), AROUND)
+        for each in (noise, explained)
     )
     beta = np.clip(common / np.maximum(own, 1e-12), 0, 1)[..., None].astype(np.float32)
     return [s - beta * (u - direct) for s, u in zip(shown, unblocked, strict=True)]
 
 
-def _around(values: np.ndarray, pixels: int) -> np.ndarray:
+def _sums_around(values: np.ndarray, pixels: int) -> np.ndarray:
     """Return sums of values (height, width) up to so many pixels away, without each one's own."""
     from scipy.ndimage import uniform_filter
 
@@ -83,12 +84,12 @@ def _around(values: np.ndarray, pixels: int) -> np.ndarray:
     return uniform_filter(values, side, mode="constant") * side**2 - values
 
 
-def left_of_noise(
+def share_of_noise_left(
     shown: Sequence[np.ndarray], unblocked: Sequence[np.ndarray], slope: np.ndarray
 ) -> float:
-    """Return the share of path tracing's noise that `unbiased` has; arguments as there."""
+    """Return the share of path tracing's noise that `reduce_noise` leaves; arguments as there."""
     mean = (unblocked[0] + unblocked[1]) / np.float32(2)
-    a, b = unbiased(mean, shown, unblocked, slope)
+    a, b = reduce_noise(mean, shown, unblocked, slope)
     left, whole = (
         float(((slope * (one - other)) ** 2).sum(dtype=np.float64))
         for one, other in ((a, b), shown)
@@ -96,25 +97,25 @@ def left_of_noise(
     return left / max(whole, 1e-12)
 
 
-def scale(pixels: int) -> float:
-    """Return the law's scale for a frame of so many pixels that was not tried yet."""
-    return SCALE * denoised.left(pixels)
+def expected_scale(pixels: int) -> float:
+    """Return the law's scale for a frame of so many pixels before any try has measured it."""
+    return SCALE * denoised.size_factor(pixels)
 
 
-def scale_measured(blend: Blend, noise: float) -> float:
+def measure_scale(blend: Blend, noise: float) -> float:
     """Return the law's scale by a try; noise: the error of its unbiased pictures' mean."""
     # a bias that is not seen may be as large as its uncertainty
     return max(blend.bias_alone, blend.estimate.standard_error) / max(noise, 1e-9) ** POWER
 
 
-def predicted(noise: float, scale: float, limit: float) -> float:
+def predict_error(noise: float, scale: float, limit: float) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all."""
     known = _blends(noise, scale)
     allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
     return min(allowed or [error for error, _ in known])
 
 
-def needed(
+def needed_samples(
     noise: float,
     samples: int,
     scale: float,
@@ -140,7 +141,9 @@ def needed(
     return count
 
 
-def seen_with_more(direct: Estimate, expected: Estimate, samples: int, count: int) -> Estimate:
+def error_with_more_samples(
+    direct: Estimate, expected: Estimate, samples: int, count: int
+) -> Estimate:
     """Return the closed form's error in direct light as `count` samples of each half will show it.
 
     direct    by `samples` and by what was expected

@@ -2,7 +2,8 @@
 
 what      light adds up linearly. A view and material is rendered once under each map of a basis of
           lights, and its picture under any light is a weighted sum of these pictures. As a ratio,
-          two such sums, with and without shadows and interreflection, are put in `ratio.combined`
+          two such sums, with and without shadows and interreflection, are put in
+          `ratio.multiply_by_ratio`
 bias      what the basis cannot show of a light: 32 cells of the map, summed, leave 69.8 to 216 on
           three scenes and 20.8 on a matte white. Harmonics up to order 3 leave 1,810 in the mean
 noise     all pictures of a view have the same, so that they are not independent training data
@@ -22,7 +23,7 @@ the error is asked of each picture by itself, and the errors at which it pays ar
 import numpy as np
 
 
-def summed(pictures: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def sum_basis_pictures(pictures: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return radiance (height, width, 3) under a light, nowhere negative.
 
     pictures  (B, height, width, 3) under each map of the basis, in white

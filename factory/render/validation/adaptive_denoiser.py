@@ -35,12 +35,12 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators.adaptive_sampling import stopping_at
+from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
 from factory.render.estimators.halves import Halves, half_seed
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.validation import command_line
-from factory.render.validation.adaptive_sampling import best_gain, display_variance, over_tiles
-from factory.render.validation.scenes import Stage, compared, drawn, meshes_of, named
+from factory.render.validation.sample_division import best_gain, display_variance, over_tiles
+from factory.render.validation.scenes import Stage, compare, draw_scene, meshes_of, name_of_file
 from factory.render.validation.speed_accuracy import doubt
 from factory.render.validation.speed_accuracy_report import (
     LEAST_OF_LOGARITHMS,
@@ -58,7 +58,7 @@ LONGEST = 30.0  # seconds of both halves
 PILOT, PARTS = 16, 4  # samples of each half, and the pictures that they are divided into
 
 
-def measured_scene(
+def measure_scene(
     stage: Stage,
     shown: Shown,
     reference: Halves,
@@ -71,49 +71,49 @@ def measured_scene(
     thresholds  of adaptive sampling, falling
     """
     halves, seconds, equal = Halves(shown), 0.0, []
-    shown.renderer.denoised(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
+    shown.renderer.denoise(shown.renderer.portion(0, 1, 0, shown.tier), effort(0))  # loads it
     for samples in counts:
         start = time.process_time()
         halves.grow(samples - halves.samples)
         seconds += time.process_time() - start
-        equal.append({"setting": f"{samples} samples", **_judged(halves, seconds, reference)})
+        equal.append({"setting": f"{samples} samples", **_judge(halves, seconds, reference)})
     adaptive = []
     for threshold in thresholds:
         halves, start = Halves(shown), time.process_time()
-        with stopping_at(stage.studio._scene, threshold):
+        with stop_where_noise_is_below(stage.studio._scene, threshold):
             halves.grow(MOST)
         seconds = time.process_time() - start
         row: dict[str, Any] = {"setting": f"threshold {threshold:g}"}
-        row |= _judged(halves, seconds, reference)
+        row |= _judge(halves, seconds, reference)
         row["gain"] = seconds_at(equal, row["error"]) / row["seconds"]
         adaptive.append(row)
         if seconds > LONGEST:
             break
-    return {"pilot": _piloted(shown), "equal": equal, "adaptive": adaptive}
+    return {"pilot": _gain_by_pilot(shown), "equal": equal, "adaptive": adaptive}
 
 
-def _judged(halves: Halves, seconds: float, reference: Halves) -> dict[str, float]:
+def _judge(halves: Halves, seconds: float, reference: Halves) -> dict[str, float]:
     """Return what denoised halves are worth, and what they cost with their samples' seconds."""
     start = time.process_time()
-    pair = halves.denoised()
+    pair = halves.denoised_pictures()
     seconds += time.process_time() - start
     picture = (pair[0] + pair[1]) / 2
     estimate, bias = halves.error_and_bias(pair, halves.pictures, halves.slope(pair))
     noisy = halves.picture
     return {
         "seconds": seconds,
-        "error": compared(picture, picture, reference).error,
+        "error": compare(picture, picture, reference).error,
         "standard_error": doubt(picture[None], reference),
-        "squared_bias": compared(pair[0], pair[1], reference).error,
+        "squared_bias": compare(pair[0], pair[1], reference).error,
         "estimated": estimate.error,
         "estimated_standard_error": estimate.standard_error,
         "estimated_squared_bias": bias,
-        "error_without_denoiser": compared(noisy, noisy, reference).error,
+        "error_without_denoiser": compare(noisy, noisy, reference).error,
         "estimated_without_denoiser": halves.estimate().error,
     }
 
 
-def _piloted(shown: Shown) -> float:
+def _gain_by_pilot(shown: Shown) -> float:
     """Return what a division of samples over squares could save, by the pilot's noise."""
     each = PILOT // PARTS
     parts = [
@@ -146,18 +146,18 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     stage, result = Stage(options.size, 1), []
     meshes = meshes_of(options.meshes)
     for number in options.numbers or range(options.scenes):
-        scene = replace(drawn(number, options.seed, stage.materials, meshes), tier="full")
+        scene = replace(draw_scene(number, options.seed, stage.materials, meshes), tier="full")
         shown = Shown(stage.studio, scene.seed, scene.tier, stage.show(scene))
         reference = stage.reference(scene, shown.mask, options.reference)
-        figures = measured_scene(
+        figures = measure_scene(
             stage,
             shown,
             reference,
             sorted(set(options.equal)),
             sorted(set(options.thresholds), reverse=True),
         )
-        result.append({"scene": number, **asdict(named(scene)), **figures})
-        print(f"{named(scene)}: {figures}", flush=True)
+        result.append({"scene": number, **asdict(name_of_file(scene)), **figures})
+        print(f"{name_of_file(scene)}: {figures}", flush=True)
         # after every scene, so that a run that is stopped has those that it has measured
         words = {key: getattr(options, key) for key in ("size", "reference", "seed")}
         report = {**provenance(), **words, "scenes": result}

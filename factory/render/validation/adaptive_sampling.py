@@ -12,7 +12,7 @@ piloted  the same of a division by the first two of these pictures, whose own sa
          counted, at the noise of the others; σ is averaged over 3×3 pixels
 Cycles   its own adaptive sampling, against path tracing with as many samples for all pixels as take
          the same processor time. Both are rendered by two seeds; errors and squared biases are
-         those of scenes.compared
+         those of scenes.compare
 """
 
 from __future__ import annotations
@@ -25,74 +25,29 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators.adaptive_sampling import stopping_at
+from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
 from factory.render.studio import Studio
 from factory.render.validation import command_line
-from factory.render.validation.scenes import TIERS, Scene, Stage, compared, drawn
+from factory.render.validation.sample_division import (
+    TILE,
+    best_gain,
+    display_variance,
+    gain_of,
+    over_tiles,
+    piloted_share,
+)
+from factory.render.validation.scenes import TIERS, Scene, Stage, compare, draw_scene
 from manifests.provenance import provenance
-from shaders import tone
 
 PORTIONS, EACH = 16, 8  # pictures that say how noisy pixels are, and their samples
-TILE = 16
-FLOOR = 0.1  # of the mean σ: a pixel that a pilot shows without noise may have some
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST = 256  # samples of a pixel under adaptive sampling
 TIMED = 64  # samples that say how long one takes
 
 
-def display_variance(pictures: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return each pixel's variance of display values, (P,), to first order in the noise.
-
-    pictures  (K, P, 3) independent pictures of the mask's pixels, linear radiance
-    mask      (height, width) bool
-    """
-    mean = pictures.mean(0)
-    whole_picture = np.zeros((*mask.shape, 3), np.float32)
-    whole_picture[mask] = mean
-    exposure = tone.auto_exposure(whole_picture, mask)
-    step = 1e-4 / exposure
-    rise = tone.display(mean + step, exposure) - tone.display(np.maximum(mean - step, 0), exposure)
-    slope = rise / (mean + step - np.maximum(mean - step, 0))
-    return np.asarray((pictures.var(0, ddof=1) * slope**2).mean(-1))
-
-
-def best_gain(variance: np.ndarray) -> float:
-    """Return how many times fewer samples n ∝ σ needs for the same mean error; variance (P,)."""
-    return float(variance.mean() / np.sqrt(variance).mean() ** 2)
-
-
-def over_tiles(variance: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the mean variance in each pixel's square of TILE pixels; both (P,)."""
-    y, x = np.nonzero(mask)
-    tile = y // TILE * mask.shape[1] + x // TILE
-    total, count = np.bincount(tile, variance), np.bincount(tile)
-    return np.asarray(total[tile] / count[tile])
-
-
-def gain_of(share: np.ndarray, variance: np.ndarray) -> float:
-    """Return the same of any division: below 1 it needs more samples than an equal one.
-
-    share     (P,) in proportion to the samples of each pixel
-    variance  (P,) at one sample
-    """
-    return float(variance.mean() / (variance * share.mean() / share).mean())
-
-
-def piloted_share(variance: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return n ∝ σ, (P,), by an uncertain variance (P,): averaged over 3×3 pixels, and not 0."""
-    padded = np.pad(np.zeros(mask.shape), 1)
-    count = padded.copy()
-    padded[1:-1, 1:-1][mask], count[1:-1, 1:-1][mask] = variance, 1
-    height, width = mask.shape
-    total, near = (
-        sum(each[y : y + height, x : x + width] for y in range(3) for x in range(3))
-        for each in (padded, count)
-    )
-    share = np.sqrt(np.asarray(total)[mask] / np.asarray(near)[mask])
-    return np.maximum(share, FLOOR * share.mean() + 1e-30)
-
-
-def _timed(studio: Studio, samples: int, seed: int, scene: Scene) -> tuple[np.ndarray, float]:
+def _time_picture(
+    studio: Studio, samples: int, seed: int, scene: Scene
+) -> tuple[np.ndarray, float]:
     """Return a picture and its processor seconds."""
     start = time.process_time()
     picture = studio.picture(samples, seed, scene.tier)[0]
@@ -104,7 +59,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     stage, rows = Stage(options.size, 1), []
     studio = stage.studio
     for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials)
+        scene = draw_scene(number, options.seed, stage.materials)
         scene = replace(scene, tier=TIERS[number % len(TIERS)])
         mask = stage.show(scene)
         pictures = np.array(
@@ -124,13 +79,13 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
             "cycles": [],
         }
         reference = stage.reference(scene, mask, options.reference)
-        per_sample = _timed(studio, TIMED, scene.seed, scene)[1] / TIMED
+        per_sample = _time_picture(studio, TIMED, scene.seed, scene)[1] / TIMED
         for threshold in THRESHOLDS:
-            with stopping_at(studio._scene, threshold):
-                adaptive = [_timed(studio, MOST, scene.seed + k, scene) for k in (2, 3)]
+            with stop_where_noise_is_below(studio._scene, threshold):
+                adaptive = [_time_picture(studio, MOST, scene.seed + k, scene) for k in (2, 3)]
             seconds = (adaptive[0][1] + adaptive[1][1]) / 2
             samples = int(np.clip(round(seconds / per_sample), 1, MOST))
-            equal = [_timed(studio, samples, scene.seed + k, scene) for k in (2, 3)]
+            equal = [_time_picture(studio, samples, scene.seed + k, scene) for k in (2, 3)]
             row["cycles"].append(
                 {
                     "threshold": threshold,
@@ -148,8 +103,8 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 def _errors(prefix: str, pair: Sequence[np.ndarray], reference: Any) -> dict[str, float]:
     """Return the mean error of two pictures by independent seeds, and their squared bias."""
-    error = sum(compared(each, each, reference).error for each in pair) / 2
-    bias = compared(pair[0], pair[1], reference).error
+    error = sum(compare(each, each, reference).error for each in pair) / 2
+    bias = compare(pair[0], pair[1], reference).error
     return {f"{prefix}error": error, f"{prefix}squared_bias": bias}
 
 

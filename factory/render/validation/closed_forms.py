@@ -57,7 +57,7 @@ def _takes(studio: Studio, samples: int, count: int) -> tuple[np.ndarray, np.nda
     return pictures.mean(0), pictures.var(0, ddof=1), pictures
 
 
-def _pooled(variance: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _pool(variance: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return the variance averaged over 5 × 5 pixels inside the mask.
 
     The variance of a few pictures alone is too uncertain for a 5 σ test.
@@ -132,7 +132,7 @@ def lambert(
     mean, variance, _ = _takes(studio, samples, seeds)
     requested = np.zeros_like(mean)
     requested[inside] = reference.dense(mixture, n[inside], light.as_seen(L, rotation))
-    sigma = np.sqrt(_pooled(variance, inside)[inside] / seeds)
+    sigma = np.sqrt(_pool(variance, inside)[inside] / seeds)
     z = (mean - requested)[inside] / sigma
     return {
         "relative_mean": float((mean - requested)[inside].sum() / requested[inside].sum()),
@@ -169,7 +169,7 @@ def closed_form(
     studio.set_materials([mixture])
     spots, width = reference.pixel_spots(size, 1.02), 2 * 1.02 / size
     inside = np.linalg.norm(np.abs(spots) + width / 2, axis=-1) < 0.9
-    with studio.sampled_by(pattern):
+    with studio.sample_by(pattern):
         mean, variance, pictures = _takes(studio, samples, seeds)
     seen = light.as_seen(L, rotation)
     a, b = (
@@ -248,7 +248,7 @@ def perspective(
     requested, distant = (
         reference.dense(mixture, n[inside], seen, v) for v in (view[inside], None)
     )
-    sigma = np.sqrt(_pooled(variance, inside)[inside] / seeds)
+    sigma = np.sqrt(_pool(variance, inside)[inside] / seeds)
     return {
         "relative_mean": float((mean[inside] - requested).sum() / requested.sum()),
         "rms_sigma": float(np.sqrt((((mean[inside] - requested) / sigma) ** 2).mean())),

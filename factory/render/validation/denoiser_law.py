@@ -18,7 +18,7 @@ import numpy as np
 from factory.render.estimators import blends, denoised
 from factory.render.estimators.halves import Halves
 from factory.render.estimators.renderer import Shown, effort
-from factory.render.validation.scenes import TIERS, Stage, drawn
+from factory.render.validation.scenes import TIERS, Stage, draw_scene
 from manifests.schema import Camera
 
 SIZES = (64, 128, 256)
@@ -30,26 +30,26 @@ def law(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
     """Return the law's numbers over shots, and the denoiser's time in samples by tier."""
     rows: list[dict[str, Any]] = []
     for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials)
+        scene = draw_scene(number, options.seed, stage.materials)
         for size in SIZES:
             stage.studio.set_camera(Camera(size=(size, size)))
             mask = stage.show(scene)
             for samples in TRIED:
                 shown = Shown(stage.studio, scene.seed + samples, scene.tier, mask)
-                rows.append({"shot": number, "tier": scene.tier, **_tried(shown, samples)})
+                rows.append({"shot": number, "tier": scene.tier, **_try(shown, samples)})
         print(f"{number}: {scene}", flush=True)
-    return {**fitted(rows), "cost_in_samples": _costs(rows), "rows": rows}
+    return {**fit_law(rows), "cost_in_samples": _costs(rows), "rows": rows}
 
 
-def _tried(shown: Shown, samples: int) -> dict[str, Any]:
+def _try(shown: Shown, samples: int) -> dict[str, Any]:
     """Return noise, bias and error of denoised halves, and the seconds of samples and denoiser."""
     halves = Halves(shown)
     start = time.process_time()
     halves.grow(samples)
     rendered = time.process_time()
-    smooth = halves.denoised()
+    smooth = halves.denoised_pictures()
     seconds, denoiser = rendered - start, time.process_time() - rendered
-    blend = blends.best(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
+    blend = blends.choose_blend(halves, smooth, halves.pictures, 0.0, shares=(0.0,))
     return {
         "pixels": shown.mask.size,
         "samples": samples,
@@ -61,7 +61,7 @@ def _tried(shown: Shown, samples: int) -> dict[str, Any]:
     }
 
 
-def fitted(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def fit_law(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return power, size, the scale's percentiles over shots, and error over bias (median)."""
     usable = [row for row in rows if row["bias"] > LEAST and row["noise"] > 0]
     noise = np.log([row["noise"] for row in usable])

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from factory.render.validation import command_line
-from factory.render.validation.scenes import Stage, drawn, meshes_of, named
+from factory.render.validation.scenes import Stage, draw_scene, meshes_of, name_of_file
 from manifests.provenance import provenance
 from shaders import tone
 
@@ -35,7 +35,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     meshes = meshes_of(options.meshes)
     rows: list[dict[str, Any]] = []
     for number in range(options.shots):
-        scene = drawn(number, options.seed, stage.materials, meshes)
+        scene = draw_scene(number, options.seed, stage.materials, meshes)
         scene = replace(scene, tier="direct")
         stage.show(replace(scene, azimuth=scene.azimuth + 1))
         start = time.process_time()
@@ -57,7 +57,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
         errors = ((a - b) * (a - c)).mean(-1)
         facing = stage.studio.geometry().normals[mask][:, 2] > GRAZING
         rows.append(
-            asdict(named(scene))
+            asdict(name_of_file(scene))
             | {
                 "pixels": int(mask.sum()),
                 "error": float(errors.mean()),

@@ -38,10 +38,10 @@ from factory.render.validation.scenes import (
     ERRORS,
     Scene,
     Stage,
-    compared,
-    drawn,
+    compare,
+    draw_scene,
     meshes_of,
-    named,
+    name_of_file,
 )
 from manifests.errors import InputError
 from manifests.line_files import Lines
@@ -62,7 +62,7 @@ def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
         lines = Lines(path)
         rows = read(lines)
         for number, row in enumerate(rows[: options.shots]):
-            scene = named(drawn(number, options.seed, stage.materials, meshes))
+            scene = name_of_file(draw_scene(number, options.seed, stage.materials, meshes))
             if any(row[key] != value for key, value in asdict(scene).items()):
                 raise InputError(
                     str(path),
@@ -73,7 +73,7 @@ def check(stage: Stage, options: argparse.Namespace) -> dict[str, Any]:
     for number in range(options.shots):
         if number < len(rows) and not (is_in_doubt(rows[number]) and may_be_closer(rows[number])):
             continue
-        row = measured(stage, drawn(number, options.seed, stage.materials, meshes))
+        row = measure_shot(stage, draw_scene(number, options.seed, stage.materials, meshes))
         if number < len(rows):
             rows[number] = row
             row = row | {AGAIN: number}
@@ -101,7 +101,7 @@ def read(lines: Lines) -> list[dict[str, Any]]:
     return rows
 
 
-def measured(stage: Stage, scene: Scene) -> dict[str, Any]:
+def measure_shot(stage: Stage, scene: Scene) -> dict[str, Any]:
     """Return a shot's row, by a reference of so many samples that its verdicts are not in doubt.
 
     Where they are, the reference is given four times as many, up to CLOSEST.
@@ -119,10 +119,10 @@ def measured(stage: Stage, scene: Scene) -> dict[str, Any]:
         scene, mask, int(np.clip(2 * first.samples, LEAST_REFERENCE, MOST_REFERENCE))
     )
     while True:
-        achieved = compared(first.radiance, first.radiance, reference)
-        bias = compared(first.radiance, second.radiance, reference)
+        achieved = compare(first.radiance, first.radiance, reference)
+        bias = compare(first.radiance, second.radiance, reference)
         row = {
-            **asdict(named(scene)),
+            **asdict(name_of_file(scene)),
             "pixels": int(mask.sum()),
             "estimator": first.estimator,
             "samples": first.samples,
@@ -134,12 +134,12 @@ def measured(stage: Stage, scene: Scene) -> dict[str, Any]:
             "achieved": achieved.error,
             "achieved_standard_error": achieved.standard_error,
             "second_estimator": second.estimator,
-            "second_achieved": compared(second.radiance, second.radiance, reference).error,
+            "second_achieved": compare(second.radiance, second.radiance, reference).error,
             "squared_bias": bias.error,
             "squared_bias_standard_error": bias.standard_error,
             "reference_samples": reference.samples,
             "reference_noise": reference.estimate().error,
-            "fixed": compared(fixed, fixed, reference).error,
+            "fixed": compare(fixed, fixed, reference).error,
             "fixed_seconds": fixed_seconds,
         }
         if not (is_in_doubt(row) and may_be_closer(row)):

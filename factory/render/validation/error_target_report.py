@@ -37,8 +37,8 @@ def group(rows: list[dict[str, Any]], requested: float | None) -> dict[str, Any]
         "both_kept": sum(row["achieved"] <= row["requested"] and not _is_biased(row) for row in of),
         "achieved_over_requested": float((column["achieved"] / column["requested"]).mean()),
         "bias_over_requested": float((column["squared_bias"] / column["requested"]).mean()),
-        "estimated_over_achieved": _spread(column["estimated"] / column["achieved"]),
-        "predicted_over_achieved": _spread(column["predicted"] / column["achieved"]),
+        "estimated_over_achieved": _percentiles(column["estimated"] / column["achieved"]),
+        "predicted_over_achieved": _percentiles(column["predicted"] / column["achieved"]),
         "samples": float(np.mean([row["samples"] for row in of])),
         "seconds": float(column["seconds"].mean()),
     }
@@ -61,7 +61,7 @@ def _is_biased(row: dict[str, Any], errors: float = 0.0) -> bool:
     return bool(row["squared_bias"] - errors * uncertainty > MOST_BIAS * row["requested"])
 
 
-def _spread(values: np.ndarray) -> list[float]:
+def _percentiles(values: np.ndarray) -> list[float]:
     """Return the 5th percentile, the median and the 95th percentile."""
     return [float(v) for v in np.percentile(values, [5, 50, 95])]
 

@@ -35,7 +35,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render import light as worlds
 from factory.render.estimators import ratio
-from factory.render.estimators.relighting import summed
+from factory.render.estimators.relighting import sum_basis_pictures
 from factory.render.estimators.renderer import Shown
 from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
@@ -67,7 +67,9 @@ class _Clock:
         return time.process_time() - self._start
 
 
-def rendered(studio: Studio, basis: Basis, samples: int, seed: int) -> Iterator[list[np.ndarray]]:
+def render_under_maps(
+    studio: Studio, basis: Basis, samples: int, seed: int
+) -> Iterator[list[np.ndarray]]:
     """Yield each map's pictures (height, width, 3), with all light paths and unblocked."""
     for k, each in enumerate(basis.maps):
         studio.set_light(np.repeat(each[..., None], 3, axis=-1), 0)
@@ -79,20 +81,24 @@ def by_basis(
 ) -> Iterator[tuple[str, int, np.ndarray, float, float]]:
     """Yield (family, number of the light, picture, seconds once, seconds of this picture)."""
     clock = _Clock()
-    pairs = np.array(list(rendered(studio, basis, samples, seed)))  # (B, 2, height, width, 3)
+    pairs = np.array(
+        list(render_under_maps(studio, basis, samples, seed))
+    )  # (B, 2, height, width, 3)
     once = clock.seconds
     for number, L in enumerate(shown):
         clock = _Clock()
         weights = basis.weights(L)
-        full = summed(pairs[:, 0], weights)
+        full = sum_basis_pictures(pairs[:, 0], weights)
         # without the unblocked pictures the basis takes half as long, or a little more
         yield f"{basis.name}, sum", number, full, once / 2, clock.seconds
-        studio._direct.clear()
+        studio._direct_light.forget_closed_forms()
         clock = _Clock()
         studio.set_light(L, 0)
         exact = studio.direct_light()
         assert exact is not None
-        picture = ratio.combined(exact.radiance, full, summed(pairs[:, 1], weights))
+        picture = ratio.multiply_by_ratio(
+            exact.radiance, full, sum_basis_pictures(pairs[:, 1], weights)
+        )
         yield f"{basis.name}, ratio", number, picture, once, clock.seconds
 
 
@@ -103,7 +109,7 @@ def light_by_light(studio: Studio, shown: Shown, L: np.ndarray) -> Iterator[tupl
         for samples in counts:
             method = known[family, f"{samples} samples"]
             method(replace(shown, seed=shown.seed ^ 2))  # as speed_accuracy.warm does
-            studio._direct.clear()
+            studio._direct_light.forget_closed_forms()
             clock = _Clock()
             studio.set_light(L, 0)
             yield family, samples, (method(shown), clock.seconds)
@@ -121,7 +127,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     bases = [cells(4, 8), cells(8, 16), harmonics(), factors(all_lights, 32)]
     for number in range(len(measured), options.scenes):
         rows: list[dict[str, Any]] = []
-        scene = replace(scenes.drawn(number, options.seed, stage.materials), tier="full")
+        scene = replace(scenes.draw_scene(number, options.seed, stage.materials), tier="full")
         mask = stage.show(scene)
         studio.direct_light()  # compiles its kernels
         made = []
@@ -146,7 +152,7 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
                             "samples": samples,
                             "once": once,
                             "each": each,
-                            "error": scenes.compared(picture, picture, reference).error,
+                            "error": scenes.compare(picture, picture, reference).error,
                         }
                     )
         lines.append(rows)

@@ -38,7 +38,7 @@ class Scene:
     seed: int
 
 
-def drawn(number: int, seed: int, materials: list[str], meshes: Sequence[Path] = ()) -> Scene:
+def draw_scene(number: int, seed: int, materials: list[str], meshes: Sequence[Path] = ()) -> Scene:
     """Return shot `number` of a seed; other shots do not change it.
 
     meshes  files whose shapes are shown instead of the program's own
@@ -93,7 +93,7 @@ class Stage:
         return halves
 
 
-def compared(one: np.ndarray, other: np.ndarray, reference: Halves) -> Estimate:
+def compare(one: np.ndarray, other: np.ndarray, reference: Halves) -> Estimate:
     """Return the mean of (one − R1)(other − R2) in display values: an error, or a squared bias."""
     mask = reference.shown.mask
     exposure = tone.auto_exposure(reference.picture, mask)
@@ -103,6 +103,6 @@ def compared(one: np.ndarray, other: np.ndarray, reference: Halves) -> Estimate:
     return mean_over(((a - r1) * (b - r2)).mean(-1))
 
 
-def named(scene: Scene) -> Scene:
+def name_of_file(scene: Scene) -> Scene:
     """Return a scene whose shape is the name of its file, where it is a file's."""
     return replace(scene, shape=Path(scene.shape).name)

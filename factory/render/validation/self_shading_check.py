@@ -70,7 +70,9 @@ def share_blocked(studio: Studio, tree: Any, rng: np.random.Generator) -> float:
     at, lens = studio._surface(), studio._require_camera()
     points = camera.points(lens, at.mask, at.depth)
     some = rng.permutation(len(points))[:MOST_POINTS]
-    turn = camera.seen(np.eye(3), studio._azimuth, lens)  # rows: the object's axes as seen
+    turn = camera.vertices_from_camera(
+        np.eye(3), studio._azimuth, lens
+    )  # rows: the object's axes as seen
     blocked = total = 0
     for point, facet in zip(points[some] @ turn.T, at.facets[some] @ turn.T, strict=True):
         directions = rng.normal(size=(RAYS, 3))

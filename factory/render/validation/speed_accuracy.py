@@ -53,10 +53,10 @@ from factory.render.validation.scenes import (
     TIERS,
     Scene,
     Stage,
-    compared,
-    drawn,
+    compare,
+    draw_scene,
     meshes_of,
-    named,
+    name_of_file,
 )
 from factory.render.validation.speed_accuracy_report import LIMIT, chart, report, summary
 from factory.render.validation.speed_accuracy_settings import (
@@ -64,12 +64,12 @@ from factory.render.validation.speed_accuracy_settings import (
     SMALLER_LIMITS,
     Method,
     Rendered,
-    limited,
     methods,
     of_tier,
-    rendered,
-    rendered_by_bare_loop,
-    rendered_by_peer,
+    render_by_bare_loop,
+    render_by_peer,
+    render_settings,
+    render_to_limit,
     run_peer,
     smaller_limits,
     warm,
@@ -86,7 +86,9 @@ def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
     tiers = TIERS if options.tier is None else (options.tier,)
     meshes = meshes_of(options.meshes)
     return [
-        replace(drawn(number, options.seed, materials, meshes), tier=tiers[number % len(tiers)])
+        replace(
+            draw_scene(number, options.seed, materials, meshes), tier=tiers[number % len(tiers)]
+        )
         for number in range(options.scenes)
     ]
 
@@ -99,25 +101,27 @@ def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     for turn in range(1, options.rounds + 1):
         for number, scene in enumerate(scenes(options, stage.materials)):
             path = options.out / "scenes" / f"{number}.json"
-            words = asdict(named(scene))
+            words = asdict(name_of_file(scene))
             key = json.loads(json.dumps({**words, **_condition(options)}))
-            rows[number], done = _stored(path, key)
+            rows[number], done = _read_stored(path, key)
             if done >= turn:
                 continue
             longer = options.longer_reference if number < options.longer_scenes else 0
             if done:
-                again = timed_again(stage, known, scene, options, rows[number])
+                again = time_again(stage, known, scene, options, rows[number])
                 rows[number] = _least(rows[number], again)
             else:
-                measured = measured_scene(stage, known, scene, options, longer)
+                measured = measure_scene(stage, known, scene, options, longer)
                 rows[number] = [{**words, "scene": number, **row} for row in measured]
             path.parent.mkdir(parents=True, exist_ok=True)
             write_json(path, {"scene": key, "rounds": turn, "rows": rows[number]})
-            print(f"round {turn}, {number + 1} of {options.scenes}: {named(scene)}", flush=True)
+            print(
+                f"round {turn}, {number + 1} of {options.scenes}: {name_of_file(scene)}", flush=True
+            )
     return [row for of in rows.values() for row in of]
 
 
-def _stored(path: Path, key: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
+def _read_stored(path: Path, key: dict[str, Any]) -> tuple[list[dict[str, Any]], int]:
     """Return a scene's rows and the rounds that they have, ([], 0) if it was not measured.
 
     Raises InputError if it was measured under other conditions.
@@ -160,7 +164,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def measured_scene(
+def measure_scene(
     stage: Stage,
     known: dict[tuple[str, str], Method],
     scene: Scene,
@@ -180,12 +184,12 @@ def measured_scene(
     spent = time.process_time() - start
 
     def error(of: np.ndarray) -> float:
-        return float(np.mean([compared(each, each, reference).error for each in of]))
+        return float(np.mean([compare(each, each, reference).error for each in of]))
 
     pictures += smaller_limits(pictures, shown, error, count)
     rows = []
     for family, name, of, seconds in pictures:
-        bias = compared(of[0], of[1], reference).error if options.bias else None
+        bias = compare(of[0], of[1], reference).error if options.bias else None
         rows.append(
             {
                 "family": family,
@@ -227,7 +231,7 @@ def doubt(pictures: np.ndarray, reference: Halves) -> float:
     return float(np.sqrt((parts**2).sum()) / len(parts))
 
 
-def timed_again(
+def time_again(
     stage: Stage,
     known: dict[tuple[str, str], Method],
     scene: Scene,
@@ -236,7 +240,7 @@ def timed_again(
 ) -> list[Rendered]:
     """Render every setting of a scene's rows once more."""
     names = [(row["family"], row["setting"]) for row in rows]
-    smaller = {(LIMIT, f"{limit:g}"): limited(limit) for limit in SMALLER_LIMITS}
+    smaller = {(LIMIT, f"{limit:g}"): render_to_limit(limit) for limit in SMALLER_LIMITS}
     again = {key: method for key, method in {**known, **smaller}.items() if key in names}
     return _all_rendered(stage, again, scene, options)[1]
 
@@ -252,11 +256,11 @@ def _all_rendered(
     known = of_tier(known, scene.tier)
     # the largest limit stands for all of them, and the fewest samples
     warm(shown, {family: known[family, name] for family, name in reversed(known)}.values())
-    pictures = rendered(known, shown, _count(options))
+    pictures = render_settings(known, shown, _count(options))
     if options.blenderproc:
-        pictures += rendered_by_peer(shown, options.blenderproc, _count(options))
+        pictures += render_by_peer(shown, options.blenderproc, _count(options))
     if options.bare_loop:
-        pictures += rendered_by_bare_loop(shown, _count(options))
+        pictures += render_by_bare_loop(shown, _count(options))
     return shown, pictures
 
 

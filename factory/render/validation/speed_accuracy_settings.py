@@ -22,7 +22,7 @@ import bpy
 import numpy as np
 
 from factory.render.estimators import choice, ratio
-from factory.render.estimators.adaptive_sampling import stopping_at
+from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.studio import Studio
 from factory.render.validation.speed_accuracy_report import (
@@ -71,7 +71,7 @@ Method = Callable[[Shown], np.ndarray]
 Rendered = tuple[str, str, np.ndarray, float]
 
 
-def limited(error: float) -> Method:
+def render_to_limit(error: float) -> Method:
     """Return the function that renders a shot to a limit on its error."""
     return lambda at: choice.render_within_error(at, error).radiance
 
@@ -90,21 +90,21 @@ def methods(
 
     def adaptive(threshold: float) -> Method:
         def render(at: Shown) -> np.ndarray:
-            with stopping_at(studio._scene, threshold):
+            with stop_where_noise_is_below(studio._scene, threshold):
                 return studio.picture(MOST_ADAPTIVE, at.seed, at.tier)[0]
 
         return render
 
     def adaptive_smooth(threshold: float) -> Method:
         def render(at: Shown) -> np.ndarray:
-            with stopping_at(studio._scene, threshold):
+            with stop_where_noise_is_below(studio._scene, threshold):
                 portion = studio.portion(0, MOST_ADAPTIVE, at.seed, at.tier)
-            return studio.denoised(portion, effort(MOST_ADAPTIVE))
+            return studio.denoise(portion, effort(MOST_ADAPTIVE))
 
         return render
 
     def smooth(samples: int) -> Method:
-        return lambda at: studio.denoised(
+        return lambda at: studio.denoise(
             studio.portion(0, samples, at.seed, at.tier), effort(samples)
         )
 
@@ -114,7 +114,7 @@ def methods(
             shown = smooth(samples)(at)
             if exact is None:
                 return shown
-            return ratio.combined(
+            return ratio.multiply_by_ratio(
                 exact.radiance, shown, smooth(samples)(replace(at, tier="direct"))
             )
 
@@ -141,7 +141,7 @@ def methods(
         | {("denoised", f"{n} samples"): smooth(n) for n in counts}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
         | {(CLOSED, f"{n} points"): closed(n) for n in CLOSED_POINTS}
-        | {(LIMIT, f"{e:g}"): limited(e) for e in LIMITS}
+        | {(LIMIT, f"{e:g}"): render_to_limit(e) for e in LIMITS}
     )
 
 
@@ -168,7 +168,7 @@ def warm(shown: Shown, methods: Iterable[Method]) -> None:
         method(replace(shown, seed=shown.seed ^ 2))
 
 
-def timed(method: Method, shown: Shown, count: int = 1) -> tuple[np.ndarray, float]:
+def time_pictures(method: Method, shown: Shown, count: int = 1) -> tuple[np.ndarray, float]:
     """Return pictures of as many seeds, stacked, and the processor seconds of each.
 
     Each of them is the first of its view: what an earlier one has seen of it is forgotten.
@@ -182,13 +182,15 @@ def timed(method: Method, shown: Shown, count: int = 1) -> tuple[np.ndarray, flo
     return np.stack(pictures), spent / count
 
 
-def rendered(known: dict[tuple[str, str], Method], shown: Shown, count: int = 1) -> list[Rendered]:
+def render_settings(
+    known: dict[tuple[str, str], Method], shown: Shown, count: int = 1
+) -> list[Rendered]:
     """Return pictures of as many seeds for each setting, without what would take too long."""
     pictures: list[Rendered] = []
     for (family, name), method in known.items():
         slow = any(each[0] == family and each[3] > LONGEST for each in pictures)
         if not slow:
-            pictures.append((family, name, *timed(method, shown, count)))
+            pictures.append((family, name, *time_pictures(method, shown, count)))
     return pictures
 
 
@@ -207,12 +209,12 @@ def smaller_limits(
     for limit in SMALLER_LIMITS:
         if least <= asked or longest > LONGEST:
             return
-        made, seconds = timed(limited(limit), shown, count)
+        made, seconds = time_pictures(render_to_limit(limit), shown, count)
         least, longest = min(least, error(made)), seconds
         yield LIMIT, f"{limit:g}", made, seconds
 
 
-def rendered_by_peer(shown: Shown, python: str, count: int = FRAMES) -> list[Rendered]:
+def render_by_peer(shown: Shown, python: str, count: int = FRAMES) -> list[Rendered]:
     """Return BlenderProc's pictures of what is shown, FRAMES of each setting.
 
     Of its defaults, which take long, there are `count`: what a first picture takes besides its
@@ -222,17 +224,17 @@ def rendered_by_peer(shown: Shown, python: str, count: int = FRAMES) -> list[Ren
         name: {**words, "frames": count if name == PEER_DEFAULTS else FRAMES}
         for name, words in PEER_SETTINGS.items()
     }
-    return _rendered_elsewhere(
+    return _render_elsewhere(
         shown, PEER_NAME, settings, FRAMES, lambda order: run_peer(python, order)
     )
 
 
-def rendered_by_bare_loop(shown: Shown, count: int) -> list[Rendered]:
+def render_by_bare_loop(shown: Shown, count: int) -> list[Rendered]:
     """Return a plain loop's pictures of what is shown, as many of each setting."""
-    return _rendered_elsewhere(shown, BARE_LOOP, BARE_SETTINGS, count, run_bare_loop)
+    return _render_elsewhere(shown, BARE_LOOP, BARE_SETTINGS, count, run_bare_loop)
 
 
-def _rendered_elsewhere(
+def _render_elsewhere(
     shown: Shown,
     family: str,
     settings: dict[str, dict[str, Any]],

@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import closed, grid_faces
+from factory.shapes.closed_surface import close_surface, grid_faces
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator
 from factory.shapes.general.isosurface import Field, surface_of
@@ -207,7 +207,7 @@ def _ring_plate(outer, inner, thick):
     circle = np.stack([np.cos(angle), np.sin(angle)], 1)
     section = [(inner, -0.5), (outer, -0.5), (outer, 0.5), (inner, 0.5)]
     points = [np.column_stack([circle * r, np.full(64, z * thick)]) for r, z in section]
-    return closed(np.concatenate(points), grid_faces(4, 64, True, True))
+    return close_surface(np.concatenate(points), grid_faces(4, 64, True, True))
 
 
 def _slotted_head(a, rng, radius):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import closed, grid_faces
+from factory.shapes.closed_surface import close_surface, grid_faces
 from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, rotation, waves
@@ -96,7 +96,7 @@ def _joined_at_the_rim(front, back):
     faces = grid_faces(rows, columns)
     faces = faces[~border[faces].all(1)]  # a corner's triangle would stand in both grids
     vertices = np.concatenate([front.reshape(-1, 3), back.reshape(-1, 3)])
-    return closed(vertices, np.concatenate([faces, faces[:, ::-1] + rows * columns]))
+    return close_surface(vertices, np.concatenate([faces, faces[:, ::-1] + rows * columns]))
 
 
 def _draped(a, rng, thickness):
@@ -137,7 +137,9 @@ def _draped(a, rng, thickness):
         caps.append(triangle if number == 0 else triangle[:, ::-1])
     tops = np.stack([layer[0].mean(0) for layer in layers])
     vertices = np.concatenate([vertices, tops])
-    a.add("cloth", closed(vertices, np.concatenate([faces, faces[:, ::-1] + size, *caps])), 1)
+    a.add(
+        "cloth", close_surface(vertices, np.concatenate([faces, faces[:, ::-1] + size, *caps])), 1
+    )
     if solid == "post" and rng.random() < 0.5:
         knob = fields.moved(fields.ellipsoid([0.12] * 3), (0, 0, 0))
         a.add("knob", surface_of(knob, 0.3, 32).moved(z=0.1), 2)

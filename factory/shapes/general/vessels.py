@@ -3,7 +3,7 @@
 import numpy as np
 
 from factory.shapes.assembly import Assembly
-from factory.shapes.closed_surface import Surface, closed, grid_faces
+from factory.shapes.closed_surface import Surface, close_surface, grid_faces
 from factory.shapes.curves import smooth_path
 from factory.shapes.general import fields
 from factory.shapes.general.draws import Generator, about_z, log_uniform, profile
@@ -153,4 +153,4 @@ def turned_ring(section: np.ndarray, around: int = 96) -> Surface:
         ],
         -1,
     )
-    return closed(points.reshape(-1, 3), grid_faces(around, len(section), True, True))
+    return close_surface(points.reshape(-1, 3), grid_faces(around, len(section), True, True))

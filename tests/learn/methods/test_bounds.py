@@ -22,7 +22,7 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
     n = sphere(40)[(sphere(40) != 0).any(-1)]
     m = material(*lobes).reshape(3, 3, 2, 6)
     for name in LIGHTS:
-        lights, E = light_tables.of_map(light(name)[0], ROTATION)
+        lights, E = light_tables.lights_and_energy(light(name)[0], ROTATION)
         whole = directional.radiance(n, None, m, E, lights)
         allowed = part * whole.mean().item()
         short = whole - directional.radiance(n, None, m, E, lights, allowed)
@@ -33,9 +33,9 @@ def test_culling_leaves_out_no_more_than_it_may(part, lobes):
 def test_a_cut_light_keeps_the_energy_and_its_number():
     for name in LIGHTS:
         L = light(name)[0].double()
-        whole = light_tables.of_map(L, ROTATION)[1].sum(0)
+        whole = light_tables.lights_and_energy(L, ROTATION)[1].sum(0)
         for count in (64, 256, 1024):
-            lights, E = median_cut.cut(L, ROTATION, count)
+            lights, E = median_cut.cut_light(L, ROTATION, count)
             assert len(lights.w) == len(E) <= count
             torch.testing.assert_close(E.sum(0), whole, rtol=1e-12, atol=0)
             np.testing.assert_allclose(np.linalg.norm(lights.w, axis=1), 1, atol=1e-12)
@@ -61,7 +61,7 @@ def test_a_map_reproduces_quadratics_of_the_place():
         return torch.stack([1 + p[:, 0], p[:, 0] * p[:, 1], p[:, 1] ** 2], -1)
 
     for dtype, tolerance in ((torch.float64, 1e-12), (torch.float32, 3e-6)):
-        result = reflectance_map.with_nodes(n.to(dtype), 20, function)
+        result = reflectance_map.radiance_by_nodes(n.to(dtype), 20, function)
         torch.testing.assert_close(result, function(n).to(dtype), rtol=0, atol=tolerance)
 
 
@@ -104,8 +104,10 @@ def test_pictures_of_one_material_and_light_share_their_sum(monkeypatch, with_gr
     m.requires_grad_(with_gradient)
     monkeypatch.setattr(directional, "WHOLE", 0)  # maps although the pictures are small
     calls = []
-    original = reflectance_map.with_nodes
-    monkeypatch.setattr(reflectance_map, "with_nodes", lambda *a: calls.append(1) or original(*a))
+    original = reflectance_map.radiance_by_nodes
+    monkeypatch.setattr(
+        reflectance_map, "radiance_by_nodes", lambda *a: calls.append(1) or original(*a)
+    )
     together = render(n, m.expand(3, -1), L.expand(3, -1, -1, -1), method="reflectance_map")
     assert len(calls) == 1
     alone = torch.cat([render(n[i : i + 1], m, L, method="reflectance_map") for i in range(3)])

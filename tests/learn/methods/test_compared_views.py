@@ -15,7 +15,7 @@ RANDOM = np.random.default_rng(4)
 
 
 def sample(s, count=64):
-    return directional.spread_over(len(s.n), count)
+    return directional.spread_indices(len(s.n), count)
 
 
 @pytest.mark.parametrize("kind", MATERIALS)
@@ -23,7 +23,7 @@ def sample(s, count=64):
 def test_what_parts_are_compared_with_is_nearly_exact(kind, tolerance):
     s = scene(kind, "lamps of 64 rows", tolerance=tolerance)
     pick, lobes = sample(s), (0, 1, 2)
-    exact = s.at(s.n[pick], s.view[pick], lobes).radiance
+    exact = s.list_lobes(s.n[pick], s.view[pick], lobes).radiance
     allowed = 0.03 * tolerance * exact.mean()
     assert np.abs(s.truth(pick, lobes) - exact).mean() < allowed
     s.budget = tolerance * float(exact.mean())
@@ -33,8 +33,8 @@ def test_what_parts_are_compared_with_is_nearly_exact(kind, tolerance):
 
 def test_broad_lobes_are_compared_under_larger_texels_and_sums_are_kept():
     s, made = scene("satin", "lamps of 64 rows"), []
-    original = s.at
-    s.at = lambda n, v, lobes, level=0, *rest: (
+    original = s.list_lobes
+    s.list_lobes = lambda n, v, lobes, level=0, *rest: (
         made.append((lobes, level)) or original(n, v, lobes, level, *rest)
     )
     pick = sample(s)
@@ -87,7 +87,7 @@ def test_a_map_is_kept_where_more_views_are_added():
 
 def test_sums_at_nodes_have_the_same_derivatives_without_those_by_their_normals():
     s = scene("glossy")
-    listing = s.at(s.n, s.view, (0, 1, 2), 0, 0.0, 0.15)
+    listing = s.list_lobes(s.n, s.view, (0, 1, 2), 0, 0.0, 0.15)
     g = RANDOM.uniform(0.5, 1.5, s.n.shape).astype(np.float32)
     by_n, by_view, by_m, by_E = listing.backward(g, False)
     assert by_n is not None and by_view is None
@@ -101,7 +101,7 @@ def test_sums_at_nodes_have_the_same_derivatives_without_those_by_their_normals(
 @pytest.mark.parametrize("size, count", [(16, 2000), (4, 5)])
 def test_ranges_are_the_extremes_of_curves_near_each_angle(backward, size, count):
     s = scene("glossy")
-    tables = s.at(s.n[:4], s.view[:4], (0, 1, 2)).tables
+    tables = s.list_lobes(s.n[:4], s.view[:4], (0, 1, 2)).tables
     views = s.view[:count]
     blocks = tables.cones[:, CONE_W_COS].reshape(-1)[: tables.lights.blocks]
     reach = 0.5 * (np.arccos(blocks.min()) + widest_tile(views, size))
@@ -131,12 +131,12 @@ def test_the_widest_tile_is_that_of_the_angles_between_views():
 
 def test_an_excess_brings_the_error_to_the_aim():
     error, level, tolerance = RANDOM.uniform(0, 0.06, (64, 3)), 2.0, 1e-2
-    assert not cost_model.good(error, level, tolerance)
+    assert not cost_model.keeps_tolerance(error, level, tolerance)
     kept = 1 - cost_model.excess(error, level, tolerance) / error.mean()
     by_pixel = kept * error.mean(-1)
     reached = by_pixel.mean() + by_pixel.std() / np.sqrt(len(by_pixel))
     assert reached == pytest.approx(cost_model.AIM * tolerance * level)
-    assert cost_model.good(kept * error, level, tolerance)
+    assert cost_model.keeps_tolerance(kept * error, level, tolerance)
 
 
 def test_the_visible_sharpness_ignores_what_reflects_little():
@@ -157,11 +157,11 @@ def test_maps_grow_by_how_far_their_nodes_are_off():
     part.causes = lambda *_: (0.0, off)
     part.error = lambda *_: off
     sizes = [
-        auto_views.better_maps(part, Miss(pick, right, share * off)).size
+        auto_views.improve_maps(part, Miss(pick, right, share * off)).size
         for share in (0.01, 0.4, 0.99)
     ]
     limits = auto_views.LEAST_GROWTH, (1 / 0.6) ** (1 / auto_views.ORDER), auto_views.MOST_GROWTH
-    assert sizes == [cost_model.grown(20, len(s.n), growth) for growth in limits]
+    assert sizes == [cost_model.next_larger_map(20, len(s.n), growth) for growth in limits]
     assert len(set(sizes)) == 3
 
 
@@ -170,14 +170,16 @@ def test_maps_grow_by_how_far_their_nodes_are_off():
 def test_better_strategies_end_at_the_pixels(mirrored, view_gradient):
     s = scene("satin", view_gradient=view_gradient)
     s.budget = 1e-3
-    pick = directional.spread_over(len(s.n), 16)
+    pick = directional.spread_indices(len(s.n), 16)
     truth = s.truth(pick, (1,))
     views = 3 if view_gradient else 1
-    part = planned_views.Sum(s, Strategy((1,), 12, 2, auto_views.culling(s)[1], views, mirrored))
+    part = planned_views.Sum(
+        s, Strategy((1,), 12, 2, auto_views.initial_culling(s)[1], views, mirrored)
+    )
     met = []
     while True:
         miss = Miss(pick, truth, 0.5 * part.error(pick, truth))
-        if (other := auto_views.better(part, miss)) == part.strategy:
+        if (other := auto_views.improve_strategy(part, miss)) == part.strategy:
             break
         met.append(other)
         part = planned_views.Sum(s, other)

@@ -241,10 +241,10 @@ def test_the_kernels_steps_refuse_by_themselves(perspective):
         scene["light"][0],
     )
     view = scene["view"].reshape(-1, 3) if perspective else None
-    lights, E = light_tables.of_map(light, torch.eye(3, dtype=torch.float64))
+    lights, E = light_tables.lights_and_energy(light, torch.eye(3, dtype=torch.float64))
     seen = [directional.radiance(n, view, m, E, lights)]
     if not perspective:
-        seen.append(reflectance_map.with_nodes(n, 16, lambda nodes: nodes))
+        seen.append(reflectance_map.radiance_by_nodes(n, 16, lambda nodes: nodes))
         scene = planned.Scene(
             n.detach().numpy(),
             m.double().numpy(),

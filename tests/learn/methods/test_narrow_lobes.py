@@ -22,7 +22,7 @@ ALL = torch.ones(3, 3, dtype=torch.bool)
 def error_of(name, light, camera="orthographic"):
     batch, _ = chart_cases.batch_of(find(name).label, light, 32, camera)
     pick = sample(len(batch.n), 128)
-    right = chart_measurement.converged(chart_measurement.picked(batch, pick))
+    right = chart_measurement.converged_radiance(chart_measurement.pick_pixels(batch, pick))
     return float((quadrature.radiance(batch, 1e-2)[pick] - right).abs().mean() / right.mean())
 
 
@@ -91,17 +91,17 @@ def test_each_texel_counts_once_in_the_derivative_by_light():
 def sums_of(batch, monkeypatch):
     """Numbers of texels of each sum over some of them, and samples of each sum over these."""
     texels, samples = [], []
-    over_parts, radiance = quadrature.over_parts, sampled_sum.radiance
+    over_parts, radiance = quadrature.sum_over_parts, sampled_sum.radiance
 
-    def texels_noted(n, view, m, light, lobes, parts, *others):
+    def texels_noted(group, lobes, parts, *others):
         texels.append(int((parts > 0).sum()))
-        return over_parts(n, view, m, light, lobes, parts, *others)
+        return over_parts(group, lobes, parts, *others)
 
     def samples_noted(*arguments):
         samples.append(arguments[-1])
         return radiance(*arguments)
 
-    monkeypatch.setattr(quadrature, "over_parts", texels_noted)
+    monkeypatch.setattr(quadrature, "sum_over_parts", texels_noted)
     monkeypatch.setattr(sampled_sum, "radiance", samples_noted)
     quadrature.radiance(batch, 1e-2)
     return texels, samples

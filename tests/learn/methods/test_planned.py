@@ -83,7 +83,7 @@ def test_a_broad_lobe_hardly_sees_that_its_light_is_coarse(sharpness, level, lim
     n = sphere(24)[(sphere(24) != 0).any(-1)].numpy()
     for L in chart_cases.computed_lights().values():
         scene = planned.Scene(n, one_lobe(sharpness), L.astype(np.float32), ROTATION)
-        fine, seen = scene.at(n, (0,)).radiance, scene.at(n, (0,), level).radiance
+        fine, seen = scene.list_lobes(n, (0,)).radiance, scene.list_lobes(n, (0,), level).radiance
         error = np.abs(seen - fine).mean() / fine.mean()
         assert error < limit
         assert error < 2 * cost_model.light_error(
@@ -117,11 +117,11 @@ def test_a_listed_sum_of_some_lobes_has_the_exact_derivatives():
         (0, 2),
         light("sky")[0].double(),
     )
-    listing = scene.at(n.numpy(), lobes)
+    listing = scene.list_lobes(n.numpy(), lobes)
     w, energy = exact.texels(E, torch.tensor(ROTATION, dtype=torch.float64).reshape(3, 3))
     given = [n.double().requires_grad_(), m.requires_grad_(), energy.requires_grad_()]
     truth = exact.ExactSum.apply(
-        given[0], None, lobe_shapes.only(given[1], np.isin(range(3), lobes)), given[2], w
+        given[0], None, lobe_shapes.keep_lobes(given[1], np.isin(range(3), lobes)), given[2], w
     )
     np.testing.assert_allclose(listing.radiance, truth.detach(), rtol=1e-4)
     g = torch.linspace(0.5, 1.5, truth.numel()).reshape(truth.shape)
@@ -146,7 +146,7 @@ def test_a_tables_cones_bound_every_light_of_a_block():
     L[9, 21] = 1.0, 2.0, 0.5
     m = material(*MATERIALS["glossy"]).double().reshape(3, 3, 2, 6).numpy()
     scene = planned.Scene(np.float32([[0, 0, 1]]), m, L, ROTATION, light_gradient=False)
-    scene.at(scene.n, (1, 2), level=1)
+    scene.list_lobes(scene.n, (1, 2), level=1)
     tables = scene.tables[(1, 2), 1]
     assert tables.energy.min() < 0
     rows = tables.cones.transpose(1, 0, 2).reshape(len(tables.cones[0]), -1)[
@@ -162,7 +162,7 @@ def test_planned_ways_add_up_whatever_their_maps_and_lights():
     n = sphere(40)[(sphere(40) != 0).any(-1)].numpy()
     m = material(*MATERIALS["glossy"]).double().numpy().reshape(3, 3, 2, 6)
     scene = planned.Scene(n, m, light("sky")[0].numpy(), ROTATION)
-    truth = scene.at(n, directional.ALL_LOBES).radiance
+    truth = scene.list_lobes(n, directional.ALL_LOBES).radiance
     for sizes, levels in (
         ((0, 0, 0), (0, 0, 0)),
         ((40, 40, 40), (1, 0, 0)),
@@ -288,5 +288,5 @@ def test_a_map_can_be_read_at_all_nodes_of_a_larger_one(size):
     normals = reflectance_map.normals(np.arange(size**2), size)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-3)
     constant = np.ones((12**2, 4), np.float32)
-    values = reflectance_map.read(normals.astype(np.float32), constant, 12)
+    values = reflectance_map.read_values(normals.astype(np.float32), constant, 12)
     assert values == pytest.approx(1, abs=1e-5)

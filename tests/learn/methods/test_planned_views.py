@@ -34,7 +34,7 @@ def truth(s, lobes, g):
     )
     given = [torch.as_tensor(x).double().requires_grad_() for x in (s.n, s.view, s.m)]
     energy.requires_grad_()
-    kept = lobe_shapes.only(given[2], np.isin(range(3), lobes))
+    kept = lobe_shapes.keep_lobes(given[2], np.isin(range(3), lobes))
     unit = [torch.nn.functional.normalize(x, dim=-1) for x in given[:2]]
     result = exact.ExactSum.apply(*unit, kept, energy, w)
     by = torch.autograd.grad((result * torch.as_tensor(g).double()).sum(), [*given, energy])
@@ -57,7 +57,7 @@ def relative(ours, right):
 def test_a_listed_sum_for_views_has_the_exact_derivatives(kind, lobes, apart, error, slopes):
     s = scene(kind)
     g = RANDOM.uniform(0.5, 1.5, s.n.shape).astype(np.float32)
-    listing = s.at(s.n, s.view, lobes, 0, 0.0, apart)
+    listing = s.list_lobes(s.n, s.view, lobes, 0, 0.0, apart)
     right, (by_n, by_view, by_m, by_energy) = truth(s, lobes, g)
     assert relative(listing.radiance, right) < error
     ours_n, ours_view, ours_m, ours_E = listing.backward(g)
@@ -72,7 +72,7 @@ def test_runs_of_views_are_what_is_off_and_shorter_ones_are_nearer():
     s = scene("glossy")
     right, _ = truth(s, (0, 1, 2), np.ones_like(s.n))
     errors = [
-        relative(s.at(s.n, s.view, (0, 1, 2), 0, 0.0, apart).radiance, right)
+        relative(s.list_lobes(s.n, s.view, (0, 1, 2), 0, 0.0, apart).radiance, right)
         for apart in (0.0, 0.1, 0.4)
     ]
     assert errors[0] < 1e-5 < errors[1] < errors[2] < 2e-2
@@ -80,9 +80,9 @@ def test_runs_of_views_are_what_is_off_and_shorter_ones_are_nearer():
 
 def test_what_a_listed_sum_leaves_out_is_within_its_bound():
     s = scene("glossy")
-    whole = s.at(s.n, s.view, (1, 2)).radiance
+    whole = s.list_lobes(s.n, s.view, (1, 2)).radiance
     left_out = 0.05 * float(whole.mean())
-    less = s.at(s.n, s.view, (1, 2), 0, left_out)
+    less = s.list_lobes(s.n, s.view, (1, 2), 0, left_out)
     assert (whole - less.radiance).max() <= left_out * 1.001
     capacity = less.lists[0].entries.size
     assert less.lists[0].lengths.sum() < 0.9 * capacity  # something is left out
@@ -96,7 +96,7 @@ def moved_along(vectors, directions, step):
 def with_views(views, view):
     """The fit as it is, with other views."""
     result = copy.copy(views)
-    a, b, depth = (view_places.along(view, row) for row in views.frame)
+    a, b, depth = (view_places.component_along(view, row) for row in views.frame)
     result.depth = depth
     result.slopes = np.stack([a / depth, b / depth])
     return result
@@ -313,9 +313,9 @@ def test_no_map_is_larger_than_the_largest_and_views_beyond_a_cone_have_none():
     s = planned_views.Scene(
         n[inside].numpy(), view[inside].numpy(), m, light("sky")[0].numpy(), ROTATION, 1e-2
     )
-    plan = auto_views.best_plan(s, (0, 1, 2), 1e-2)
+    plan = auto_views.choose_strategies(s, (0, 1, 2), 1e-2)
     assert all(strategy.size == 0 for strategy in plan)
-    near = auto_views.best_plan(scene("matte", fov=40), (0, 1, 2), 1e-2)
+    near = auto_views.choose_strategies(scene("matte", fov=40), (0, 1, 2), 1e-2)
     assert 0 < max(strategy.size for strategy in near) <= reflectance_map.LARGEST
 
 

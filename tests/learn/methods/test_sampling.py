@@ -91,7 +91,7 @@ def test_brdf_samples_follow_the_density_they_are_weighed_by(name, monkeypatch):
     lobes = sampling.Lobes(material(*MATERIALS[name], torch.float64).reshape(3, 3, 2, 6))
     n = normal().expand(DRAWS, 3)
     v = torch.as_tensor(VIEWER).expand(1, 3)
-    w = sampling.from_brdf(n, v, lobes, 1, 0)[:, 0].numpy()
+    w = sampling.draw_by_lobes(n, v, lobes, 1, 0)[:, 0].numpy()
     mirror = 2 * (N @ VIEWER) * N - VIEWER
     side = np.cross(mirror, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)

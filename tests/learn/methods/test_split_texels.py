@@ -125,13 +125,13 @@ def test_a_lobe_on_both_sides_of_the_limit_has_one_strategy_unless_a_channel_is_
     m[:, 1, 1] = torch.tensor([2000.0, 1000.0, 500.0])[:, None]
     light = chart_cases.computed_lights()["lamps"]
     batch, _ = chart_cases.batch_of(m.log().reshape(108), light, 24, "distant")
-    seen, over_texels = [], quadrature.over_texels
+    seen, over_texels = [], quadrature.sum_over_texels
 
     def noted(batch, lobes, *others):
         seen.append(lobes[0, :, 1].tolist())
         return over_texels(batch, lobes, *others)
 
-    monkeypatch.setattr(quadrature, "over_texels", noted)
+    monkeypatch.setattr(quadrature, "sum_over_texels", noted)
     quadrature.radiance(batch, 1e-2)
     assert seen == [[False, False, True]]
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("bpy", reason="bpy is not installed (extra factory)")
-from factory.render.validation import adaptive_sampling as measured
+from factory.render.validation import sample_division
 from shaders import tone
 
 MASK = np.zeros((24, 30), bool)
@@ -13,20 +12,20 @@ PIXELS = int(MASK.sum())
 
 
 def test_equal_noise_leaves_nothing_to_save():
-    assert measured.best_gain(np.full(100, 3.0)) == pytest.approx(1)
+    assert sample_division.best_gain(np.full(100, 3.0)) == pytest.approx(1)
     # one pixel in a hundred has all noise: it alone has samples
-    assert measured.best_gain(np.r_[np.zeros(99), 3.0]) == pytest.approx(100)
+    assert sample_division.best_gain(np.r_[np.zeros(99), 3.0]) == pytest.approx(100)
 
 
 def test_no_division_of_samples_saves_more_than_the_best_and_equal_errors_save_nothing():
     rng = np.random.default_rng(0)
     variance = np.exp(rng.normal(size=500))
-    best = measured.best_gain(variance)
-    assert measured.gain_of(np.sqrt(variance), variance) == pytest.approx(best)
-    assert measured.gain_of(variance, variance) == pytest.approx(1)  # as Cycles divides them
-    assert measured.gain_of(np.ones(500), variance) == pytest.approx(1)
+    best = sample_division.best_gain(variance)
+    assert sample_division.gain_of(np.sqrt(variance), variance) == pytest.approx(best)
+    assert sample_division.gain_of(variance, variance) == pytest.approx(1)  # as Cycles divides them
+    assert sample_division.gain_of(np.ones(500), variance) == pytest.approx(1)
     for _ in range(20):
-        assert measured.gain_of(np.exp(rng.normal(size=500)), variance) < best
+        assert sample_division.gain_of(np.exp(rng.normal(size=500)), variance) < best
 
 
 def test_the_variance_is_that_of_display_values_to_first_order():
@@ -38,7 +37,7 @@ def test_the_variance_is_that_of_display_values_to_first_order():
     whole = np.zeros((*MASK.shape, 3), np.float32)
     whole[MASK] = pictures.mean(0)
     shown = tone.display(pictures, tone.auto_exposure(whole, MASK))
-    variance = measured.display_variance(pictures, MASK)
+    variance = sample_division.display_variance(pictures, MASK)
     assert variance[0] == 0
     below_white = (shown.mean(0) < 250).all(-1)  # at white itself noise is cut off on one side
     assert below_white.mean() > 0.5
@@ -48,20 +47,20 @@ def test_the_variance_is_that_of_display_values_to_first_order():
 
 def test_squares_of_pixels_save_what_their_means_leave():
     y, _ = np.nonzero(MASK)
-    variance = np.where(y < measured.TILE, 1.0, 9.0)  # a square's edge lies between the two
-    known = measured.over_tiles(variance, MASK)
+    variance = np.where(y < sample_division.TILE, 1.0, 9.0)  # a square's edge lies between the two
+    known = sample_division.over_tiles(variance, MASK)
     np.testing.assert_allclose(known, variance)
     mixed = np.where(y < 4, 50.0, 1.0)  # one row of a square: its mean counts
-    known = measured.over_tiles(mixed, MASK)
+    known = sample_division.over_tiles(mixed, MASK)
     assert known.mean() == pytest.approx(mixed.mean())
-    assert 1 < measured.best_gain(known) < measured.best_gain(mixed)
+    assert 1 < sample_division.best_gain(known) < sample_division.best_gain(mixed)
 
 
 def test_an_uncertain_variance_is_averaged_over_neighbours_inside_the_mask():
     picture = np.zeros(MASK.shape)
     picture[10, 10], picture[3, 4] = 9.0, 4.0  # inside, and at a corner with four neighbours
     share = np.zeros(MASK.shape)
-    share[MASK] = measured.piloted_share(picture[MASK], MASK)
+    share[MASK] = sample_division.piloted_share(picture[MASK], MASK)
     assert share[9, 11] == pytest.approx(1) and share[4, 5] == pytest.approx(np.sqrt(4 / 9))
     assert share[3, 4] == pytest.approx(1)
     assert 0 < share[15, 20] < 0.1

@@ -1,0 +1,130 @@
+"""Direct light without noise of what a studio shows, and what grids of points see of the view.
+
+The closed forms are those of factory.render.direct_light. A limit on the error asks for the same
+points repeatedly, so what they see is kept until another view, or another shape, is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+import numpy as np
+
+from factory.render.direct_light import (
+    DirectLights,
+    Points,
+    leaning_share,
+    merge_pictures,
+    picture_of,
+    points_of,
+)
+from factory.render.estimators.renderer import DirectPicture, DirectWork
+from factory.render.geometry import Surface
+from manifests.schema import Camera
+from shaders.mixture import Mixture
+
+if TYPE_CHECKING:
+    from shaders.direct_light import DirectLight
+
+MOST_KEPT = 1 << 23  # points on the object whose normals are kept, of 29 bytes each
+
+
+class ShownView(NamedTuple):
+    """What a studio shows.
+
+    azimuth   radians
+    mixtures  of the segments, in the order of their ids
+    light     (height, width, 3) the map as the camera sees it; None unless it is looked up texel by
+              texel
+    """
+
+    azimuth: float
+    lens: Camera
+    mixtures: Sequence[Mixture]
+    light: np.ndarray | None
+
+
+class ViewLight:
+    """Direct light of the views that a studio shows, one after the other.
+
+    look  returns the Surface that one ray through each pixel of a camera meets, so many pixels
+          (rightwards, upwards) from its centre
+    """
+
+    def __init__(self, look: Callable[[Camera, float, float], Surface]):
+        self._look = look
+        self._closed_forms = DirectLights()
+        # of the view that was seen last, by points across a pixel and place of the grid
+        self.grids: dict[tuple[int, tuple[float, float]], Surface] = {}
+        self._grids_of: tuple[float, Camera] | None = None
+
+    def forget_grids(self) -> None:
+        """Forget what points have seen of the view."""
+        self.grids.clear()
+        self._grids_of = None
+
+    def forget_closed_forms(self) -> None:
+        """Forget the closed forms of all materials and lights."""
+        self._closed_forms.clear()
+
+    def closed_forms(self, view: ShownView) -> list[DirectLight]:
+        """Return the direct light of each segment's material under the light that is shown.
+
+        There is none for cameras in perspective and for lights that are not looked up by texel.
+        """
+        if view.lens.fov_deg is not None or view.light is None:
+            return []
+        return [self._closed_forms.of(each, view.light, view.lens) for each in view.mixtures]
+
+    def work(
+        self, view: ShownView, points: int, surface: Callable[[Camera], Surface]
+    ) -> DirectWork | None:
+        """Return what `picture` by so many points per pixel takes, None where it does not hold.
+
+        surface  returns what the rays through the pixels' centres meet
+        """
+        direct = self.closed_forms(view)
+        at = points_of(direct, view.lens, points) if direct else None
+        if at is None:
+            return None
+        maps = sum(each.map_size for each in dict.fromkeys(direct))
+        return DirectWork(at.per_pixel, leaning_share(surface(view.lens)), maps)
+
+    def picture(
+        self,
+        view: ShownView,
+        points: int,
+        known: DirectPicture | None = None,
+        where: np.ndarray | None = None,
+    ) -> DirectPicture | None:
+        """Return the direct light by so many points per pixel, None where it does not hold.
+
+        where  (height, width) bool, the pixels that are computed; the others are as in `known`.
+               None: all
+        """
+        direct = self.closed_forms(view)
+        at = points_of(direct, view.lens, points) if direct else None
+        if at is None:
+            return None
+        picture = picture_of(direct, self._grids_at(view, at), view.lens, at, where)
+        return picture if known is None or where is None else merge_pictures(known, picture, where)
+
+    def _grids_at(self, view: ShownView, at: Points) -> list[Surface]:
+        """Return what grids of points see; as many as MOST_KEPT allows are kept."""
+        if self._grids_of != (view.azimuth, view.lens):
+            self.forget_grids()
+            self._grids_of = view.azimuth, view.lens
+        height, width = view.lens.size
+        fine = msgspec.structs.replace(view.lens, size=(height * at.across, width * at.across))
+        result = []
+        for shift in at.shifts:
+            grid = self.grids.get((at.across, shift))
+            if grid is None:
+                grid = self._look(fine, *shift)
+                kept = sum(len(each.depth) for each in self.grids.values())
+                if kept + len(grid.depth) <= MOST_KEPT:
+                    self.grids[at.across, shift] = grid
+            result.append(grid)
+        return result
