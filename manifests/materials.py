@@ -158,7 +158,7 @@ class Material:
     def calibrated_label(self) -> np.ndarray:
         """The label (3, 3, 2, 6) of the surface itself: as measured, times `calibration`."""
         factor = self.calibration
-        return self.label if factor == 1 else dsbrdf.scaled_label(self.label, factor)
+        return self.label if factor == 1 else dsbrdf.scale_label(self.label, factor)
 
 
 def material_hash(label: tuple[float, ...], mixture: MixtureData) -> str:

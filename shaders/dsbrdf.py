@@ -65,7 +65,7 @@ def lobe_sharpness(kappa: Array, gamma: Array | float) -> Array:
     return gamma * steepening
 
 
-def scaled_label(label: Array, factor: Array | float) -> Array:
+def scale_label(label: Array, factor: Array | float) -> Array:
     """Return a label whose BRDF is `factor` times as large, in good approximation.
 
     The height of each lobe is exact at each control value, and its sharpness stays. What lies

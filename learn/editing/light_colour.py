@@ -13,7 +13,7 @@ import torch
 
 from learn.data.devices import to_numpy
 from shaders import envmap
-from shaders.dsbrdf import scaled_label
+from shaders.dsbrdf import scale_label
 from shaders.tone import LUMINANCE
 
 if TYPE_CHECKING:
@@ -40,5 +40,5 @@ def remove_green(parts: "Parts") -> "Parts":
     factor *= (mean @ LUMINANCE) / (mean * factor @ LUMINANCE)
     scale = torch.as_tensor(factor, dtype=parts.light.dtype, device=parts.light.device)
     return parts._replace(
-        light=parts.light * scale[:, None, None], label=scaled_label(parts.label, 1 / scale)
+        light=parts.light * scale[:, None, None], label=scale_label(parts.label, 1 / scale)
     )

@@ -139,7 +139,7 @@ def test_a_weak_constant_lobe_has_the_albedo_of_its_closed_form():
 @pytest.mark.parametrize("factor", [0.5, 2.7])
 def test_a_scaled_label_scales_every_lobes_height_and_keeps_its_sharpness(rng, factor):
     label = np.log(rng.uniform(0.01, 3.0, dsbrdf.SHAPE))
-    scaled = np.exp(dsbrdf.scaled_label(label, factor))
+    scaled = np.exp(dsbrdf.scale_label(label, factor))
     kappa, gamma = np.exp(label[:, :, 0]), np.exp(label[:, :, 1])
     np.testing.assert_allclose(np.expm1(scaled[:, :, 0]), factor * np.expm1(kappa))
     np.testing.assert_allclose(
@@ -155,7 +155,7 @@ def test_a_scaled_matte_label_is_scaled_everywhere(rng):
     factors = np.array([0.25, 1.0, 4.0])
     before, after = (
         dsbrdf.evaluate(np.exp(each), cos_h, theta_d)
-        for each in (label, dsbrdf.scaled_label(label, factors))
+        for each in (label, dsbrdf.scale_label(label, factors))
     )
     np.testing.assert_allclose(after, before * factors, rtol=1e-5)
 
@@ -163,9 +163,9 @@ def test_a_scaled_matte_label_is_scaled_everywhere(rng):
 def test_flat_and_shaped_labels_of_both_libraries_are_scaled_alike(rng):
     torch = pytest.importorskip("torch")
     label = rng.normal(0, 1, (2, dsbrdf.SIZE))
-    shaped = dsbrdf.scaled_label(label.reshape(2, *dsbrdf.SHAPE), 3.0)
-    np.testing.assert_array_equal(dsbrdf.scaled_label(label, 3.0), shaped.reshape(2, dsbrdf.SIZE))
+    shaped = dsbrdf.scale_label(label.reshape(2, *dsbrdf.SHAPE), 3.0)
+    np.testing.assert_array_equal(dsbrdf.scale_label(label, 3.0), shaped.reshape(2, dsbrdf.SIZE))
     np.testing.assert_allclose(
-        dsbrdf.scaled_label(torch.from_numpy(label), torch.tensor([3.0] * 3)),
+        dsbrdf.scale_label(torch.from_numpy(label), torch.tensor([3.0] * 3)),
         shaped.reshape(2, dsbrdf.SIZE),
     )
