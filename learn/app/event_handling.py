@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from learn.app.marked_photograph import THE_PAGE
 from learn.app.offline_gradio import gr
-from learn.app.session import THE_PAGE, Session
+from learn.app.session import Session
 from manifests.errors import InputError
 
 SessionOf = Callable[[gr.Request], Session]  # the session of the page that sent a request

@@ -28,9 +28,11 @@ from learn.app.event_handling import (
     progress_on,
     read_and_delete,
 )
+from learn.app.marked_photograph import THE_PAGE
+from learn.app.material_from_file import materials_of
 from learn.app.offline_gradio import gr
 from learn.app.page_html import address_of, figures, kept_tiles, progress_bar
-from learn.app.session import THE_PAGE, Session
+from learn.app.session import Session
 from learn.app.viewer import Superseded
 from learn.figures import montage
 from manifests.errors import InputError
@@ -380,7 +382,7 @@ class MaterialTab:
         session = self.session_of(request)
         session.decomposed()
         chosen: dict[int, Chosen] = read_and_delete(
-            sent, lambda path: session.materials_of(path, path.name, int(number))
+            sent, lambda path: materials_of(session, path, int(number))
         )
 
         def change(edit: Edit) -> Edit:

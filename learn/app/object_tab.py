@@ -149,9 +149,9 @@ class ObjectTab:
         self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
 
     def _marks_of(self, session: Session, text: str) -> tuple[Any, ...]:
-        selection = session.opened()
-        path = session.write_view(session.overlay())
-        return str(path), text, gr.Button(interactive=bool(selection.labels().any()))
+        opened = session.opened()
+        path = session.write_view(opened.overlay())
+        return str(path), text, gr.Button(interactive=opened.is_marked)
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
@@ -159,7 +159,7 @@ class ObjectTab:
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
         """Return the values of `on_canvas` for a page that was loaded again."""
-        if session.selection is None:
+        if session.photograph is None:
             return (gr.skip(),) * len(self.on_canvas)
         text = covered_text(session)
         if session.viewer is not None:
@@ -201,33 +201,33 @@ class ObjectTab:
         """Use a click on the picture, which says that its place belongs to region `number`."""
         session = self.session_of(request)
         column, row = event.index
-        session.click(float(column), float(row), int(number))
+        session.opened().click(float(column), float(row), int(number))
         return self._marks_of(session, covered_text(session))
 
     @one_line
     def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush, which say that they cover region `number`."""
         session = self.session_of(request)
-        session.paint(strokes_of(drawn), int(number))
+        session.opened().paint(strokes_of(drawn), int(number))
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
     def line(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush as a line around the object, of region `number`."""
         session = self.session_of(request)
-        session.enclose(strokes_of(drawn), int(number))
+        session.opened().enclose(strokes_of(drawn), int(number))
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     def canvas(self, request: gr.Request) -> Any:
         """Show what is marked by now where it is drawn."""
         session = self.session_of(request)
-        return gr.skip() if session.selection is None else canvas_of(session)
+        return gr.skip() if session.photograph is None else canvas_of(session)
 
     @one_line
     def take_back(self, request: gr.Request) -> tuple[Any, ...]:
         """Take back the last click, strokes or line."""
         session = self.session_of(request)
-        undone = session.opened().undo()
+        undone = session.opened().selection.undo()
         text = covered_text(session)
         text = text if undone else f"Nothing is left to undo. {text}"
         return (*self._marks_of(session, text), canvas_of(session))
@@ -236,7 +236,7 @@ class ObjectTab:
     def take_back_all(self, request: gr.Request) -> tuple[Any, ...]:
         """Take back all clicks, strokes and lines."""
         session = self.session_of(request)
-        session.opened().clear()
+        session.opened().selection.clear()
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
@@ -250,7 +250,7 @@ class ObjectTab:
         go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
-            session.marked()  # what is wrong with the mask is said at once
+            session.opened().to_edit()  # what is wrong with the mask is said at once
             yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
             for report in session.decompose(session.saved_was_refined):
                 yield progress_bar(report.share, report.text), halt, go, *rest
@@ -282,13 +282,13 @@ def canvas_of(session: Session) -> dict[str, Any]:
 
     It has the size at which it is shown: a browser would receive a large photograph for a minute.
     """
-    shown = session.overlay()
+    shown = session.opened().overlay()
     return {"background": shown, "layers": [], "composite": shown}
 
 
 def covered_text(session: Session) -> str:
     """Return what is marked, and what to do next, as a sentence or two."""
-    labels = session.opened().labels()
+    labels = session.opened().selection.labels()
     covered = f"{(labels > 0).mean():.0%} of the picture"
     if not labels.any():
         return "Click on the object, or choose *Draw* and draw a line around it."

@@ -22,7 +22,8 @@ from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
-from learn.app.session import Session, display_of
+from learn.app.opening import display_of
+from learn.app.session import Session
 from learn.app.sessions import Sessions
 from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer
@@ -223,17 +224,17 @@ def test_strokes_on_the_picture_that_is_shown_cover_the_photograph(
     """The brush paints on a picture of another size than the photograph's."""
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    height, width = session.reduced().shape[:2]
+    height, width = session.opened().reduced().shape[:2]
     assert (width, height) == (800, 533)
     upper = np.zeros((height, width), bool)
     upper[: height // 2, : width // 2] = True
-    session.paint([upper, ~upper & False], 1)
-    covered = session.opened().strokes[0].covered
+    session.opened().paint([upper, ~upper & False], 1)
+    covered = session.opened().selection.strokes[0].covered
     assert covered.shape == (80, 120)
     assert covered[:40, :60].all() and not covered[41:].any() and not covered[:, 61:].any()
-    assert session.opened().labels()[:40, :60].all()
+    assert session.opened().selection.labels()[:40, :60].all()
     with pytest.raises(InputError, match="strokes of the picture's size 800 × 533"):
-        session.paint([np.ones((80, 120), bool)], 1)
+        session.opened().paint([np.ones((80, 120), bool)], 1)
 
 
 @pytest.mark.parametrize("place", [(-1, 0, 1), (120, 0, 1), (0, 80, 1), (0, 0, 9)])
@@ -511,13 +512,13 @@ def test_sessions_do_not_mix_and_delete_their_files(sessions: Sessions, tmp_path
     sessions.begin("two")
     one, two = sessions.of("one"), sessions.of("two")
     one.load(path)
-    one.click(45 * one.scale, 40 * one.scale, 1)
-    assert sessions.of("one") is one and two.path is None and one.folder != two.folder
+    one.opened().click(45 * one.opened().scale, 40 * one.opened().scale, 1)
+    assert sessions.of("one") is one and two.photograph is None and one.folder != two.folder
     with pytest.raises(InputError, match="a photograph"):
-        two.overlay()
-    view = one.write_view(one.overlay())
+        two.opened().overlay()
+    view = one.write_view(one.opened().overlay())
     for _ in range(6):
-        one.write_view(one.overlay())
+        one.write_view(one.opened().overlay())
     assert not view.exists() and len(list(one.folder.glob("view-*"))) == 4
     sessions.close("one")
     assert not one.folder.exists() and two.folder.exists() and one.stop.is_set()
@@ -542,7 +543,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     session.load(photo_in(tmp_path))
     with pytest.raises(InputError, match="an object"):
         decompose(session, refine=False)
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     shares = decompose(session, refine=False)
     assert shares == sorted(shares) and shares[-1] > 0.9
     number = session.number
@@ -578,7 +579,7 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     Image.fromarray(given).save(tmp_path / "mask.png")
     session.give_mask(tmp_path / "mask.png")
     decompose(session, refine=False)
-    session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 2)  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
     assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
     again = photograph.open_photograph(tmp_path / "sent.png", [tmp_path / "mask.png"])
@@ -650,8 +651,8 @@ def saved_by(sessions: Sessions, tmp_path: Path) -> Session:
     """A session with two parts by clicks, an edit and two kept ones."""
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
-    session.click(75 * session.scale, 40 * session.scale, 2)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
+    session.opened().click(75 * session.opened().scale, 40 * session.opened().scale, 2)
     decompose(session, refine=False)
     light = choices.light_of(next(iter(choices.light_names())), 45.0)
     own = choices.LightChoice("mine.exr", 45.0, light.map)
@@ -711,7 +712,7 @@ def test_pictures_for_download_are_named_after_photograph_and_material(
     for path in made.pictures[:3]:
         with Image.open(path) as picture:
             assert picture.size == (120, 80)
-    session.name = "Stuhl für Frau Öz (2).JPG"
+    session.opened().name = "Stuhl für Frau Öz (2).JPG"
     assert download_files.stem_of(session) == "Stuhl-für-Frau-Öz-2"
 
 
@@ -723,8 +724,8 @@ def test_saved_work_brings_photograph_mask_and_edits_back(
     work.write_bytes(downloads_of(session).work.read_bytes())
     other = sessions.of("two")
     assert "Your saved work is open" in other.load_work(work)
-    assert other.name == "sent.png" and other.refined is False
-    np.testing.assert_array_equal(other.opened().labels(), session.opened().labels())
+    assert other.opened().name == "sent.png" and other.refined is False
+    np.testing.assert_array_equal(other.opened().selection.labels(), session.opened().selection.labels())
     decompose(other, refine=False)
     assert other.edit is not None and session.edit is not None
     assert other.edit.caption == session.edit.caption
@@ -743,7 +744,7 @@ def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path
     def refused(match: str) -> None:
         with pytest.raises(InputError, match=match):
             session.load_work(path)
-        assert session.selection is None and not list(session.folder.iterdir())
+        assert session.photograph is None and not list(session.folder.iterdir())
         assert not (tmp_path / "outside.json").exists()
 
     def write(members: dict[str, str | bytes], method: int = zipfile.ZIP_DEFLATED) -> None:
@@ -796,7 +797,7 @@ def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(60, 40, 1)
+    session.opened().click(60, 40, 1)
     before, path = session.opened(), tmp_path / "work.zip"
     with zipfile.ZipFile(path, "w") as archive:
         archive.write(photo_in(tmp_path), "photograph.png")
@@ -805,7 +806,7 @@ def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
         archive.writestr("work.json", json.dumps({"photograph": "a.png", "refined": False}))
     with pytest.raises(InputError, match=r"work\.zip: mask\.png: expected") as refusal:
         session.load_work(path)
-    assert session.opened() is before and before.clicks
+    assert session.opened() is before and before.selection.clicks
     assert str(session.folder) not in str(refusal.value)
     with zipfile.ZipFile(path, "w") as archive:  # one kept picture is named, and none is there
         archive.write(photo_in(tmp_path), "photograph.png")
@@ -825,13 +826,13 @@ def test_work_on_a_photograph_of_any_name_can_be_opened_again(
     named = tmp_path / name
     named.write_bytes(photo_in(tmp_path).read_bytes())
     session.load(named)
-    session.click(60, 40, 1)
+    session.opened().click(60, 40, 1)
     decompose(session, refine=False)
     work = tmp_path / "work.zip"
     work.write_bytes(downloads_of(session).work.read_bytes())
     other = sessions.of("two")
     other.load_work(work)
-    assert other.name == name
+    assert other.opened().name == name
 
 
 def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
@@ -936,13 +937,13 @@ def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(450, 270, 1)
+    session.opened().click(450, 270, 1)
     decompose(session, refine=False)
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
     edit, viewer = session.edit, session.viewer
     list(session.decompose(refine=False, goes_on=True))
     assert session.edit == edit and session.viewer is not viewer
-    session.click(600, 270, 2)  # another number of parts
+    session.opened().click(600, 270, 2)  # another number of parts
     list(session.decompose(refine=False, goes_on=True))
     assert session.edit == Edit((Painted(), Painted()))
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
@@ -953,12 +954,12 @@ def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     with pytest.raises(Stopped):
         for report in session.decompose(refine=True):
             if "refining" in report.text:
                 session.stop.set()
-    assert session.viewer is None and session.marked().count == 1
+    assert session.viewer is None and session.opened().to_edit().count == 1
 
 
 def test_a_refinement_does_not_replace_a_later_decomposition(
@@ -966,10 +967,10 @@ def test_a_refinement_does_not_replace_a_later_decomposition(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     improving = session.decompose(refine=True, goes_on=True)
     next(improving)
-    session.click(60 * session.scale, 40 * session.scale, 2)
+    session.opened().click(60 * session.opened().scale, 40 * session.opened().scale, 2)
     decompose(session, refine=False)  # of the mask as it is now
     later = session.viewer
     with pytest.raises(Stopped):
@@ -983,10 +984,10 @@ def test_a_transparent_photograph_has_its_mask(sessions: Sessions, tmp_path: Pat
     Image.fromarray(np.dstack([scene(), alpha])).save(path)
     session = sessions.of("one")
     assert "transparent" in session.load(path)
-    opened = session.marked()
+    opened = session.opened().to_edit()
     assert opened.cut_out and opened.count == 1
-    session.click(75 * session.scale, 40 * session.scale, 2)
-    assert session.marked().count == 2
+    session.opened().click(75 * session.opened().scale, 40 * session.opened().scale, 2)
+    assert session.opened().to_edit().count == 2
 
 
 def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path) -> None:
@@ -996,12 +997,12 @@ def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path)
     Image.fromarray(np.where(disk(), 255, 0).astype(np.uint8)).save(mask)
     Image.new("L", (10, 10), 255).save(small)
     session.give_mask(mask)
-    assert np.array_equal(session.marked().mask, disk())
+    assert np.array_equal(session.opened().to_edit().mask, disk())
     with pytest.raises(InputError, match="a mask of the picture's size 120 × 80"):
         session.give_mask(small)
     Image.fromarray(disk().astype(np.uint8) + disk(half=True)).save(mask)
     session.give_regions(mask)
-    assert session.marked().count == 2
+    assert session.opened().to_edit().count == 2
 
 
 def test_a_soft_masks_object_is_what_is_at_least_half_covered(
@@ -1017,12 +1018,11 @@ def test_a_soft_masks_object_is_what_is_at_least_half_covered(
     mask, cut = tmp_path / "mask.png", tmp_path / "cut.png"
     Image.fromarray(grey).save(mask)
     session.give_mask(mask)
-    assert session.selection is not None
-    np.testing.assert_array_equal(session.selection.labels() > 0, half)
-    np.testing.assert_allclose(session.marked().coverage, grey / 255, atol=1e-6)
+    np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
+    np.testing.assert_allclose(session.opened().to_edit().coverage, grey / 255, atol=1e-6)
     Image.fromarray(np.dstack([scene(), grey])).save(cut)
     session.load(cut)
-    np.testing.assert_array_equal(session.selection.labels() > 0, half)
+    np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
 
 
 def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:
