@@ -7,7 +7,6 @@ from typing import Any
 from learn.app import choices
 from learn.app.choices import OWN_LIGHT, Chosen, Edit
 from learn.app.offline_gradio import gr
-from learn.app.page_html import without_markup
 from learn.app.session import Session
 
 FIRST, SECOND = "the material", "a second one to mix with it"
@@ -53,10 +52,3 @@ def controls_of(session: Session, number: int) -> tuple[Any, ...]:
         edit.hide_background,
         edit.brightness_stops,
     )
-
-
-def said(session: Session, note: str) -> str:
-    """Return the line below the view: a note, what the edit is, and what is on the left."""
-    _, edit = session.decomposed()
-    left = "the photograph" if session.beside is None else session.beside.edit.caption
-    return f"{note} {without_markup(edit.caption)}. Left of the line: {without_markup(left)}."

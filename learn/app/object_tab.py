@@ -7,6 +7,7 @@ import numpy as np
 
 from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
+from learn.app.edit_view import first_values
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
@@ -260,7 +261,7 @@ class ObjectTab:
         except InputError:
             yield "", go, halt, *rest
             raise
-        yield (DONE, go, halt, *self.materials.fill(session))
+        yield (DONE, go, halt, *first_values(session))
 
     def halt(self, request: gr.Request) -> tuple[Any, ...]:
         """Stop the decomposition."""

@@ -17,12 +17,12 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
 from learn.app import choices, download_files, edit_file, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
-from learn.app.choices import Chosen, Edit, Painted
+from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
+from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
-from learn.app.opening import display_of
 from learn.app.session import Session
 from learn.app.sessions import Sessions
 from learn.app.superpixels import Superpixels
@@ -433,7 +433,7 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
     light = choices.light_of(next(iter(choices.light_names())), 45.0)
     if map_of_own:
         light = choices.LightChoice("mine.exr", 45.0, light.map)
-    own = choices.principled_material("#a03020", 0.35, 0.0)
+    own = choices.principled_material(Principled("#a03020", 0.35, 0.0))
     edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
     edit_file.write(tmp_path / "edit.json", edit)
     again = edit_file.read(tmp_path / "edit.json")
@@ -579,7 +579,9 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     Image.fromarray(given).save(tmp_path / "mask.png")
     session.give_mask(tmp_path / "mask.png")
     decompose(session, refine=False)
-    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 2)  # not decomposed any more
+    session.opened().click(
+        45 * session.opened().scale, 40 * session.opened().scale, 2
+    )  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
     assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
     again = photograph.open_photograph(tmp_path / "sent.png", [tmp_path / "mask.png"])
@@ -591,7 +593,8 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
     sessions: Sessions, tmp_path: Path
 ) -> None:
     pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
-    from learn.app.material_tab import FIRST, MaterialTab, gr
+    from learn.app.edit_controls import FIRST
+    from learn.app.material_tab import MaterialTab, gr
 
     session = sessions.of("one")
     session.viewer = Viewer(decomposed(2))
@@ -725,7 +728,9 @@ def test_saved_work_brings_photograph_mask_and_edits_back(
     other = sessions.of("two")
     assert "Your saved work is open" in other.load_work(work)
     assert other.opened().name == "sent.png" and other.refined is False
-    np.testing.assert_array_equal(other.opened().selection.labels(), session.opened().selection.labels())
+    np.testing.assert_array_equal(
+        other.opened().selection.labels(), session.opened().selection.labels()
+    )
     decompose(other, refine=False)
     assert other.edit is not None and session.edit is not None
     assert other.edit.caption == session.edit.caption
