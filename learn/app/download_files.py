@@ -24,6 +24,7 @@ from learn.figures import montage
 from manifests import files
 
 SHEET_COLUMNS, SHEET_TILE = 3, 640  # of the picture that compares the kept edits; pixels
+KEPT_FOLDERS = 2  # of files for download, in a session
 LONGEST_NAME = 80  # letters of a file for download
 
 
@@ -59,9 +60,12 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
     viewer, edit = session.decomposed()
     edits = [edit, *(each.edit for each in session.kept if each.edit != edit)]
     yield rendering(1, len(edits))
-    folder = session.folder / "download"
-    shutil.rmtree(folder, ignore_errors=True)
+    folder = session.folder / f"download-{secrets.token_hex(6)}"
     folder.mkdir()
+    # an earlier one may still be downloaded, or be made for a page that was loaded again
+    before = sorted(session.folder.glob("download-*"), key=lambda path: path.stat().st_mtime_ns)
+    for old in before[:-KEPT_FOLDERS]:
+        shutil.rmtree(old, ignore_errors=True)
     linear, display = viewer.full(edit)
     opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
     pictures = [_write_picture(session, folder, edit, linear, display)]

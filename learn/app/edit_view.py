@@ -41,10 +41,16 @@ def first_values(session: Session) -> tuple[Any, ...]:
 
 
 def quick_view(session: Session, change: Callable[[Edit], Edit]) -> tuple[Any, ...]:
-    """Change the edit, and return the quick view of it. Raises InputError."""
-    session.choose(change)
+    """Change the edit, and return the quick view of it; UNCHANGED if there is a later choice.
+
+    Raises  InputError
+    """
+    number = session.choose(change)
     viewer, edit = session.decomposed()
-    path = str(session.write_view(viewer.view(edit)))
+    picture = viewer.view(edit)
+    if session.number != number:
+        return UNCHANGED
+    path = str(session.write_view(picture))
     note = EXACT_TEXT if viewer.is_exact(edit) else QUICK_TEXT
     return (session.left, path), said(note, edit, session.beside)
 

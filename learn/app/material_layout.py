@@ -19,7 +19,7 @@ SLIDERS = (  # of a material of one's own: id, label, first value
 TILE_CLICKS = """
 element.addEventListener('click', event => {
   const tile = event.target.closest('button');
-  if (tile) trigger('click', {...tile.dataset});
+  if (tile) trigger('click', {...tile.dataset, at: Date.now()});
 });
 """
 NOTHING_YET = "Choose a photograph first, in step 1, and click on its object."

@@ -6,27 +6,28 @@ Each change shows a quick view at once; the exact one follows when no later chan
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from learn.app import choices, gallery
 from learn.app.background_decomposition import Stopped
 from learn.app.choices import OWN_LIGHT, Chosen, Edit, LightChoice, Painted, Principled
-from learn.app.edit_controls import SECOND, controls_of, painting, share_of
+from learn.app.edit_controls import SECOND, controls_of, painting, region_of, share_of
 from learn.app.edit_view import exact_view, first_values, kept_row, quick_view
 from learn.app.event_handling import (
     QUIET,
     SessionOf,
     hexadecimal,
+    in_place,
     one_line,
     progress_on,
     read_and_delete,
 )
 from learn.app.marked_photograph import THE_PAGE
 from learn.app.material_from_file import materials_of
-from learn.app.material_layout import NOTHING_YET, SLIDERS, MaterialLayout
+from learn.app.material_layout import SLIDERS, MaterialLayout
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
-from learn.app.session import Session
+from learn.app.session import NEXT, Session
 from manifests.errors import InputError
 from manifests.wording import number_of
 
@@ -36,12 +37,12 @@ class MaterialTab:
 
     layout         its parts
     views, filled  as MaterialLayout has them; EMPTY: the values of `views` before there is a
-                   decomposition
+                   decomposition of a photograph
 
     The methods after `connect` handle one event each, and return the new values of what is shown.
     """
 
-    EMPTY = (None, NOTHING_YET, None, "", "")
+    EMPTY = (None, f"Mark the object in step 1 first, and press “{NEXT}”.", None, "", "")
 
     def __init__(self, session_of: SessionOf, pictures: Path):
         self.session_of, self.layout = session_of, MaterialLayout(pictures)
@@ -51,7 +52,10 @@ class MaterialTab:
         """Connect the events of this tab."""
         on = self.layout
         place = [on.region, on.slot]
-        self._show_live(on.materials.click, self.from_gallery, place, [*on.view, on.share])
+        # of several clicks Gradio would take the first one's material, were they not sent each
+        self._show_live(
+            on.materials.click, self.from_gallery, place, [*on.view, on.share], "multiple"
+        )
         self._show_live(on.share.input, self.blended, [on.region, on.share])
         self._show_live(on.back.click, self.kept, [on.region])
         self._show_live(on.light.input, self.lit, [on.light, on.rotation])
@@ -73,6 +77,7 @@ class MaterialTab:
             self.kept_clicked,
             [on.region],
             [*on.view, on.kept_row, *on.controls],
+            "multiple",
         )
         own = [on.color, *on.numbers]
         for control in own:
@@ -99,15 +104,16 @@ class MaterialTab:
         handler: Callable[..., Any],
         inputs: list[Any] | set[Any],
         outputs: list[Any] | None = None,
+        trigger_mode: Literal["always_last", "multiple"] = "always_last",
     ) -> None:
         """Show a quick view at each change, then the exact one."""
-        # a page asks for one at a time; a queue would cost two more requests
+        outputs = outputs or self.layout.view
         first = listen(
-            one_line(handler),
+            in_place(handler, len(outputs)),
             inputs,
-            outputs or self.layout.view,
-            trigger_mode="always_last",
-            queue=False,
+            outputs,
+            trigger_mode=trigger_mode,
+            queue=False,  # which would cost two more requests
             **QUIET,
         )
         first.success(
@@ -127,6 +133,7 @@ class MaterialTab:
         """
         session = self.session_of(request)
         session.decomposed()
+        opened = session.photograph
         rest = (gr.skip(),) * (len(self.views) - 1)
         shown, hidden = gr.Button(visible=True), gr.Button(visible=False)
         if session.refined:
@@ -137,7 +144,8 @@ class MaterialTab:
             for report in session.decompose(refine=True, goes_on=True):
                 yield shown, *rest, progress_bar(report.share, report.text)
         except Stopped:
-            yield hidden, *rest, "Stopped. The edit is as it was."
+            is_open = session.photograph is opened
+            yield hidden, *rest, "Stopped. The edit is as it was." if is_open else ""
             return
         except InputError:
             yield hidden, *rest, ""
@@ -152,9 +160,11 @@ class MaterialTab:
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
         """Return the values of `filled` for a page that was loaded again."""
-        if session.viewer is None or session.edit is None:
-            return (gr.skip(),) * len(self.filled)
-        return first_values(session)
+        try:
+            return first_values(session)
+        except InputError:  # no decomposition, or none any more
+            rest = (gr.skip(),) * (len(self.filled) - len(self.EMPTY))
+            return (*(self.EMPTY if session.photograph else (gr.skip(),) * len(self.EMPTY)), *rest)
 
     def exact(self, request: gr.Request) -> tuple[Any, ...]:
         """Show the exact view of the latest choice, unless there is a later one."""
@@ -166,6 +176,8 @@ class MaterialTab:
         """Give a region the material whose picture was clicked on."""
         chosen = choices.named_material(str(event.name))
         session = self.session_of(request)
+        if not session.is_latest_click(float(event.at)):
+            return (gr.skip(),) * 3
         result = quick_view(session, painting(int(number), place, chosen))
         return (*result, share_of(session, number))
 
@@ -206,7 +218,7 @@ class MaterialTab:
         """Change the second material's share of a blend."""
 
         def change(edit: Edit) -> Edit:
-            painted = edit.regions[int(number) - 1]
+            painted = region_of(edit, int(number))
             if painted.second is None:
                 rule = (THE_PAGE, "a second material", "none")
                 raise InputError(*rule, f"first set Choose to “{SECOND}”, and click on a material")
@@ -216,9 +228,12 @@ class MaterialTab:
 
     def kept(self, number: int, request: gr.Request) -> tuple[Any, ...]:
         """Leave a region as it is."""
-        return quick_view(
-            self.session_of(request), lambda e: e.with_region(int(number) - 1, Painted())
-        )
+
+        def change(edit: Edit) -> Edit:
+            region_of(edit, int(number))
+            return edit.with_region(int(number) - 1, Painted())
+
+        return quick_view(self.session_of(request), change)
 
     def lit(self, name: str, degrees: float, request: gr.Request) -> tuple[Any, ...]:
         """Change the light or its direction."""
@@ -266,9 +281,9 @@ class MaterialTab:
     ) -> tuple[Any, ...]:
         """Show a kept edit again, show it on the left of the view, or keep it no longer."""
         session = self.session_of(request)
-        kept = session.kept_edit(int(event.number))
+        kept = session.kept_edit(str(event.name))
         if event.act == "remove":
-            session.forget(int(event.number))
+            session.forget(kept)
         elif event.act == "beside":
             session.beside = None if session.beside is kept else kept
         result = quick_view(session, lambda edit: kept.edit if event.act == "show" else edit)

@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.edit_view import first_values
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
+from learn.app.marking_view import canvas_of, covered_text, strokes_of
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
@@ -18,7 +17,7 @@ from manifests.errors import InputError
 
 PARTS_OFFERED = 4
 DONE = "Done."
-OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
+PHOTO_BUTTON, WORK_BUTTON = "Choose a photograph", "Or open saved work (.zip)"
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
 said => {
@@ -51,11 +50,9 @@ class ObjectTab:
         self.on_canvas: list[Any] = [*self.marks, self.brush]
 
     def _lay_out_controls(self) -> None:
-        self.photo = gr.UploadButton(
-            "Choose a photograph", variant="primary", elem_id="photo", size="md"
-        )
+        self.photo = gr.UploadButton(PHOTO_BUTTON, variant="primary", elem_id="photo", size="md")
         self.example = gr.Button("Or try the example, a cup", elem_id="example", size="md")
-        self.work = gr.UploadButton("Or open saved work (.zip)", elem_id="work", size="sm")
+        self.work = gr.UploadButton(WORK_BUTTON, elem_id="work", size="sm")
         self.marked = gr.Radio(
             [("The object", 1), ("Not the object", BACKGROUND)]
             + [(f"Part {number}", number) for number in range(2, PARTS_OFFERED + 1)],
@@ -71,7 +68,7 @@ class ObjectTab:
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
         )
         self.progress = gr.HTML("", elem_id="progress")
-        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False, size="sm")
+        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", visible=False, size="sm")
         with gr.Accordion("I have a mask already", open=False, elem_id="own-mask"):
             gr.Markdown(
                 "A mask is a picture of the same size that is white where the object is. One with"
@@ -85,8 +82,9 @@ class ObjectTab:
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of an object, or try the example. Then click on the object, or"
-            " choose *Draw* and draw a line around it.",
+            "Choose a photograph of an object (PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR), drop"
+            " or paste it here, or try the example. Then click on the object, or choose *Draw* and"
+            " draw a line around it.",
             elem_id="status",
         )
         with gr.Tabs(elem_id="picture"):
@@ -110,7 +108,7 @@ class ObjectTab:
                         "It is a line around the object", elem_id="use-line", size="sm"
                     )
                     self.use_brush = gr.Button(
-                        "It is paint on what is chosen at the left", elem_id="use-brush", size="sm"
+                        "It is paint on the part that I chose", elem_id="use-brush", size="sm"
                     )
                 self.brush = gr.ImageEditor(
                     show_label=False,
@@ -248,54 +246,27 @@ class ObjectTab:
         tab 2 has a button that refines.
         """
         session = self.session_of(request)
-        go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
+        opened = session.photograph
+        busy = gr.Button(interactive=False), gr.Button(visible=True)
+        idle = gr.Button(interactive=True), gr.Button(visible=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
             session.opened().to_edit()  # what is wrong with the mask is said at once
-            yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
+            yield progress_bar(0.01, "waiting until another user is served"), *busy, *rest
             for report in session.decompose(session.saved_was_refined):
-                yield progress_bar(report.share, report.text), halt, go, *rest
+                yield progress_bar(report.share, report.text), *busy, *rest
         except Stopped:
-            yield "Stopped. The photograph and its mask are still here.", go, halt, *rest
+            if session.photograph is opened:
+                yield "Stopped. The photograph and its mask are still here.", *idle, *rest
+            else:  # another photograph took its place, and its marks say whether they suffice
+                yield "", gr.skip(), idle[1], *rest
             return
         except InputError:
-            yield "", go, halt, *rest
+            yield "", *idle, *rest
             raise
-        yield (DONE, go, halt, *first_values(session))
+        yield (DONE, *idle, *first_values(session))
 
     def halt(self, request: gr.Request) -> tuple[Any, ...]:
         """Stop the decomposition."""
         self.session_of(request).stop.set()
-        return "Stopping …", gr.Button(interactive=False)
-
-
-def strokes_of(drawn: dict | None) -> list[np.ndarray]:
-    """Return what was drawn, each (h, w) bool. Raises InputError where nothing was."""
-    layers = [] if drawn is None else drawn.get("layers") or []
-    strokes = [layer[..., 3] > OPAQUE for layer in layers]
-    if not any(covered.any() for covered in strokes):
-        raise InputError("the brush", "something drawn", "nothing", "draw on the picture first")
-    return strokes
-
-
-def canvas_of(session: Session) -> dict[str, Any]:
-    """Return the picture to draw on, which shows what is marked, without what was drawn before.
-
-    It has the size at which it is shown: a browser would receive a large photograph for a minute.
-    """
-    shown = session.opened().overlay()
-    return {"background": shown, "layers": [], "composite": shown}
-
-
-def covered_text(session: Session) -> str:
-    """Return what is marked, and what to do next, as a sentence or two."""
-    labels = session.opened().selection.labels()
-    covered = f"{(labels > 0).mean():.0%} of the picture"
-    if not labels.any():
-        return "Click on the object, or choose *Draw* and draw a line around it."
-    count = int(labels.max())
-    several = f", in {count} parts" if count > 1 else ""
-    return (
-        f"The coloured object covers {covered}{several}. Click where it is missing. Where it is too"
-        f" much, choose “Not the object” and click there. Then press “{NEXT}”."
-    )
+        return "Stopping …", gr.Button(visible=False)

@@ -38,8 +38,9 @@ LOST = (
     THE_PAGE,
     "the photograph of this page",
     "none",
-    "the photograph is no longer kept, because the page was left or not used for an hour, or the"
-    " program was started again: choose it again, or open work that you saved",
+    "the photograph is no longer kept, because the page was left or not used for an hour, the"
+    " program was started again, or this page was opened twice: choose the photograph again, or"
+    " open work that you saved",
 )
 
 
@@ -85,6 +86,9 @@ class Session:
     stop: threading.Event = field(default_factory=threading.Event)
     used: float = field(default_factory=time.monotonic)
     _views: list[Path] = field(default_factory=list)
+    _clicked_at: float = 0.0
+    # held while what belongs together changes: a page sends several requests at once
+    _lock: threading.RLock = field(default_factory=threading.RLock)
     _saved: work_file.Work | None = None  # whose edits follow its photograph's decomposition
 
     def close(self) -> None:
@@ -126,14 +130,15 @@ class Session:
         )
 
     def _take(self, opened: MarkedPhotograph) -> None:
-        self.is_lost, self._saved = False, None
-        for each in self.kept:
-            each.picture.unlink(missing_ok=True)
-        self.kept, self.beside = [], None
-        self.number += 1
-        self.stop.set()
-        self.viewer = self.edit = self.soft_mask = None
-        self.photograph = opened
+        with self._lock:
+            self.is_lost, self._saved = False, None
+            for each in self.kept:
+                each.picture.unlink(missing_ok=True)
+            self.kept, self.beside = [], None
+            self.number += 1
+            self.stop.set()
+            self.viewer = self.edit = self.soft_mask = None
+            self.photograph = opened
 
     def give_mask(self, sent: Path) -> str:
         """Take a mask's file: grey, or one value for each region. Raises InputError."""
@@ -166,26 +171,30 @@ class Session:
         """
         marked = self.opened()
         opened, soft_mask, by_hand = marked.to_edit(), marked.soft_mask, marked.by_hand
-        self.stop.set()
-        self.stop = stop = threading.Event()
-        self.number += 1
+        with self._lock:
+            if self.photograph is not marked:
+                raise Stopped
+            self.stop.set()
+            self.stop = stop = threading.Event()
+            self.number += 1
         decomposed = yield from background_decomposition.decompose(
             opened, self.network, refine, stop
         )
         yield Progress(0.97, "preparing the view")
         viewer = Viewer(decomposed)
-        if stop.is_set():
-            raise Stopped
-        self.viewer, self.refined = viewer, refine
-        self.soft_mask, self.by_hand = soft_mask, by_hand
-        before = self.edit
-        self.edit, kept = self._edits_of(opened.count)
-        if goes_on and before is not None and len(before.regions) == opened.count:
-            self.edit = before
-        self.beside = None
-        for each in self.kept:
-            each.picture.unlink(missing_ok=True)
-        self.kept = [Kept(e, self.write_view(viewer.view(e), "kept")) for e in kept]
+        with self._lock:
+            if stop.is_set():
+                raise Stopped
+            self.viewer, self.refined = viewer, refine
+            self.soft_mask, self.by_hand = soft_mask, by_hand
+            before = self.edit
+            self.edit, kept = self._edits_of(opened.count)
+            if goes_on and before is not None and len(before.regions) == opened.count:
+                self.edit = before
+            self.beside = None
+            for each in self.kept:
+                each.picture.unlink(missing_ok=True)
+            self.kept = [Kept(e, self.write_view(viewer.view(e), "kept")) for e in kept]
 
     def _edits_of(self, count: int) -> tuple[Edit, list[Edit]]:
         """Return the edit of a new decomposition with `count` regions, and those kept.
@@ -201,42 +210,59 @@ class Session:
 
     def decomposed(self) -> tuple[Viewer, Edit]:
         """Return the viewer and the edit. Raises InputError before there is a decomposition."""
-        if self.viewer is None or self.edit is None:
-            raise InputError(*(LOST if self.is_lost else NOT_DECOMPOSED))
-        return self.viewer, self.edit
+        with self._lock:
+            if self.viewer is None or self.edit is None:
+                self.opened()
+                raise InputError(*NOT_DECOMPOSED)
+            return self.viewer, self.edit
+
+    def is_latest_click(self, at: float) -> bool:
+        """Return whether no later click came before one; at: its time, as the browser has it.
+
+        Requests that a browser sends one after the other can arrive in another order.
+        """
+        with self._lock:
+            self._clicked_at = max(at, self._clicked_at)
+            return at >= self._clicked_at
 
     def choose(self, change: Callable[[Edit], Edit]) -> int:
         """Change the edit; return the number of the choice. Raises InputError."""
-        _, edit = self.decomposed()
-        self.edit = change(edit)
-        self.number += 1
-        return self.number
+        with self._lock:
+            _, edit = self.decomposed()
+            self.edit = change(edit)
+            self.number += 1
+            return self.number
 
     def keep(self) -> None:
         """Keep the edit to compare it with others. Raises InputError for too many."""
         viewer, edit = self.decomposed()
-        if any(each.edit == edit for each in self.kept):
-            return
-        if len(self.kept) >= MOST_KEPT:
-            rule = f"at most {MOST_KEPT} kept pictures"
-            raise InputError(
-                THE_PAGE, rule, "one more", f"{rule} can be compared: remove one first"
-            )
-        self.kept.append(Kept(edit, self.write_view(viewer.view(edit, True), "kept")))
+        picture = viewer.view(edit, True)
+        with self._lock:
+            if self.viewer is not viewer or any(each.edit == edit for each in self.kept):
+                return
+            if len(self.kept) >= MOST_KEPT:
+                rule = f"at most {MOST_KEPT} kept pictures"
+                remedy = f"{rule} can be compared: remove one first"
+                raise InputError(THE_PAGE, rule, "one more", remedy)
+            self.kept.append(Kept(edit, self.write_view(picture, "kept")))
 
-    def forget(self, number: int) -> None:
-        """Keep the kept edit `number`, 0 the first, no longer. Raises InputError."""
-        kept = self.kept_edit(number)
-        self.kept.remove(kept)
-        if self.beside is kept:
-            self.beside = None
+    def forget(self, kept: Kept) -> None:
+        """Keep a kept edit no longer."""
+        with self._lock:
+            self.kept = [each for each in self.kept if each is not kept]
+            if self.beside is kept:
+                self.beside = None
         kept.picture.unlink(missing_ok=True)
 
-    def kept_edit(self, number: int) -> Kept:
-        """Return a kept edit, 0 the first. Raises InputError."""
-        if not 0 <= number < len(self.kept):
-            raise InputError(THE_PAGE, "a kept picture", "none", "the picture is no longer kept")
-        return self.kept[number]
+    def kept_edit(self, name: str) -> Kept:
+        """Return the kept edit whose picture's file has a name. Raises InputError.
+
+        A number would mean another one after a first click of two on Remove.
+        """
+        for kept in self.kept:
+            if kept.picture.name == name:
+                return kept
+        raise InputError(THE_PAGE, "a kept picture", "none", "the picture is no longer kept")
 
     @property
     def left(self) -> str:

@@ -538,9 +538,11 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
 ) -> None:
     sessions.begin("one")
     session = sessions.of("one")
-    with pytest.raises(InputError, match="mark the object in step 1 first"):
+    with pytest.raises(InputError, match="choose a photograph first, in step 1"):
         session.decomposed()
     session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match="mark the object in step 1 first"):
+        session.decomposed()
     with pytest.raises(InputError, match="an object"):
         decompose(session, refine=False)
     session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
@@ -560,7 +562,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     linear, alpha = photographs.read_exr(others["edited.exr"])
     assert linear.shape == (80, 120, 3) and (alpha == 1).all()
     session.choose(lambda edit: replace(edit, hide_background=True))
-    downloads_of(session)
+    others = {path.name: path for path in downloads_of(session).others}
     _, alpha = photographs.read_exr(others["edited.exr"])
     assert alpha[0, 0] == 0 and alpha[40, 45] == 1
     text = made.command
@@ -619,9 +621,7 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
         send(3)
     assert str(caught.value.message) == (
         "<b>Give the photograph these regions, or keep one label in the file.</b><br>"
-        "material.json: expected one material, or 2: one for each region, found 3 (give the"
-        " photograph"
-        " these regions, or keep one label in the file)"
+        "material.json: expected one material, or 2: one for each region, found 3."
     )
     assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))
     session.viewer, session.edit = Viewer(decomposed(1)), Edit((Painted(),))
@@ -678,11 +678,15 @@ def test_kept_pictures_are_compared_brought_back_and_removed(
     session.beside = session.kept[1]
     assert session.left == str(session.kept[1].picture)
     path = session.kept[1].picture
-    session.forget(1)
+    kept = session.kept_edit(path.name)
+    session.forget(kept)
     assert not path.exists() and session.left == session.before
     assert [each.edit.brightness_stops for each in session.kept] == [0, 0.5]
+    # a second click on the same button does not mean the picture that took its place
     with pytest.raises(InputError, match="a kept picture"):
-        session.kept_edit(2)
+        session.kept_edit(path.name)
+    session.forget(kept)
+    assert len(session.kept) == 2
     for number in range(10):
         session.choose(lambda e, n=number: replace(e, brightness_stops=-n / 10))
         session.keep()
@@ -848,7 +852,7 @@ def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
     caption, going = session.edit.caption, download_files.write(session)
     next(going)
     session.choose(lambda e: replace(e, brightness_stops=3.0))
-    session.forget(0)
+    session.forget(session.kept[0])
     with pytest.raises(StopIteration) as end:
         while True:
             next(going)
@@ -914,8 +918,7 @@ def test_an_error_says_first_what_to_do() -> None:
 
     error = InputError("a<b>.pdf", "a picture", "another format", "save it as PNG")
     assert for_people(error) == (
-        "<b>Save it as PNG.</b><br>a&lt;b&gt;.pdf: expected a picture, found another format"
-        " (save it as PNG)"
+        "<b>Save it as PNG.</b><br>a&lt;b&gt;.pdf: expected a picture, found another format."
     )
     error = InputError("the page", "a photograph", "none", "choose a photograph first")
     assert for_people(error) == "Choose a photograph first."

@@ -471,9 +471,12 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         assert darker.mean() < pictures[2].mean() - 1
 
         # one of them on the left of the line, one shown again, one removed
-        window.run("document.querySelector('#kept [data-act=beside][data-number=\"1\"]').click()")
+        window.run("document.querySelectorAll('#kept [data-act=beside]')[1].click()")
         walk.wait_for("#shown", "Left of the line: blue-metallic-paint.")
-        window.wait("document.querySelector('#kept [aria-pressed=true]').dataset.number == 1")
+        pressed = (
+            "[...document.querySelectorAll('#kept [data-act=beside]')].map(e => e.ariaPressed)"
+        )
+        window.wait(f"({pressed})[1] === 'true'")
         again = walk.changed(
             lambda: window.run("document.querySelector('#kept [data-act=show]').click()"),
             "blue-fabric. Left",
@@ -623,7 +626,7 @@ def test_nothing_outside_this_computer_is_asked_for(served):
     ],
 )
 def test_a_browser_that_may_keep_nothing_opens_the_page_all_the_same(storage, expected):
-    from learn.app.page import KEEP_KEY, RECALL_KEY
+    from learn.app.page_script import KEEP_KEY, RECALL_KEY
 
     script = (
         f"const kept = {{}}; Object.defineProperty(globalThis, 'sessionStorage', {storage});"
