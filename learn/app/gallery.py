@@ -59,6 +59,8 @@ def words() -> dict[str, str]:
 def page_tiles(names: list[str], address: str, text: str = "") -> str:
     """Return HTML with a button for each of the named materials: its picture, name and family.
 
+    The Tab key stops at the first of them alone.
+
     address  of PICTURES on the page. All buttons show parts of that one file.
     text     that was looked for: where a material looks like a word of it, this word takes the
              place of the family
@@ -66,18 +68,19 @@ def page_tiles(names: list[str], address: str, text: str = "") -> str:
     like = {name: word for word in asked_words(text) for name in ALIKE.get(word, ())}
     places = {name: number for number, name in enumerate(families())}
     buttons = []
-    for name in names:
+    for number, name in enumerate(names):
         row, column = divmod(places[name], COLUMNS)
         place = f"{-TILE * column}px {-TILE * row}px"
         style = f"background: url('{address}') {place}"
         shown = html.escape(name)
         note = f"looks like {like[name]}" if name in like else families()[name]
         buttons.append(
-            f'<button data-name="{shown}"><span class="picture" style="{html.escape(style)}">'
+            f'<button data-name="{shown}" tabindex="{0 if number == 0 else -1}"><span class="picture" style="{html.escape(style)}">'
             f'</span><span class="caption">{shown}</span>'
             f'<span class="note">{html.escape(note)}</span></button>'
         )
-    return f'<div class="tiles">{"".join(buttons)}</div>'
+    label = "Materials. Arrow keys go from one to the next."
+    return f'<div class="tiles" role="group" aria-label="{label}">{"".join(buttons)}</div>'
 
 
 def search(text: str) -> list[str]:

@@ -22,6 +22,23 @@ element.addEventListener('click', event => {
   if (tile) trigger('click', {...tile.dataset, at: Date.now()});
 });
 """
+# The Tab key stops once at all tiles, and arrow keys go from one to the next.
+TILE_KEYS = """
+const isIn = {ArrowRight: 1, ArrowLeft: -1, ArrowDown: 0, ArrowUp: 0, Home: 0, End: 0};
+element.addEventListener('keydown', event => {
+  if (!(event.key in isIn)) return;
+  const tiles = [...element.querySelectorAll('button')], at = tiles.indexOf(event.target);
+  if (at < 0) return;
+  event.preventDefault();
+  const across = tiles.filter(each => each.offsetTop === tiles[0].offsetTop).length;
+  const steps = {...isIn, ArrowDown: across, ArrowUp: -across};
+  const to = {Home: 0, End: tiles.length - 1}[event.key] ?? at + steps[event.key];
+  if (!tiles[to]) return;
+  event.target.tabIndex = -1;
+  tiles[to].tabIndex = 0;
+  tiles[to].focus();
+});
+"""
 NOTHING_YET = "Choose a photograph first, in step 1, and click on its object."
 
 
@@ -91,7 +108,7 @@ class MaterialLayout:
         )
         self.count = gr.Markdown(f"{len(gallery.search(''))} materials", elem_id="count")
         self.materials = gr.HTML(
-            self.tiles(gallery.search("")), js_on_load=TILE_CLICKS, elem_id="materials"
+            self.tiles(gallery.search("")), js_on_load=TILE_CLICKS + TILE_KEYS, elem_id="materials"
         )
         self.share = gr.Slider(
             0,

@@ -143,15 +143,15 @@ class MaterialTab:
             yield shown, *rest, progress_bar(0.01, "waiting until another user is served")
             for report in session.decompose(refine=True, goes_on=True):
                 yield shown, *rest, progress_bar(report.share, report.text)
-        except Stopped:
+            done = "Shape and light are fitted more closely to the photograph now."
+            yield hidden, *first_values(session)[: len(rest)], done
+        except (Stopped, InputError) as error:
             is_open = session.photograph is opened
-            yield hidden, *rest, "Stopped. The edit is as it was." if is_open else ""
-            return
-        except InputError:
-            yield hidden, *rest, ""
-            raise
-        done = "Shape and light are fitted more closely to the photograph now."
-        yield hidden, *first_values(session)[: len(rest)], done
+            stopped = isinstance(error, Stopped)
+            said = "Stopped. The edit is as it was." if stopped and is_open else ""
+            yield hidden, *rest, said
+            if is_open and not stopped:
+                raise
 
     def stop_improving(self, request: gr.Request) -> str:
         """Stop the refinement."""

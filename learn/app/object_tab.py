@@ -23,7 +23,9 @@ OPEN_EDIT = """
 said => {
   const tabs = [...document.querySelectorAll('[role=tab]')];
   if (said !== 'DONE') return;
-  tabs.find(tab => tab.innerText.includes('Material')).click();
+  const edit = tabs.find(tab => tab.innerText.includes('Material'));
+  edit.click();
+  edit.focus({preventScroll: true});  // the button that had it is out of sight
   scrollTo(0, 0);
 }
 """.replace("DONE", DONE)
@@ -255,16 +257,17 @@ class ObjectTab:
             yield progress_bar(0.01, "waiting until another user is served"), *busy, *rest
             for report in session.decompose(session.saved_was_refined):
                 yield progress_bar(report.share, report.text), *busy, *rest
-        except Stopped:
-            if session.photograph is opened:
-                yield "Stopped. The photograph and its mask are still here.", *idle, *rest
-            else:  # another photograph took its place, and its marks say whether they suffice
+            yield (DONE, *idle, *first_values(session))
+        except (Stopped, InputError) as error:
+            if session.photograph is not opened:
+                # another one took its place, and its marks say whether the button can be pressed
                 yield "", gr.skip(), idle[1], *rest
-            return
-        except InputError:
-            yield "", *idle, *rest
-            raise
-        yield (DONE, *idle, *first_values(session))
+                return
+            stopped = isinstance(error, Stopped)
+            said = "Stopped. The photograph and its mask are still here." if stopped else ""
+            yield said, *idle, *rest
+            if not stopped:
+                raise
 
     def halt(self, request: gr.Request) -> tuple[Any, ...]:
         """Stop the decomposition."""

@@ -7,6 +7,7 @@ from learn.app.object_tab import PHOTO_BUTTON, WORK_BUTTON
 # - asks before kept pictures give way to another photograph
 # - takes a photograph that is dropped on the page or pasted, where a browser would show the file in
 #   place of the page
+# - moves the line between the photograph and its edit with arrow keys
 # - says aloud what changes; names pictures and what is drawn on
 # - remembers which tab is open, for the page that is loaded again
 SCRIPT = """
@@ -60,6 +61,28 @@ SCRIPT = """
       try { sessionStorage.setItem('brdfactory-tab', tab.innerText[0]); } catch {}
   });
 
+  // Gradio moves the line between photograph and edit with the mouse alone
+  const place = handle => {
+    const [one, all] = [handle, find('#editor img')].map(e => e.getBoundingClientRect());
+    return [one.left + one.width / 2, one.top + one.height / 2, all];
+  };
+  const say = handle => {
+    const [x, , all] = place(handle);
+    // nothing has a size while the tab is closed
+    handle.ariaValueNow = all.width ? Math.round(100 * (x - all.left) / all.width) : 50;
+  };
+  addEventListener('keydown', event => {
+    const handle = event.target, step = {ArrowLeft: -1, ArrowRight: 1}[event.key];
+    if (!step || !handle.matches('#editor .outer')) return;
+    event.preventDefault();
+    const [x, y, all] = place(handle);
+    const to = Math.min(all.right - 1, Math.max(all.left + 1, x + step * all.width / 20));
+    [['mousedown', x, handle], ['mousemove', to, window], ['mouseup', to, window]].forEach(
+      ([name, clientX, target]) => target.dispatchEvent(
+        new MouseEvent(name, {clientX, clientY: y, bubbles: true, view: window})));
+    setTimeout(() => say(handle), 100);
+  });
+
   const live = '#status, #shown, #progress, #improving, #made, #count';
   const names = [
     ['#marking img', 'alt', 'The photograph. A click on it marks the object.'],
@@ -75,6 +98,13 @@ SCRIPT = """
       document.querySelectorAll(place).forEach(e => {
         if (e[name] !== text) e[name] = text;
       });
+    const handle = find('#editor .outer');
+    if (handle && !handle.hasAttribute('tabindex')) {
+      handle.tabIndex = 0;
+      handle.role = 'slider';
+      handle.ariaLabel = 'The line between the photograph and its edit';
+      say(handle);
+    }
     document.querySelectorAll('.toast-title').forEach(e => {
       const title = e.firstChild;
       if (title?.data?.trim() === 'Error') title.data = 'This did not work';

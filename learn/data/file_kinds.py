@@ -35,6 +35,7 @@ KINDS: tuple[tuple[Callable[[bytes], bool], str, str], ...] = (
     (_begins(b"8BPS"), "a Photoshop document", "export it as PNG or JPEG"),
     (_begins(b"PK\3\4"), "an archive", "unpack it, and choose a picture in it"),
     (_begins(b"\xff\x0a", b"\0\0\0\x0cJXL "), "JPEG XL", TO_JPEG),
+    (_begins(b"P2\n", b"P3\n", b"P5\n", b"P6\n"), "a PPM or PGM", "save it as PNG"),
     (lambda head: b"<svg" in head, "a drawing (SVG)", "export it as PNG"),
     (lambda head: _is_text(head), "a text", "choose a picture, such as a PNG or JPEG"),
 )
