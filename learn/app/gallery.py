@@ -74,9 +74,11 @@ def page_tiles(names: list[str], address: str, text: str = "") -> str:
         style = f"background: url('{address}') {place}"
         shown = html.escape(name)
         note = f"looks like {like[name]}" if name in like else families()[name]
+        stop = 0 if number == 0 else -1
         buttons.append(
-            f'<button data-name="{shown}" tabindex="{0 if number == 0 else -1}"><span class="picture" style="{html.escape(style)}">'
-            f'</span><span class="caption">{shown}</span>'
+            f'<button data-name="{shown}" tabindex="{stop}">'
+            f'<span class="picture" style="{html.escape(style)}"></span>'
+            f'<span class="caption">{shown}</span>'
             f'<span class="note">{html.escape(note)}</span></button>'
         )
     label = "Materials. Arrow keys go from one to the next."

@@ -29,6 +29,7 @@ class MarkedPhotograph:
     selection     of its display values
     coverage      (H, W) of a mask's file or of transparency, None without them
     has_mask      whether the coverage is a file's
+    is_brightened whether the selection shows a very dark photograph brighter than it is
     example_mask  (H, W) uint8 labels that come with the program's example, else None
     """
 
@@ -38,6 +39,7 @@ class MarkedPhotograph:
     coverage: np.ndarray | None = None
     has_mask: bool = False
     example_mask: np.ndarray | None = None
+    is_brightened: bool = False
 
     def give_mask(self, sent: Path) -> None:
         """Take a mask's file: grey, or one value for each region. Raises InputError."""
@@ -113,12 +115,25 @@ class MarkedPhotograph:
         covered, changed = self._soft_mask_of(labels)
         cut_out = covered is not None and not self.has_mask and labels.max() == 1
         if cut_out and not changed:
-            return photograph.from_arrays(self.path, name=self.name)
+            return self._with()
         regions = labels if labels.max() > 1 else None
         mask = covered if covered is not None else None
         if mask is None and regions is None:
             mask = labels > 0
-        return photograph.from_arrays(self.path, mask, regions, name=self.name)
+        return self._with(mask, regions)
+
+    def _with(self, *masks: np.ndarray | None) -> photograph.Photograph:
+        """Return the Photograph with a mask and regions; errors are in the page's words."""
+        try:
+            return photograph.from_arrays(self.path, *masks, name=self.name)
+        except InputError as error:
+            remedy = error.remedy
+            if "--exposure" in remedy:  # of an object that is too dark, or an EXR too bright
+                remedy = "mark an object that can be seen, or choose a brighter photograph"
+                if photographs.holds_radiance(self.path):
+                    remedy = "scale the photograph's file so that white is 1"
+            where = error.where.replace(self.path.name, self.name)
+            raise InputError(where, error.expected, error.found, remedy) from None
 
     @property
     def soft_mask(self) -> np.ndarray | None:

@@ -26,6 +26,7 @@ from shaders import tone
 # then takes up to 2 GB while it renders
 MOST_PIXELS = 25_000_000
 ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
+DARK = 48  # of 255: the green of a picture that is brightened to be marked
 EXAMPLE = "example:espresso-cup"
 
 
@@ -57,20 +58,33 @@ def _kept(
         ending = ".img"
     path = folder / f"photograph{ending}"
     files.write_bytes(path, sent.read_bytes())
-    result = MarkedPhotograph(path, name, Selection(_display(path, radiance)))
+    display, is_brightened = _display(path, radiance)
+    result = MarkedPhotograph(path, name, Selection(display), is_brightened=is_brightened)
     if (alpha < 0.5).any():
         result.coverage = alpha
         result.selection.given = (alpha >= 0.5).astype(np.uint8)
     return result
 
 
-def _display(path: Path, radiance: np.ndarray) -> np.ndarray:
-    """Return display values (H, W, 3) uint8 of a photograph that was read."""
-    exposure = 1.0
-    if photographs.holds_radiance(path):
-        everywhere = np.ones(radiance.shape[:2], bool)
-        exposure = tone.auto_exposure(radiance, everywhere)
-    return display_of(radiance, exposure)
+def _display(path: Path, radiance: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return display values (H, W, 3) uint8 to mark on, and whether they are brightened."""
+    shown = None
+    if not photographs.holds_radiance(path):
+        shown = display_of(radiance, 1.0)
+        if not is_dark(shown):
+            return shown, False
+    everywhere = np.ones(radiance.shape[:2], bool)
+    exposure = tone.auto_exposure(radiance, everywhere)
+    return display_of(radiance, exposure), shown is not None
+
+
+def is_dark(display: np.ndarray) -> bool:
+    """Return whether nearly nothing can be seen in a picture (H, W, 3) uint8.
+
+    That is so where all but the brightest hundredth of its pixels are below DARK.
+    """
+    counts = np.bincount(display[..., 1].ravel(), minlength=256)
+    return bool(counts[:DARK].sum() >= 0.99 * counts.sum()) and bool(counts[0] < counts.sum())
 
 
 def open_example() -> MarkedPhotograph:
@@ -79,7 +93,7 @@ def open_example() -> MarkedPhotograph:
     assert regions is not None
     radiance, _ = photographs.read_pixels(path)
     mask = photographs.read_labels(regions, radiance.shape[:2])
-    selection = Selection(_display(path, radiance), mask)
+    selection = Selection(_display(path, radiance)[0], mask)
     return MarkedPhotograph(path, EXAMPLE, selection, example_mask=mask)
 
 

@@ -107,7 +107,11 @@ class Session:
         self._take(opened)
         if opened.coverage is not None:
             return "The object is what is not transparent. Clicks can divide it into parts."
-        return (
+        dark = (
+            "The photograph is very dark, and shown brighter here than it is; a brighter one shows"
+            " materials better. "
+        )
+        return (dark if opened.is_brightened else "") + (
             "Now click on the object, once on each of its surfaces. Or choose *Draw* and draw a"
             " line around it."
         )

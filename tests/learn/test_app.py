@@ -933,6 +933,31 @@ def test_display_values_of_a_photograph_come_back_as_they_were() -> None:
     np.testing.assert_allclose(display_of(linear, 0.5), expected, atol=0.52)
 
 
+def test_a_very_dark_photograph_is_marked_on_a_brighter_picture(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session, dark = sessions.of("one"), tmp_path / "dark.png"
+    Image.fromarray(scene() // 12).save(dark)
+    assert "very dark" in session.load(dark)
+    assert session.opened().selection.display.mean() > 5 * (scene() // 12).mean()
+    session.opened().click(450, 270, 1)
+    # what is edited is the photograph as it is
+    assert session.opened().to_edit().radiance.max() < 0.01
+    assert "very dark" not in session.load(photo_in(tmp_path))
+    np.testing.assert_array_equal(session.opened().selection.display, scene())
+
+
+def test_a_black_object_is_refused_in_the_words_of_the_page(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session, black = sessions.of("one"), tmp_path / "night.png"
+    Image.new("RGB", (120, 80)).save(black)
+    session.load(black)
+    session.opened().click(450, 270, 1)
+    with pytest.raises(InputError, match=r"night\.png: .*\(mark an object that can be seen"):
+        session.opened().to_edit()
+
+
 def test_nothing_is_darkened_before_the_first_click() -> None:
     selection = Selection(scene())
     np.testing.assert_array_equal(overlay.draw(selection, 1.0), scene())
