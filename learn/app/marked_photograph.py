@@ -122,10 +122,12 @@ class MarkedPhotograph:
             mask = labels > 0
         return self._with(mask, regions)
 
-    def _with(self, *masks: np.ndarray | None) -> photograph.Photograph:
+    def _with(
+        self, mask: np.ndarray | None = None, regions: np.ndarray | None = None
+    ) -> photograph.Photograph:
         """Return the Photograph with a mask and regions; errors are in the page's words."""
         try:
-            return photograph.from_arrays(self.path, *masks, name=self.name)
+            return photograph.from_arrays(self.path, mask, regions, name=self.name)
         except InputError as error:
             remedy = error.remedy
             if "--exposure" in remedy:  # of an object that is too dark, or an EXR too bright

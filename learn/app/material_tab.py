@@ -79,7 +79,7 @@ class MaterialTab:
             [*on.view, on.kept_row, *on.controls],
             "multiple",
         )
-        own = [on.color, *on.numbers]
+        own: list[Any] = [on.color, *on.numbers]
         for control in own:
             self._show_live(control.input, self.sliders, {*place, *own})
         on.region.input(self.share_shown, on.region, on.share, **QUIET)
