@@ -20,6 +20,7 @@ from manifests import files
 from manifests.described_materials import DESCRIBED
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
+from manifests.wording import number_of
 
 PICTURES = Path(__file__).with_name("materials.jpg")
 TILE, COLUMNS = 80, 16  # pixels, tiles in a row
@@ -93,6 +94,21 @@ def search(text: str) -> list[str]:
     asked = asked_words(text)
     matching = [name for name in words() if all(begins_word(name, word) for word in asked)]
     return ordered(matching, asked) if asked else matching
+
+
+def found_by(text: str) -> tuple[list[str], str]:
+    """Return names of the materials that a search shows, and a line about them."""
+    matching = search(text)
+    if matching:
+        return matching, number_of(len(matching), "material")
+    close = close_to(text)
+    rest = "These are close:"
+    if not close:
+        rest = (
+            "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A material of"
+            " your own”."
+        )
+    return close, f"No material is called “{text.strip()[:40]}”. {rest}"
 
 
 def close_to(text: str) -> list[str]:

@@ -29,7 +29,6 @@ from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
 from learn.app.session import NEXT, Session
 from manifests.errors import InputError
-from manifests.wording import number_of
 
 
 class MaterialTab:
@@ -295,15 +294,5 @@ class MaterialTab:
 
     def searched(self, text: str) -> tuple[Any, ...]:
         """Show the materials that match words."""
-        matching = gallery.search(text)
-        line = number_of(len(matching), "material")
-        if not matching:
-            matching = gallery.close_to(text)
-            line = f"No material is called “{text.strip()[:40]}”. "
-            line += (
-                "These are close:"
-                if matching
-                else "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A"
-                " material of your own”."
-            )
+        matching, line = gallery.found_by(text)
         return self.layout.tiles(matching, text), line

@@ -268,6 +268,12 @@ def test_words_that_no_material_has_together_find_what_comes_near() -> None:
     # only one of the words is known
     assert gallery.close_to("shiny unobtainium")[0] in gallery.search("shiny")
     assert gallery.close_to("unobtainium") == []
+    assert gallery.found_by("brass")[1] == "1 material"
+    assert gallery.found_by("blue velvet") == (
+        near,
+        "No material is called “blue velvet”. These are close:",
+    )
+    assert "Try a colour" in gallery.found_by("unobtainium")[1]
     tiles = gallery.page_tiles(gallery.search("leather"), "materials.jpg", "leather")
     assert tiles.count("looks like leather") == 3
 
