@@ -1,6 +1,7 @@
 """What the page does in the browser, beside what Gradio does."""
 
 from learn.app.object_tab import PHOTO_BUTTON, WORK_BUTTON
+from learn.app.session import MOST_BYTES
 
 # - asks before a page with a photograph is left, since it cannot be brought back, and tells the
 #   server if the user stays (a timer runs only then)
@@ -109,11 +110,21 @@ SCRIPT = """
       const title = e.firstChild;
       if (title?.data?.trim() === 'Error') title.data = 'This did not work';
     });
+    document.querySelectorAll('.toast-message').forEach(e => {
+      if (/exceed the maximum allowed size/.test(e.textContent))
+        e.textContent = 'Save it smaller, or as JPEG: a file may have MEGABYTES MB at most.';
+    });
   };
   label();
   new MutationObserver(label).observe(document.body, {childList: true, subtree: true});
 }
-""".replace("WORK", WORK_BUTTON).replace("PHOTO", PHOTO_BUTTON)
+"""
+for name, text in (
+    ("WORK", WORK_BUTTON),
+    ("PHOTO", PHOTO_BUTTON),
+    ("MEGABYTES", str(MOST_BYTES >> 20)),
+):
+    SCRIPT = SCRIPT.replace(name, text)
 
 # The key of the page's session, by which a page that is loaded again goes on. The browser keeps it
 # for this tab alone, and shows it to no other page; in the address it would be passed on with a
