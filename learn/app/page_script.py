@@ -110,7 +110,7 @@ SCRIPT = """
       const title = e.firstChild;
       if (title?.data?.trim() === 'Error') title.data = 'This did not work';
     });
-    document.querySelectorAll('.toast-message').forEach(e => {
+    document.querySelectorAll('.toast-message-text').forEach(e => {
       if (/exceed the maximum allowed size/.test(e.textContent))
         e.textContent = 'Save it smaller, or as JPEG: a file may have MEGABYTES MB at most.';
     });
