@@ -164,25 +164,37 @@ def named_material(name: str) -> Chosen:
     return Chosen(name, targets.label_of(name))
 
 
-def principled_material(
-    color: str,
-    roughness: float,
-    metallic: float,
-    specular: float = 0.5,
-    sheen: float = 0.0,
-    coat: float = 0.0,
-) -> Chosen:
-    """Return a principled material; color: #rrggbb, others 0 to 1. Raises InputError."""
-    numbers = {
-        "roughness": roughness,
-        "metallic": metallic,
-        "specular": specular,
-        "sheen": sheen,
-        "coat": coat,
-    }
-    usual = {"specular": 0.5, "sheen": 0.0, "coat": 0.0}
-    written = [f"{key}={value:.3g}" for key, value in numbers.items() if value != usual.get(key)]
-    text = f"principled(base_color={color}, {', '.join(written)})"
+@dataclass(frozen=True)
+class Principled:
+    """What describes a principled material; color: #rrggbb, others 0 to 1."""
+
+    color: str
+    roughness: float
+    metallic: float
+    specular: float = 0.5
+    sheen: float = 0.0
+    coat: float = 0.0
+
+    @property
+    def expression(self) -> str:
+        """The material as the command line takes it; the last three are left out where usual."""
+        numbers = {
+            "roughness": self.roughness,
+            "metallic": self.metallic,
+            "specular": self.specular,
+            "sheen": self.sheen,
+            "coat": self.coat,
+        }
+        usual = {"specular": 0.5, "sheen": 0.0, "coat": 0.0}
+        written = [
+            f"{key}={value:.3g}" for key, value in numbers.items() if value != usual.get(key)
+        ]
+        return f"principled(base_color={self.color}, {', '.join(written)})"
+
+
+def principled_material(described: Principled) -> Chosen:
+    """Return a principled material. Raises InputError."""
+    text = described.expression
     label = material_expression.fit_expression(text).label
     return Chosen(text, np.asarray(label, np.float32).reshape(SIZE))
 

@@ -14,7 +14,8 @@ import numpy as np
 from learn.app import edit_file, work_file
 from learn.app.choices import Edit
 from learn.app.composition import opacity_of
-from learn.app.session import EXAMPLE, Session
+from learn.app.opening import EXAMPLE
+from learn.app.session import Session
 from learn.app.viewer import read_labels
 from learn.app.work_file import Saved
 from learn.data import photographs
@@ -23,6 +24,7 @@ from learn.figures import montage
 from manifests import files
 
 SHEET_COLUMNS, SHEET_TILE = 3, 640  # of the picture that compares the kept edits; pixels
+KEPT_FOLDERS = 2  # of files for download, in a session
 LONGEST_NAME = 80  # letters of a file for download
 
 
@@ -58,9 +60,12 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
     viewer, edit = session.decomposed()
     edits = [edit, *(each.edit for each in session.kept if each.edit != edit)]
     yield rendering(1, len(edits))
-    folder = session.folder / "download"
-    shutil.rmtree(folder, ignore_errors=True)
+    folder = session.folder / f"download-{secrets.token_hex(6)}"
     folder.mkdir()
+    # an earlier one may still be downloaded, or be made for a page that was loaded again
+    before = sorted(session.folder.glob("download-*"), key=lambda path: path.stat().st_mtime_ns)
+    for old in before[:-KEPT_FOLDERS]:
+        shutil.rmtree(old, ignore_errors=True)
     linear, display = viewer.full(edit)
     opacity = opacity_of(viewer.decomposition.photograph, edit.hide_background)
     pictures = [_write_picture(session, folder, edit, linear, display)]
@@ -90,7 +95,7 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
     masks = write_masks(session, folder, decomposed.photograph)
     edit_file.write(folder / "edit.json", edit)
     weights = session.network.weights
-    command = edit_file.command_line(edit, session.name, masks, session.refined, weights)
+    command = edit_file.command_line(edit, session.opened().name, masks, session.refined, weights)
     files.write_text(folder / "command.txt", command + "\n")
     others = sorted(path for path in folder.iterdir() if path not in pictures)
     return Downloads(pictures, _write_work(session, folder, masks), others, command)
@@ -114,7 +119,8 @@ def _write_picture(
 
 def stem_of(session: Session) -> str:
     """The photograph's name without its ending, of letters that every file's name may have."""
-    name = session.name.partition(":")[2] if session.name == EXAMPLE else Path(session.name).stem
+    given = session.opened().name
+    name = given.partition(":")[2] if given == EXAMPLE else Path(given).stem
     return re.sub(r"\W+", "-", name).strip("-")[: LONGEST_NAME // 2] or "photograph"
 
 
@@ -130,13 +136,13 @@ def _write_comparison(session: Session, folder: Path, shown: list[tuple[str, np.
 
 def _write_work(session: Session, folder: Path, masks: list[str]) -> Path:
     """Write the file by which the work continues later."""
-    assert session.path is not None and session.edit is not None
-    own = session.name != EXAMPLE
-    parts = [*([session.path] if own else []), *(folder / name for name in masks)]
+    assert session.edit is not None
+    opened = session.opened()
+    parts = [*([opened.path] if opened.name != EXAMPLE else []), *(folder / name for name in masks)]
     path = folder / f"{stem_of(session)}-work.zip"
     made = session.folder / f"work-{secrets.token_hex(6)}"
     made.mkdir()
-    saved = Saved(session.name, session.refined, len(session.kept))
+    saved = Saved(opened.name, session.refined, len(session.kept))
     try:
         kept = [each.edit for each in session.kept]
         work_file.write(path, made, saved, parts, session.edit, kept)
@@ -147,7 +153,7 @@ def _write_work(session: Session, folder: Path, masks: list[str]) -> Path:
 
 def write_masks(session: Session, folder: Path, opened: photograph.Photograph) -> list[str]:
     """Write what the command line needs of the mask; return the files' names."""
-    if session.name == EXAMPLE and not session.by_hand:
+    if session.opened().name == EXAMPLE and not session.by_hand:
         return []
     names = []
     if not opened.cut_out and (session.soft_mask is not None or opened.count == 1):

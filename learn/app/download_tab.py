@@ -47,6 +47,7 @@ class DownloadTab:
     def write_all(self, request: gr.Request) -> Iterator[tuple[Any, ...]]:
         """Write the files."""
         session = self.session_of(request)
+        opened = session.photograph
         nothing = (gr.skip(),) * (len(self.outputs) - 1)
         steps = download_files.write(session)
         while True:
@@ -55,6 +56,10 @@ class DownloadTab:
             except StopIteration as ended:
                 made: Downloads = ended.value
                 break
+            if session.photograph is not opened:  # whose files these would be no more
+                return
+        if session.photograph is not opened:
+            return
         count = len(made.pictures)
         said = "The picture is ready." if count == 1 else f"{count} pictures are ready."
         yield (

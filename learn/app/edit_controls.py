@@ -5,10 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 from learn.app import choices
-from learn.app.choices import OWN_LIGHT, Chosen, Edit
+from learn.app.choices import OWN_LIGHT, Chosen, Edit, Painted
+from learn.app.marked_photograph import THE_PAGE
 from learn.app.offline_gradio import gr
-from learn.app.page_html import without_markup
 from learn.app.session import Session
+from manifests.errors import InputError
 
 FIRST, SECOND = "the material", "a second one to mix with it"
 
@@ -18,11 +19,22 @@ def region_choices(count: int) -> list[tuple[str, int]]:
     return [(f"Part {number}", number) for number in range(1, count + 1)]
 
 
+def region_of(edit: Edit, number: int) -> Painted:
+    """Return what region `number` is painted with.
+
+    Raises  InputError where it is gone, since the object has fewer parts now
+    """
+    if not 1 <= number <= len(edit.regions):
+        rule = f"a part from 1 to {len(edit.regions)}"
+        raise InputError(THE_PAGE, rule, f"{number}", "the object has fewer parts now: choose one")
+    return edit.regions[number - 1]
+
+
 def painting(number: int, place: str, chosen: Chosen) -> Callable[[Edit], Edit]:
     """Return the change that gives region `number` a material; place: FIRST or SECOND."""
 
     def change(edit: Edit) -> Edit:
-        painted = edit.regions[number - 1]
+        painted = region_of(edit, number)
         if place == FIRST:
             return edit.with_region(number - 1, replace(painted, first=chosen))
         # a second material is seen at once
@@ -34,9 +46,10 @@ def painting(number: int, place: str, chosen: Chosen) -> Callable[[Edit], Edit]:
 
 def share_of(session: Session, number: int) -> float:
     """Return the second material's share in region `number`, in per cent."""
-    if session.edit is None:
+    edit = session.edit
+    if edit is None or number > len(edit.regions):
         return 0
-    painted = session.edit.regions[int(number) - 1]
+    painted = edit.regions[int(number) - 1]
     return 0 if painted.second is None else 100 * painted.share
 
 
@@ -53,10 +66,3 @@ def controls_of(session: Session, number: int) -> tuple[Any, ...]:
         edit.hide_background,
         edit.brightness_stops,
     )
-
-
-def said(session: Session, note: str) -> str:
-    """Return the line below the view: a note, what the edit is, and what is on the left."""
-    _, edit = session.decomposed()
-    left = "the photograph" if session.beside is None else session.beside.edit.caption
-    return f"{note} {without_markup(edit.caption)}. Left of the line: {without_markup(left)}."

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from learn.app.marked_photograph import THE_PAGE
 from learn.app.offline_gradio import gr
-from learn.app.session import THE_PAGE, Session
+from learn.app.page_html import without_markup
+from learn.app.session import Session
 from manifests.errors import InputError
 
 SessionOf = Callable[[gr.Request], Session]  # the session of the page that sent a request
@@ -23,11 +25,12 @@ def progress_on(component: gr.components.Component) -> dict[str, Any]:
 
 
 def for_people(error: InputError) -> str:
-    """Return an error as HTML: what to do, then the line that the command line prints."""
+    """Return an error as HTML: what to do, then what is wrong, without what to do once more."""
     remedy = f"{error.remedy[:1].upper()}{error.remedy[1:]}.".replace("?.", "?")
     if error.where == THE_PAGE:  # nothing that was sent is at fault
         return html.escape(remedy)
-    return f"<b>{html.escape(remedy)}</b><br>{html.escape(str(error))}"
+    wrong = str(error).removesuffix(f" ({error.remedy})")
+    return f"<b>{html.escape(remedy)}</b><br>{html.escape(wrong)}."
 
 
 def one_line(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -54,6 +57,23 @@ def one_line(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*arguments, **named)
         except InputError as error:
             raise shown(error) from None
+
+    return wrapped
+
+
+def in_place(function: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """Show an InputError in the second of `count` outputs, the line below the view, in bold.
+
+    For listeners without a queue, of whose errors Gradio shows nothing.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*arguments: Any, **named: Any) -> Any:
+        try:
+            return function(*arguments, **named)
+        except InputError as error:
+            remedy = without_markup(f"{error.remedy[:1].upper()}{error.remedy[1:]}.")
+            return (gr.skip(), f"**{remedy}**", *(gr.skip() for _ in range(count - 2)))
 
     return wrapped
 

@@ -20,6 +20,7 @@ from manifests import files
 from manifests.described_materials import DESCRIBED
 from manifests.material_words import ALIKE
 from manifests.materials import load_catalogue
+from manifests.wording import number_of
 
 PICTURES = Path(__file__).with_name("materials.jpg")
 TILE, COLUMNS = 80, 16  # pixels, tiles in a row
@@ -59,6 +60,8 @@ def words() -> dict[str, str]:
 def page_tiles(names: list[str], address: str, text: str = "") -> str:
     """Return HTML with a button for each of the named materials: its picture, name and family.
 
+    The Tab key stops at the first of them alone.
+
     address  of PICTURES on the page. All buttons show parts of that one file.
     text     that was looked for: where a material looks like a word of it, this word takes the
              place of the family
@@ -66,18 +69,21 @@ def page_tiles(names: list[str], address: str, text: str = "") -> str:
     like = {name: word for word in asked_words(text) for name in ALIKE.get(word, ())}
     places = {name: number for number, name in enumerate(families())}
     buttons = []
-    for name in names:
+    for number, name in enumerate(names):
         row, column = divmod(places[name], COLUMNS)
         place = f"{-TILE * column}px {-TILE * row}px"
         style = f"background: url('{address}') {place}"
         shown = html.escape(name)
         note = f"looks like {like[name]}" if name in like else families()[name]
+        stop = 0 if number == 0 else -1
         buttons.append(
-            f'<button data-name="{shown}"><span class="picture" style="{html.escape(style)}">'
-            f'</span><span class="caption">{shown}</span>'
+            f'<button data-name="{shown}" tabindex="{stop}">'
+            f'<span class="picture" style="{html.escape(style)}"></span>'
+            f'<span class="caption">{shown}</span>'
             f'<span class="note">{html.escape(note)}</span></button>'
         )
-    return f'<div class="tiles">{"".join(buttons)}</div>'
+    label = "Materials. Arrow keys go from one to the next."
+    return f'<div class="tiles" role="group" aria-label="{label}">{"".join(buttons)}</div>'
 
 
 def search(text: str) -> list[str]:
@@ -88,6 +94,21 @@ def search(text: str) -> list[str]:
     asked = asked_words(text)
     matching = [name for name in words() if all(begins_word(name, word) for word in asked)]
     return ordered(matching, asked) if asked else matching
+
+
+def found_by(text: str) -> tuple[list[str], str]:
+    """Return names of the materials that a search shows, and a line about them."""
+    matching = search(text)
+    if matching:
+        return matching, number_of(len(matching), "material")
+    close = close_to(text)
+    rest = "These are close:"
+    if not close:
+        rest = (
+            "Try a colour, or wood, metal, fabric, plastic, stone; or mix one under “A material of"
+            " your own”."
+        )
+    return close, f"No material is called “{text.strip()[:40]}”. {rest}"
 
 
 def close_to(text: str) -> list[str]:

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
+from learn.app.edit_view import first_values
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
+from learn.app.marking_view import canvas_of, covered_text, strokes_of
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
@@ -17,13 +17,15 @@ from manifests.errors import InputError
 
 PARTS_OFFERED = 4
 DONE = "Done."
-OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
+PHOTO_BUTTON, WORK_BUTTON = "Choose a photograph", "Or open saved work (.zip)"
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
 said => {
   const tabs = [...document.querySelectorAll('[role=tab]')];
   if (said !== 'DONE') return;
-  tabs.find(tab => tab.innerText.includes('Material')).click();
+  const edit = tabs.find(tab => tab.innerText.includes('Material'));
+  edit.click();
+  edit.focus({preventScroll: true});  // the button that had it is out of sight
   scrollTo(0, 0);
 }
 """.replace("DONE", DONE)
@@ -50,11 +52,9 @@ class ObjectTab:
         self.on_canvas: list[Any] = [*self.marks, self.brush]
 
     def _lay_out_controls(self) -> None:
-        self.photo = gr.UploadButton(
-            "Choose a photograph", variant="primary", elem_id="photo", size="md"
-        )
+        self.photo = gr.UploadButton(PHOTO_BUTTON, variant="primary", elem_id="photo", size="md")
         self.example = gr.Button("Or try the example, a cup", elem_id="example", size="md")
-        self.work = gr.UploadButton("Or open saved work (.zip)", elem_id="work", size="sm")
+        self.work = gr.UploadButton(WORK_BUTTON, elem_id="work", size="sm")
         self.marked = gr.Radio(
             [("The object", 1), ("Not the object", BACKGROUND)]
             + [(f"Part {number}", number) for number in range(2, PARTS_OFFERED + 1)],
@@ -70,7 +70,7 @@ class ObjectTab:
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
         )
         self.progress = gr.HTML("", elem_id="progress")
-        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", interactive=False, size="sm")
+        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", visible=False, size="sm")
         with gr.Accordion("I have a mask already", open=False, elem_id="own-mask"):
             gr.Markdown(
                 "A mask is a picture of the same size that is white where the object is. One with"
@@ -84,8 +84,9 @@ class ObjectTab:
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of an object, or try the example. Then click on the object, or"
-            " choose *Draw* and draw a line around it.",
+            "Choose a photograph of an object (PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR), drop"
+            " or paste it here, or try the example. Then click on the object, or choose *Draw* and"
+            " draw a line around it.",
             elem_id="status",
         )
         with gr.Tabs(elem_id="picture"):
@@ -109,7 +110,7 @@ class ObjectTab:
                         "It is a line around the object", elem_id="use-line", size="sm"
                     )
                     self.use_brush = gr.Button(
-                        "It is paint on what is chosen at the left", elem_id="use-brush", size="sm"
+                        "It is paint on the part that I chose", elem_id="use-brush", size="sm"
                     )
                 self.brush = gr.ImageEditor(
                     show_label=False,
@@ -149,9 +150,9 @@ class ObjectTab:
         self.stop.click(self.halt, None, [self.progress, self.stop], queue=False, **QUIET)
 
     def _marks_of(self, session: Session, text: str) -> tuple[Any, ...]:
-        selection = session.opened()
-        path = session.write_view(session.overlay())
-        return str(path), text, gr.Button(interactive=bool(selection.labels().any()))
+        opened = session.opened()
+        path = session.write_view(opened.overlay())
+        return str(path), text, gr.Button(interactive=opened.is_marked)
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
@@ -159,7 +160,7 @@ class ObjectTab:
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
         """Return the values of `on_canvas` for a page that was loaded again."""
-        if session.selection is None:
+        if session.photograph is None:
             return (gr.skip(),) * len(self.on_canvas)
         text = covered_text(session)
         if session.viewer is not None:
@@ -201,33 +202,33 @@ class ObjectTab:
         """Use a click on the picture, which says that its place belongs to region `number`."""
         session = self.session_of(request)
         column, row = event.index
-        session.click(float(column), float(row), int(number))
+        session.opened().click(float(column), float(row), int(number))
         return self._marks_of(session, covered_text(session))
 
     @one_line
     def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush, which say that they cover region `number`."""
         session = self.session_of(request)
-        session.paint(strokes_of(drawn), int(number))
+        session.opened().paint(strokes_of(drawn), int(number))
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
     def line(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:
         """Use the strokes of the brush as a line around the object, of region `number`."""
         session = self.session_of(request)
-        session.enclose(strokes_of(drawn), int(number))
+        session.opened().enclose(strokes_of(drawn), int(number))
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     def canvas(self, request: gr.Request) -> Any:
         """Show what is marked by now where it is drawn."""
         session = self.session_of(request)
-        return gr.skip() if session.selection is None else canvas_of(session)
+        return gr.skip() if session.photograph is None else canvas_of(session)
 
     @one_line
     def take_back(self, request: gr.Request) -> tuple[Any, ...]:
         """Take back the last click, strokes or line."""
         session = self.session_of(request)
-        undone = session.opened().undo()
+        undone = session.opened().selection.undo()
         text = covered_text(session)
         text = text if undone else f"Nothing is left to undo. {text}"
         return (*self._marks_of(session, text), canvas_of(session))
@@ -236,7 +237,7 @@ class ObjectTab:
     def take_back_all(self, request: gr.Request) -> tuple[Any, ...]:
         """Take back all clicks, strokes and lines."""
         session = self.session_of(request)
-        session.opened().clear()
+        session.opened().selection.clear()
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
     @one_line
@@ -247,54 +248,28 @@ class ObjectTab:
         tab 2 has a button that refines.
         """
         session = self.session_of(request)
-        go, halt = gr.Button(interactive=True), gr.Button(interactive=False)
+        opened = session.photograph
+        busy = gr.Button(interactive=False), gr.Button(visible=True)
+        idle = gr.Button(interactive=True), gr.Button(visible=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
-            session.marked()  # what is wrong with the mask is said at once
-            yield progress_bar(0.01, "waiting until another user is served"), halt, go, *rest
+            session.opened().to_edit()  # what is wrong with the mask is said at once
+            yield progress_bar(0.01, "waiting until another user is served"), *busy, *rest
             for report in session.decompose(session.saved_was_refined):
-                yield progress_bar(report.share, report.text), halt, go, *rest
-        except Stopped:
-            yield "Stopped. The photograph and its mask are still here.", go, halt, *rest
-            return
-        except InputError:
-            yield "", go, halt, *rest
-            raise
-        yield (DONE, go, halt, *self.materials.fill(session))
+                yield progress_bar(report.share, report.text), *busy, *rest
+            yield (DONE, *idle, *first_values(session))
+        except (Stopped, InputError) as error:
+            if session.photograph is not opened:
+                # another one took its place, and its marks say whether the button can be pressed
+                yield "", gr.skip(), idle[1], *rest
+                return
+            stopped = isinstance(error, Stopped)
+            said = "Stopped. The photograph and its mask are still here." if stopped else ""
+            yield said, *idle, *rest
+            if not stopped:
+                raise
 
     def halt(self, request: gr.Request) -> tuple[Any, ...]:
         """Stop the decomposition."""
         self.session_of(request).stop.set()
-        return "Stopping …", gr.Button(interactive=False)
-
-
-def strokes_of(drawn: dict | None) -> list[np.ndarray]:
-    """Return what was drawn, each (h, w) bool. Raises InputError where nothing was."""
-    layers = [] if drawn is None else drawn.get("layers") or []
-    strokes = [layer[..., 3] > OPAQUE for layer in layers]
-    if not any(covered.any() for covered in strokes):
-        raise InputError("the brush", "something drawn", "nothing", "draw on the picture first")
-    return strokes
-
-
-def canvas_of(session: Session) -> dict[str, Any]:
-    """Return the picture to draw on, which shows what is marked, without what was drawn before.
-
-    It has the size at which it is shown: a browser would receive a large photograph for a minute.
-    """
-    shown = session.overlay()
-    return {"background": shown, "layers": [], "composite": shown}
-
-
-def covered_text(session: Session) -> str:
-    """Return what is marked, and what to do next, as a sentence or two."""
-    labels = session.opened().labels()
-    covered = f"{(labels > 0).mean():.0%} of the picture"
-    if not labels.any():
-        return "Click on the object, or choose *Draw* and draw a line around it."
-    count = int(labels.max())
-    several = f", in {count} parts" if count > 1 else ""
-    return (
-        f"The coloured object covers {covered}{several}. Click where it is missing. Where it is too"
-        f" much, choose “Not the object” and click there. Then press “{NEXT}”."
-    )
+        return "Stopping …", gr.Button(visible=False)

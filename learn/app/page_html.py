@@ -38,15 +38,15 @@ def kept_tiles(pictures: Sequence[tuple[Path, str]], beside: int | None) -> str:
     """
     each = []
     for number, (path, caption) in enumerate(pictures):
-        text = html.escape(caption)
+        text, which = html.escape(caption), f'data-name="{html.escape(path.name)}"'
         chosen = "true" if number == beside else "false"
         each.append(
-            f'<figure><button data-act="show" data-number="{number}" aria-label="Show {text}">'
+            f'<figure><button data-act="show" {which} aria-label="Show {text}">'
             f'<img src="{html.escape(address_of(path))}" alt=""></button>'
             f'<figcaption class="caption">{text}</figcaption>'
-            f'<button data-act="beside" data-number="{number}" aria-pressed="{chosen}"'
+            f'<button data-act="beside" {which} aria-pressed="{chosen}"'
             f' aria-label="Show {text} on the left">On the left</button>'
-            f'<button data-act="remove" data-number="{number}" aria-label="Remove {text}">'
+            f'<button data-act="remove" {which} aria-label="Remove {text}">'
             "Remove</button></figure>"
         )
     return f'<div class="tiles">{"".join(each)}</div>' if each else ""

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from learn.data.file_kinds import kind_of
 from manifests.errors import InputError
 from manifests.inputs import require_file
 
@@ -52,13 +53,6 @@ TURNS = {
 TILE_WIDTH, TILE_LENGTH = 322, 323  # tags of a TIFF
 
 
-def _is_heic(path: str | Path) -> bool:
-    """Return whether a file is a picture as telephones take it, by its first bytes."""
-    with open(path, "rb") as file:
-        head = file.read(12)
-    return head[4:8] == b"ftyp" and head[8:] in (b"heic", b"heix", b"mif1", b"msf1", b"hevc")
-
-
 def decode(
     path: str | Path,
     values_of: Callable[[Image.Image], np.ndarray],
@@ -80,17 +74,12 @@ def decode(
     except InputError:
         raise
     except UnidentifiedImageError:
-        rule, remedy = (
-            f"a picture in one of the formats {FORMATS_TEXT}",
-            "save it as PNG, JPEG or EXR",
-        )
-        result = "HEIC" if _is_heic(path) else "another format, or a damaged file"
-        raise InputError(path, rule, result, remedy) from None
+        rule = f"a picture in one of the formats {FORMATS_TEXT}"
+        raise InputError(path, rule, *kind_of(path)) from None
     except (OSError, *DAMAGED) as error:
         result = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise InputError(
-            path, f"a whole picture ({FORMATS_TEXT})", result, "save it again, as PNG, JPEG or EXR"
-        ) from None
+        remedy = "copy or send it again, or save it again as PNG or JPEG: it is damaged"
+        raise InputError(path, f"a whole picture ({FORMATS_TEXT})", result, remedy) from None
 
 
 @functools.cache
@@ -112,7 +101,12 @@ def _require_readable(path, picture, most_pixels):
         sides = [side for side in (width, height) if isinstance(side, int)]
         if math.prod(sides) > most_pixels or max(sides, default=0) > MOST_SIDE:
             rule = f"at most {most_pixels / 1e6:g} megapixels, and {MOST_SIDE} a side"
-            raise InputError(path, rule, f"{what}{width} × {height}", "make it smaller")
+            remedy = "make it smaller"
+            if sides == [width, height] and not what:
+                share = min((most_pixels / math.prod(sides)) ** 0.5, MOST_SIDE / max(sides))
+                fitting = " × ".join(f"{int(share * side)}" for side in sides)
+                remedy += f", {fitting} at most"
+            raise InputError(path, rule, f"{what}{width} × {height}", remedy)
     if picture.mode == "F":
         raise InputError(path, "8 or 16 bit values", "floating point", "save it as EXR")
 

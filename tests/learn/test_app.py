@@ -17,12 +17,13 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
 from learn.app import choices, download_files, edit_file, gallery, overlay
 from learn.app.background_decomposition import Network, Stopped
-from learn.app.choices import Chosen, Edit, Painted
+from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
+from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
-from learn.app.session import Session, display_of
+from learn.app.session import Session
 from learn.app.sessions import Sessions
 from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer
@@ -223,17 +224,17 @@ def test_strokes_on_the_picture_that_is_shown_cover_the_photograph(
     """The brush paints on a picture of another size than the photograph's."""
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    height, width = session.reduced().shape[:2]
+    height, width = session.opened().reduced().shape[:2]
     assert (width, height) == (800, 533)
     upper = np.zeros((height, width), bool)
     upper[: height // 2, : width // 2] = True
-    session.paint([upper, ~upper & False], 1)
-    covered = session.opened().strokes[0].covered
+    session.opened().paint([upper, ~upper & False], 1)
+    covered = session.opened().selection.strokes[0].covered
     assert covered.shape == (80, 120)
     assert covered[:40, :60].all() and not covered[41:].any() and not covered[:, 61:].any()
-    assert session.opened().labels()[:40, :60].all()
+    assert session.opened().selection.labels()[:40, :60].all()
     with pytest.raises(InputError, match="strokes of the picture's size 800 × 533"):
-        session.paint([np.ones((80, 120), bool)], 1)
+        session.opened().paint([np.ones((80, 120), bool)], 1)
 
 
 @pytest.mark.parametrize("place", [(-1, 0, 1), (120, 0, 1), (0, 80, 1), (0, 0, 9)])
@@ -267,6 +268,12 @@ def test_words_that_no_material_has_together_find_what_comes_near() -> None:
     # only one of the words is known
     assert gallery.close_to("shiny unobtainium")[0] in gallery.search("shiny")
     assert gallery.close_to("unobtainium") == []
+    assert gallery.found_by("brass")[1] == "1 material"
+    assert gallery.found_by("blue velvet") == (
+        near,
+        "No material is called “blue velvet”. These are close:",
+    )
+    assert "Try a colour" in gallery.found_by("unobtainium")[1]
     tiles = gallery.page_tiles(gallery.search("leather"), "materials.jpg", "leather")
     assert tiles.count("looks like leather") == 3
 
@@ -432,7 +439,7 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
     light = choices.light_of(next(iter(choices.light_names())), 45.0)
     if map_of_own:
         light = choices.LightChoice("mine.exr", 45.0, light.map)
-    own = choices.principled_material("#a03020", 0.35, 0.0)
+    own = choices.principled_material(Principled("#a03020", 0.35, 0.0))
     edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
     edit_file.write(tmp_path / "edit.json", edit)
     again = edit_file.read(tmp_path / "edit.json")
@@ -511,13 +518,13 @@ def test_sessions_do_not_mix_and_delete_their_files(sessions: Sessions, tmp_path
     sessions.begin("two")
     one, two = sessions.of("one"), sessions.of("two")
     one.load(path)
-    one.click(45 * one.scale, 40 * one.scale, 1)
-    assert sessions.of("one") is one and two.path is None and one.folder != two.folder
+    one.opened().click(45 * one.opened().scale, 40 * one.opened().scale, 1)
+    assert sessions.of("one") is one and two.photograph is None and one.folder != two.folder
     with pytest.raises(InputError, match="a photograph"):
-        two.overlay()
-    view = one.write_view(one.overlay())
+        two.opened().overlay()
+    view = one.write_view(one.opened().overlay())
     for _ in range(6):
-        one.write_view(one.overlay())
+        one.write_view(one.opened().overlay())
     assert not view.exists() and len(list(one.folder.glob("view-*"))) == 4
     sessions.close("one")
     assert not one.folder.exists() and two.folder.exists() and one.stop.is_set()
@@ -537,12 +544,14 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
 ) -> None:
     sessions.begin("one")
     session = sessions.of("one")
-    with pytest.raises(InputError, match="mark the object in step 1 first"):
+    with pytest.raises(InputError, match="choose a photograph first, in step 1"):
         session.decomposed()
     session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match="mark the object in step 1 first"):
+        session.decomposed()
     with pytest.raises(InputError, match="an object"):
         decompose(session, refine=False)
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     shares = decompose(session, refine=False)
     assert shares == sorted(shares) and shares[-1] > 0.9
     number = session.number
@@ -559,7 +568,7 @@ def test_a_session_decomposes_chooses_and_writes_all_files(
     linear, alpha = photographs.read_exr(others["edited.exr"])
     assert linear.shape == (80, 120, 3) and (alpha == 1).all()
     session.choose(lambda edit: replace(edit, hide_background=True))
-    downloads_of(session)
+    others = {path.name: path for path in downloads_of(session).others}
     _, alpha = photographs.read_exr(others["edited.exr"])
     assert alpha[0, 0] == 0 and alpha[40, 45] == 1
     text = made.command
@@ -578,7 +587,9 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     Image.fromarray(given).save(tmp_path / "mask.png")
     session.give_mask(tmp_path / "mask.png")
     decompose(session, refine=False)
-    session.click(45 * session.scale, 40 * session.scale, 2)  # not decomposed any more
+    session.opened().click(
+        45 * session.opened().scale, 40 * session.opened().scale, 2
+    )  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
     assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
     again = photograph.open_photograph(tmp_path / "sent.png", [tmp_path / "mask.png"])
@@ -590,7 +601,8 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
     sessions: Sessions, tmp_path: Path
 ) -> None:
     pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
-    from learn.app.material_tab import FIRST, MaterialTab, gr
+    from learn.app.edit_controls import FIRST
+    from learn.app.material_tab import MaterialTab, gr
 
     session = sessions.of("one")
     session.viewer = Viewer(decomposed(2))
@@ -615,9 +627,7 @@ def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
         send(3)
     assert str(caught.value.message) == (
         "<b>Give the photograph these regions, or keep one label in the file.</b><br>"
-        "material.json: expected one material, or 2: one for each region, found 3 (give the"
-        " photograph"
-        " these regions, or keep one label in the file)"
+        "material.json: expected one material, or 2: one for each region, found 3."
     )
     assert session.edit.regions == (Painted(chosen("brass")), Painted(chosen("red-fabric")))
     session.viewer, session.edit = Viewer(decomposed(1)), Edit((Painted(),))
@@ -650,8 +660,8 @@ def saved_by(sessions: Sessions, tmp_path: Path) -> Session:
     """A session with two parts by clicks, an edit and two kept ones."""
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
-    session.click(75 * session.scale, 40 * session.scale, 2)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
+    session.opened().click(75 * session.opened().scale, 40 * session.opened().scale, 2)
     decompose(session, refine=False)
     light = choices.light_of(next(iter(choices.light_names())), 45.0)
     own = choices.LightChoice("mine.exr", 45.0, light.map)
@@ -674,11 +684,15 @@ def test_kept_pictures_are_compared_brought_back_and_removed(
     session.beside = session.kept[1]
     assert session.left == str(session.kept[1].picture)
     path = session.kept[1].picture
-    session.forget(1)
+    kept = session.kept_edit(path.name)
+    session.forget(kept)
     assert not path.exists() and session.left == session.before
     assert [each.edit.brightness_stops for each in session.kept] == [0, 0.5]
+    # a second click on the same button does not mean the picture that took its place
     with pytest.raises(InputError, match="a kept picture"):
-        session.kept_edit(2)
+        session.kept_edit(path.name)
+    session.forget(kept)
+    assert len(session.kept) == 2
     for number in range(10):
         session.choose(lambda e, n=number: replace(e, brightness_stops=-n / 10))
         session.keep()
@@ -711,7 +725,7 @@ def test_pictures_for_download_are_named_after_photograph_and_material(
     for path in made.pictures[:3]:
         with Image.open(path) as picture:
             assert picture.size == (120, 80)
-    session.name = "Stuhl für Frau Öz (2).JPG"
+    session.opened().name = "Stuhl für Frau Öz (2).JPG"
     assert download_files.stem_of(session) == "Stuhl-für-Frau-Öz-2"
 
 
@@ -723,8 +737,10 @@ def test_saved_work_brings_photograph_mask_and_edits_back(
     work.write_bytes(downloads_of(session).work.read_bytes())
     other = sessions.of("two")
     assert "Your saved work is open" in other.load_work(work)
-    assert other.name == "sent.png" and other.refined is False
-    np.testing.assert_array_equal(other.opened().labels(), session.opened().labels())
+    assert other.opened().name == "sent.png" and other.refined is False
+    np.testing.assert_array_equal(
+        other.opened().selection.labels(), session.opened().selection.labels()
+    )
     decompose(other, refine=False)
     assert other.edit is not None and session.edit is not None
     assert other.edit.caption == session.edit.caption
@@ -743,7 +759,7 @@ def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path
     def refused(match: str) -> None:
         with pytest.raises(InputError, match=match):
             session.load_work(path)
-        assert session.selection is None and not list(session.folder.iterdir())
+        assert session.photograph is None and not list(session.folder.iterdir())
         assert not (tmp_path / "outside.json").exists()
 
     def write(members: dict[str, str | bytes], method: int = zipfile.ZIP_DEFLATED) -> None:
@@ -796,7 +812,7 @@ def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(60, 40, 1)
+    session.opened().click(60, 40, 1)
     before, path = session.opened(), tmp_path / "work.zip"
     with zipfile.ZipFile(path, "w") as archive:
         archive.write(photo_in(tmp_path), "photograph.png")
@@ -805,7 +821,7 @@ def test_saved_work_with_a_damaged_mask_leaves_what_is_open(
         archive.writestr("work.json", json.dumps({"photograph": "a.png", "refined": False}))
     with pytest.raises(InputError, match=r"work\.zip: mask\.png: expected") as refusal:
         session.load_work(path)
-    assert session.opened() is before and before.clicks
+    assert session.opened() is before and before.selection.clicks
     assert str(session.folder) not in str(refusal.value)
     with zipfile.ZipFile(path, "w") as archive:  # one kept picture is named, and none is there
         archive.write(photo_in(tmp_path), "photograph.png")
@@ -825,13 +841,13 @@ def test_work_on_a_photograph_of_any_name_can_be_opened_again(
     named = tmp_path / name
     named.write_bytes(photo_in(tmp_path).read_bytes())
     session.load(named)
-    session.click(60, 40, 1)
+    session.opened().click(60, 40, 1)
     decompose(session, refine=False)
     work = tmp_path / "work.zip"
     work.write_bytes(downloads_of(session).work.read_bytes())
     other = sessions.of("two")
     other.load_work(work)
-    assert other.name == name
+    assert other.opened().name == name
 
 
 def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
@@ -842,7 +858,7 @@ def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
     caption, going = session.edit.caption, download_files.write(session)
     next(going)
     session.choose(lambda e: replace(e, brightness_stops=3.0))
-    session.forget(0)
+    session.forget(session.kept[0])
     with pytest.raises(StopIteration) as end:
         while True:
             next(going)
@@ -908,8 +924,7 @@ def test_an_error_says_first_what_to_do() -> None:
 
     error = InputError("a<b>.pdf", "a picture", "another format", "save it as PNG")
     assert for_people(error) == (
-        "<b>Save it as PNG.</b><br>a&lt;b&gt;.pdf: expected a picture, found another format"
-        " (save it as PNG)"
+        "<b>Save it as PNG.</b><br>a&lt;b&gt;.pdf: expected a picture, found another format."
     )
     error = InputError("the page", "a photograph", "none", "choose a photograph first")
     assert for_people(error) == "Choose a photograph first."
@@ -924,6 +939,31 @@ def test_display_values_of_a_photograph_come_back_as_they_were() -> None:
     np.testing.assert_allclose(display_of(linear, 0.5), expected, atol=0.52)
 
 
+def test_a_very_dark_photograph_is_marked_on_a_brighter_picture(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session, dark = sessions.of("one"), tmp_path / "dark.png"
+    Image.fromarray(scene() // 12).save(dark)
+    assert "very dark" in session.load(dark)
+    assert session.opened().selection.display.mean() > 5 * (scene() // 12).mean()
+    session.opened().click(450, 270, 1)
+    # what is edited is the photograph as it is
+    assert session.opened().to_edit().radiance.max() < 0.01
+    assert "very dark" not in session.load(photo_in(tmp_path))
+    np.testing.assert_array_equal(session.opened().selection.display, scene())
+
+
+def test_a_black_object_is_refused_in_the_words_of_the_page(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session, black = sessions.of("one"), tmp_path / "night.png"
+    Image.new("RGB", (120, 80)).save(black)
+    session.load(black)
+    session.opened().click(450, 270, 1)
+    with pytest.raises(InputError, match=r"night\.png: .*\(mark an object that can be seen"):
+        session.opened().to_edit()
+
+
 def test_nothing_is_darkened_before_the_first_click() -> None:
     selection = Selection(scene())
     np.testing.assert_array_equal(overlay.draw(selection, 1.0), scene())
@@ -936,13 +976,13 @@ def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(450, 270, 1)
+    session.opened().click(450, 270, 1)
     decompose(session, refine=False)
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
     edit, viewer = session.edit, session.viewer
     list(session.decompose(refine=False, goes_on=True))
     assert session.edit == edit and session.viewer is not viewer
-    session.click(600, 270, 2)  # another number of parts
+    session.opened().click(600, 270, 2)  # another number of parts
     list(session.decompose(refine=False, goes_on=True))
     assert session.edit == Edit((Painted(), Painted()))
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
@@ -953,12 +993,12 @@ def test_an_edit_goes_on_with_a_new_decomposition_of_the_same_parts(
 def test_a_refinement_can_be_stopped(sessions: Sessions, tmp_path: Path) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     with pytest.raises(Stopped):
         for report in session.decompose(refine=True):
             if "refining" in report.text:
                 session.stop.set()
-    assert session.viewer is None and session.marked().count == 1
+    assert session.viewer is None and session.opened().to_edit().count == 1
 
 
 def test_a_refinement_does_not_replace_a_later_decomposition(
@@ -966,10 +1006,10 @@ def test_a_refinement_does_not_replace_a_later_decomposition(
 ) -> None:
     session = sessions.of("one")
     session.load(photo_in(tmp_path))
-    session.click(45 * session.scale, 40 * session.scale, 1)
+    session.opened().click(45 * session.opened().scale, 40 * session.opened().scale, 1)
     improving = session.decompose(refine=True, goes_on=True)
     next(improving)
-    session.click(60 * session.scale, 40 * session.scale, 2)
+    session.opened().click(60 * session.opened().scale, 40 * session.opened().scale, 2)
     decompose(session, refine=False)  # of the mask as it is now
     later = session.viewer
     with pytest.raises(Stopped):
@@ -983,10 +1023,10 @@ def test_a_transparent_photograph_has_its_mask(sessions: Sessions, tmp_path: Pat
     Image.fromarray(np.dstack([scene(), alpha])).save(path)
     session = sessions.of("one")
     assert "transparent" in session.load(path)
-    opened = session.marked()
+    opened = session.opened().to_edit()
     assert opened.cut_out and opened.count == 1
-    session.click(75 * session.scale, 40 * session.scale, 2)
-    assert session.marked().count == 2
+    session.opened().click(75 * session.opened().scale, 40 * session.opened().scale, 2)
+    assert session.opened().to_edit().count == 2
 
 
 def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path) -> None:
@@ -996,12 +1036,12 @@ def test_files_of_masks_are_taken_or_refused(sessions: Sessions, tmp_path: Path)
     Image.fromarray(np.where(disk(), 255, 0).astype(np.uint8)).save(mask)
     Image.new("L", (10, 10), 255).save(small)
     session.give_mask(mask)
-    assert np.array_equal(session.marked().mask, disk())
+    assert np.array_equal(session.opened().to_edit().mask, disk())
     with pytest.raises(InputError, match="a mask of the picture's size 120 × 80"):
         session.give_mask(small)
     Image.fromarray(disk().astype(np.uint8) + disk(half=True)).save(mask)
     session.give_regions(mask)
-    assert session.marked().count == 2
+    assert session.opened().to_edit().count == 2
 
 
 def test_a_soft_masks_object_is_what_is_at_least_half_covered(
@@ -1017,12 +1057,11 @@ def test_a_soft_masks_object_is_what_is_at_least_half_covered(
     mask, cut = tmp_path / "mask.png", tmp_path / "cut.png"
     Image.fromarray(grey).save(mask)
     session.give_mask(mask)
-    assert session.selection is not None
-    np.testing.assert_array_equal(session.selection.labels() > 0, half)
-    np.testing.assert_allclose(session.marked().coverage, grey / 255, atol=1e-6)
+    np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
+    np.testing.assert_allclose(session.opened().to_edit().coverage, grey / 255, atol=1e-6)
     Image.fromarray(np.dstack([scene(), grey])).save(cut)
     session.load(cut)
-    np.testing.assert_array_equal(session.selection.labels() > 0, half)
+    np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
 
 
 def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:

@@ -471,9 +471,12 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         assert darker.mean() < pictures[2].mean() - 1
 
         # one of them on the left of the line, one shown again, one removed
-        window.run("document.querySelector('#kept [data-act=beside][data-number=\"1\"]').click()")
+        window.run("document.querySelectorAll('#kept [data-act=beside]')[1].click()")
         walk.wait_for("#shown", "Left of the line: blue-metallic-paint.")
-        window.wait("document.querySelector('#kept [aria-pressed=true]').dataset.number == 1")
+        pressed = (
+            "[...document.querySelectorAll('#kept [data-act=beside]')].map(e => e.ariaPressed)"
+        )
+        window.wait(f"({pressed})[1] === 'true'")
         again = walk.changed(
             lambda: window.run("document.querySelector('#kept [data-act=show]').click()"),
             "blue-fabric. Left",
@@ -591,9 +594,11 @@ def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(serve
         window.click("#decompose")
         window.wait("document.querySelector('#editor img')")
         window.reload()
-        walk.wait_for("#status", "Your edit is in step 2")
-        open_tab(walk, "Material")
+        # the tab that was open is open again
         window.wait("document.querySelector('#editor img')?.naturalWidth")
+        assert "Your edit is in step 2" in walk.window.run(
+            "return document.querySelector('#status').textContent"
+        )
     with Browser() as window:
         walk = opened(window, served, Path())
         window.wait(kept)
@@ -601,6 +606,109 @@ def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(serve
         assert window.run(f"return {kept}") != key
         assert "Choose a photograph" in walk.text("#status")
         assert not window.run("return !!document.querySelector('#marking img, #editor img')")
+
+
+# texts whose contrast with what is behind them is below 4.5 to 1, or 3 to 1 for large ones; those
+# of buttons that cannot be pressed do not count (WCAG 2.2, 1.4.3)
+FAINT = """
+const pen = new OffscreenCanvas(1, 1).getContext('2d', {willReadFrequently: true});
+const read = color => {
+  pen.clearRect(0, 0, 1, 1); pen.fillStyle = color; pen.fillRect(0, 0, 1, 1);
+  const [r, g, b, a] = pen.getImageData(0, 0, 1, 1).data;
+  return [[r, g, b], a / 255];
+};
+const over = ([top, share], below) => top.map((v, k) => v * share + below[k] * (1 - share));
+const behind = e => {
+  const color = e ? read(getComputedStyle(e).backgroundColor) : [[255, 255, 255], 1];
+  return color[1] > 0.99 ? color[0] : over(color, behind(e.parentElement));
+};
+const luminance = c => c.map(v => v / 255)
+  .map(v => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+  .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+return [...document.querySelectorAll('body *')].filter(e => {
+  const own = [...e.childNodes].some(n => n.nodeType === 3 && /\\w/.test(n.data));
+  if (!(own || e.placeholder) || !e.checkVisibility() || e.closest('[disabled]')) return false;
+  const style = getComputedStyle(e, e.placeholder ? '::placeholder' : null);
+  const below = behind(e), [color, share] = read(style.color);
+  const pair = [luminance(over([color, share * style.opacity], below)), luminance(below)];
+  const large = parseFloat(style.fontSize) >= 24;
+  return (Math.max(...pair) + 0.05) / (Math.min(...pair) + 0.05) < (large ? 3 : 4.5);
+}).map(e => e.placeholder || e.innerText);
+"""
+# drops a picture, a red disk before grey, on the page
+DROP = """
+const canvas = new OffscreenCanvas(300, 200), pen = canvas.getContext('2d');
+pen.fillStyle = '#888'; pen.fillRect(0, 0, 300, 200);
+pen.fillStyle = '#c33'; pen.arc(150, 100, 60, 0, 7); pen.fill();
+const files = new DataTransfer();
+files.items.add(new File([await canvas.convertToBlob()], 'disk.png', {type: 'image/png'}));
+const event = new DragEvent('drop', {dataTransfer: files, bubbles: true, cancelable: true});
+document.body.dispatchEvent(event);
+return event.defaultPrevented;
+"""
+
+
+def faint(window: Browser, dark: bool) -> list[str]:
+    """Return texts that are too faint on the page in dark or light colours."""
+    window.run(f"document.body.classList.toggle('dark', {str(dark).lower()})")
+    time.sleep(0.5)  # colours change smoothly
+    return window.run(FAINT)
+
+
+def press(window: Browser, selector: str, key: str) -> None:
+    """Press a key where a selector's element has the focus, as only a keyboard would give it."""
+    window.run(f"document.querySelector({selector!r}).focus()")
+    window.run(
+        "const e = document.activeElement, given = {key: "
+        f"{key!r}, bubbles: true, cancelable: true}};"
+        "if (e.dispatchEvent(new KeyboardEvent('keydown', given)) && given.key === 'Enter')"
+        " e.click();"
+    )
+
+
+def test_a_dropped_photograph_is_edited_by_the_keyboard_and_quick_choices_are_not_lost(served):
+    selected = "document.querySelector('[role=tab][aria-selected=true]').innerText"
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, Path())
+        window.wait("sessionStorage.getItem('brdfactory-session')")
+        assert window.run(DROP)
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        image = "document.querySelector('#marking img')"
+        x, y = window.run(
+            f"const r = {image}.getBoundingClientRect();"
+            "return [r.left + r.width / 2, r.top + r.height / 2]"
+        )
+        window.click_at(x, y)
+        walk.wait_for("#status", "covers")
+        assert faint(window, dark=False) == faint(window, dark=True) == []
+        press(window, "#decompose", "Enter")
+        walk.wait_for("#shown", "choose a material")
+        # the focus is where the user is by now
+        window.wait("document.activeElement.innerText.includes('Material')")
+        # a drop here is not taken for another photograph, nor does the browser leave the page
+        before = window.run(f"return {image}.src")
+        assert window.run(DROP)
+        assert faint(window, dark=True) == faint(window, dark=False) == []
+
+        press(window, "#materials button", "ArrowRight")
+        name = window.run("return document.activeElement.dataset.name")
+        press(window, f"#materials [data-name={name}]", "Enter")
+        walk.wait_for("#shown", f"Exact view. {name}")
+        place = "document.querySelector('#editor .outer').getBoundingClientRect().left"
+        left = window.run(f"return {place}")
+        press(window, "#editor .outer", "ArrowRight")
+        window.wait(f"{place} > {left} + 10")
+
+        names = ["chrome", "blue-fabric", "natural-209", "brass", "red-fabric", "green-latex"]
+        for each in names:
+            window.run(f"document.querySelector('#materials [data-name={each}]').click()")
+            time.sleep(0.08)
+        walk.wait_for("#shown", f"Exact view. {names[-1]}")
+        assert window.run(f"return {image}.src") == before
+        assert walk.errors() == []
+        window.reload()
+        window.wait(f"{selected}.includes('Material')")
+        walk.wait_for("#shown", f"Exact view. {names[-1]}")
 
 
 def test_nothing_outside_this_computer_is_asked_for(served):
@@ -623,7 +731,7 @@ def test_nothing_outside_this_computer_is_asked_for(served):
     ],
 )
 def test_a_browser_that_may_keep_nothing_opens_the_page_all_the_same(storage, expected):
-    from learn.app.page import KEEP_KEY, RECALL_KEY
+    from learn.app.page_script import KEEP_KEY, RECALL_KEY
 
     script = (
         f"const kept = {{}}; Object.defineProperty(globalThis, 'sessionStorage', {storage});"

@@ -4,6 +4,7 @@ refused in one line.
 
 import io
 import os
+import re
 import struct
 import zlib
 
@@ -249,12 +250,32 @@ def test_an_eps_starts_no_other_program(tmp_path, ball, mask_file, ghostscript, 
     assert not ghostscript.exists()
 
 
-def test_a_picture_of_a_telephone_is_named(tmp_path):
-    """Without pillow-heif no HEIC file is read; the line names the format and what to save."""
-    path = tmp_path / "IMG_0001.HEIC"
-    path.write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
-    with pytest.raises(InputError, match=r"found HEIC \(save it as PNG, JPEG or EXR\)"):
+@pytest.mark.parametrize(
+    ("name", "data", "expected"),
+    [
+        ("IMG_0001.HEIC", b"\0\0\0\x18ftypheic" + bytes(100), "found HEIC (save it as JPEG"),
+        ("clip.mp4", b"\0\0\0\x18ftypisom" + bytes(100), "found a video (save one of its"),
+        ("brochure.pdf", b"%PDF-1.7\n" + bytes(100), "found a PDF (save the picture in it"),
+        ("empty.jpg", b"", "found an empty file (copy or send it again"),
+        ("notes.jpg", "naïve".encode() * 200, "found a text (choose a picture"),
+        ("logo.svg", b"<?xml version='1.0'?><svg></svg>", "found a drawing (SVG) (export"),
+        ("work.zip", b"PK\3\4" + bytes(100), "found an archive (unpack it"),
+        ("IMG_1.CR2", b"II*\0\x10\0\0\0CR\2\0" + bytes(99), "a camera's raw file (save it as JPEG"),
+        ("other.png", bytes(range(256)), "found another format, or a damaged file (save it as PNG"),
+    ],
+)
+def test_what_is_no_picture_is_named_with_what_to_do(tmp_path, name, data, expected):
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=re.escape(expected)):
         photographs.read_pixels(path)
+
+
+def test_a_picture_that_is_too_large_is_refused_with_a_size_that_fits(tmp_path):
+    path = tmp_path / "large.png"
+    Image.new("L", (800, 600)).save(path)
+    with pytest.raises(InputError, match="make it smaller, 200 × 150 at most"):
+        photographs.read_pixels(path, 30_000)
 
 
 @pytest.mark.parametrize("format_", ["ICO", "ICNS", "PCX", "PPM", "TGA", "DDS", "JPEG2000", "PDF"])
@@ -263,7 +284,8 @@ def test_formats_that_are_not_on_the_list_are_refused_with_the_list(
 ):
     (tmp_path / "photo.png").write_bytes(encoded(bytes_of(ball), format_))
     with pytest.raises(
-        InputError, match="PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found another format"
+        InputError,
+        match=r"PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR, found a(nother format| PDF| PPM)",
     ):
         photograph.open_photograph(tmp_path / "photo.png", [mask_file])
 

@@ -1,0 +1,153 @@
+"""Opens what users send to the page: photographs and saved work, and the program's example.
+
+Files are bounded before they are decoded (learn.data.photographs, learn.app.work_file). All that
+was sent is read before anything is kept, so that what is open stays if it cannot be read.
+"""
+
+import functools
+import re
+import secrets
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from learn.app import work_file
+from learn.app.marked_photograph import MarkedPhotograph
+from learn.app.selection import Selection
+from learn.data import photographs
+from learn.editing import photograph
+from learn.figures import montage
+from manifests import files
+from manifests.errors import InputError
+from shaders import tone
+
+# of a photograph: cameras and telephones of 24 megapixels make up to 24.5 million. A user's session
+# then takes up to 2 GB while it renders
+MOST_PIXELS = 25_000_000
+ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
+DARK = 48  # of 255: the green of a picture that is brightened to be marked
+EXAMPLE = "example:espresso-cup"
+
+
+def open_file(sent: Path, folder: Path) -> MarkedPhotograph:
+    """Return the photograph of a file that was sent, of which a copy is kept in a folder.
+
+    Raises  InputError: no picture, a damaged or too large one
+    """
+    return _kept(sent, folder, sent.name, *_read(sent))
+
+
+def _read(sent: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return radiance (H, W, 3) and alpha (H, W) of a photograph. Raises InputError."""
+    radiance, alpha = photographs.read_pixels(sent, MOST_PIXELS)
+    height, width = radiance.shape[:2]
+    if height * width > MOST_PIXELS:  # an EXR
+        rule = f"at most {MOST_PIXELS / 1e6:g} megapixels"
+        raise InputError(sent, rule, f"{width} × {height}", "make it smaller")
+    photographs.require_finite(sent, radiance)
+    return radiance, alpha
+
+
+def _kept(
+    sent: Path, folder: Path, name: str, radiance: np.ndarray, alpha: np.ndarray
+) -> MarkedPhotograph:
+    """Copy a file that was read into a folder; return its photograph."""
+    ending = sent.suffix.lower()
+    if not ENDING.fullmatch(ending):  # such as .jpg_large, which saved work could not have
+        ending = ".img"
+    path = folder / f"photograph{ending}"
+    files.write_bytes(path, sent.read_bytes())
+    display, is_brightened = _display(path, radiance)
+    result = MarkedPhotograph(path, name, Selection(display), is_brightened=is_brightened)
+    if (alpha < 0.5).any():
+        result.coverage = alpha
+        result.selection.given = (alpha >= 0.5).astype(np.uint8)
+    return result
+
+
+def _display(path: Path, radiance: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return display values (H, W, 3) uint8 to mark on, and whether they are brightened."""
+    shown = None
+    if not photographs.holds_radiance(path):
+        shown = display_of(radiance, 1.0)
+        if not is_dark(shown):
+            return shown, False
+    everywhere = np.ones(radiance.shape[:2], bool)
+    exposure = tone.auto_exposure(radiance, everywhere)
+    return display_of(radiance, exposure), shown is not None
+
+
+def is_dark(display: np.ndarray) -> bool:
+    """Return whether nearly nothing can be seen in a picture (H, W, 3) uint8.
+
+    That is so where all but the brightest hundredth of its pixels are below DARK.
+    """
+    counts = np.bincount(display[..., 1].ravel(), minlength=256)
+    return bool(counts[:DARK].sum() >= 0.99 * counts.sum()) and bool(counts[0] < counts.sum())
+
+
+def open_example() -> MarkedPhotograph:
+    """Return the program's example, a cup on a saucer, with its two regions."""
+    path, regions = photograph.resolve_example(EXAMPLE, [], None)
+    assert regions is not None
+    radiance, _ = photographs.read_pixels(path)
+    mask = photographs.read_labels(regions, radiance.shape[:2])
+    selection = Selection(_display(path, radiance)[0], mask)
+    return MarkedPhotograph(path, EXAMPLE, selection, example_mask=mask)
+
+
+def open_work(sent: Path, folder: Path) -> tuple[MarkedPhotograph, work_file.Work]:
+    """Return the photograph of saved work, with its mask, and the Work.
+
+    Raises  InputError: no saved work, a damaged or too large file
+    """
+    unpacked = folder / f"work-{secrets.token_hex(6)}"
+    unpacked.mkdir()
+    try:
+        work = work_file.read(sent, unpacked)
+        return _photograph_of(work, folder), work
+    except InputError as error:  # the names of files alone are what the user knows
+        name = Path(str(error.where).replace(str(unpacked), "").lstrip("/")).name
+        where = sent.name if name == sent.name else f"{sent.name}: {name}"
+        result = str(error.found).replace(str(unpacked), "").lstrip("/")
+        raise InputError(where, error.expected, result, error.remedy) from None
+    finally:
+        shutil.rmtree(unpacked, ignore_errors=True)
+
+
+def _photograph_of(work: work_file.Work, folder: Path) -> MarkedPhotograph:
+    if work.photograph is None and work.name != EXAMPLE:
+        raise InputError(work.name, EXAMPLE, "another example", work_file.REMEDY)
+    opened = work.photograph or photograph.resolve_example(EXAMPLE, [], None)[0]
+    radiance, alpha = _read(opened)
+    if work.mask is not None:
+        coverage = photographs.read_mask(work.mask, radiance.shape[:2])
+        photographs.require_object(work.mask, coverage)
+    if work.regions is not None:
+        photographs.read_labels(work.regions, radiance.shape[:2])
+    if work.photograph is None:
+        result = open_example()
+    else:
+        result = _kept(opened, folder, work.name, radiance, alpha)
+    if work.mask is not None:
+        result.give_mask(work.mask)
+    if work.regions is not None:
+        result.selection.given = photographs.read_labels(work.regions, result.selection.size)
+    return result
+
+
+@functools.cache
+def display_table() -> np.ndarray:
+    """Return the display values (65536,) uint8 of linear values 0 to 1 in equal steps."""
+    return montage.eight_bit(tone.display(np.arange(65536) / 65535, 1.0))
+
+
+def display_of(radiance: np.ndarray, exposure: float) -> np.ndarray:
+    """Return display values (H, W, 3) uint8 of linear radiance.
+
+    They are looked up, which takes a tenth of the time that computing them does: 4 seconds for a
+    photograph of 24 megapixels. Values of a file of 8 bits come back as they were.
+    """
+    steps = np.clip(radiance * np.float32(exposure), 0, 1)
+    return display_table()[np.rint(steps * np.float32(65535)).astype(np.uint16)]
