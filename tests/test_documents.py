@@ -29,6 +29,7 @@ DOCUMENTS = ("README.md", "docs/conventions.md")
 WITH_CODE = (
     "README.md",
     "docs/conventions.md",
+    "docs/how-to-choose.md",
     "docs/labels.md",
     "docs/layer-in-a-model.md",
     "docs/materials.md",
