@@ -25,7 +25,7 @@ EPILOG = """examples:
     python -m factory render demo --out out/demo
   your own job, with two processes:
     python -m factory render my-job.json --out out/mine --workers 2
-  geometry alone, with the materials and lights to relight it:
+  geometry without pictures, with the materials and lights to relight it:
     python -m factory render geometry --out out/geometry
   part 3 of a job array of 8, whose tasks all write into one folder:
     python -m factory render my-job.json --out out/mine --shard 3/8
