@@ -104,7 +104,7 @@ def _register_completion(subparsers: argparse._SubParsersAction) -> None:
     added = subparsers.add_parser(
         "completion",
         help="print a script that completes commands and options in your shell",
-        description="Prints a script by which a shell completes commands and their options.",
+        description="Prints a script with which a shell completes commands and their options.",
         epilog='example:\n  eval "$(brdfactory completion bash)"',
         formatter_class=HelpFormatter,
     )

@@ -133,7 +133,7 @@ LIGHT = (
         "scale",
         LIGHT_MEMBERS["scale"][1],
         "one number",
-        "mean luminance of the map before it was divided by it",
+        "mean luminance of the original map, by which it was divided",
         "none",
         "none",
     ),

@@ -34,7 +34,7 @@ VECTORS = {
 }
 NUMBERS = {
     COSINE: "n·v of the interpolated normal, before it was made to face the viewer",
-    SHARE: "part of Cycles' pixel that shows this surface and not the one in its middle",
+    SHARE: "part of Cycles' pixel that shows this surface and not the one at its centre",
     OTHER_SEGMENT: "segment id of that surface; 0 where it is the background",
 }
 

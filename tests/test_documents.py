@@ -29,6 +29,7 @@ DOCUMENTS = ("README.md", "docs/conventions.md")
 WITH_CODE = (
     "README.md",
     "docs/conventions.md",
+    "docs/how-to-choose.md",
     "docs/labels.md",
     "docs/layer-in-a-model.md",
     "docs/materials.md",
@@ -140,7 +141,9 @@ def test_a_worked_job_has_as_many_pictures_as_its_page_says(root, tmp_path, numb
     shutil.copy(root / USERS_FILES["my-chair.obj"], tmp_path / "my-chair.obj")
     page = (root / "docs/writing-jobs.md").read_text(encoding="utf-8")
     text = blocks(root, "docs/writing-jobs.md", "json")[number]
-    assert re.match(rf"```\n\n{count:,} pictures\b", page[page.index(text) + len(text) :])
+    assert re.match(
+        rf"```\n\nThis makes {count:,} pictures\b", page[page.index(text) + len(text) :]
+    )
     job = msgspec.json.decode(text, type=Job)
     assert len(make_plan(job, resolve(job, tmp_path))) == count
 

@@ -43,7 +43,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help=(
             "the format. webdataset, parquet, huggingface or hdf5 (as BlenderProc writes it):"
             " pictures, geometry, records and labels, with a data card; tars: the data set's own"
-            " files, unchanged; records: a table of the records alone, as one Parquet file"
+            " files, unchanged; records: a table of the records, as one Parquet file"
         ),
     )
     parser.add_argument(
@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("export", "--to FORMAT --out PATH", "neither", "see --help for formats")
     if options.to in OWN and (tars or records):
         expected = "one of --to, --tars and --parquet"
-        raise InputError("export", expected, "two", "run it twice, with --to alone")
+        raise InputError("export", expected, "two", "run it twice, with only --to")
     if options.to == "tars":
         tars = options.out
     elif options.to == "records":

@@ -127,7 +127,7 @@ def describe(plan: Plan) -> Iterator[str]:
     each = (
         f"{number_of(len(plan), 'picture')} of {height}×{width}, {describe_quality(job)}"
         if job.pictures
-        else f"{number_of(len(plan), 'view')} of {height}×{width}, geometry alone"
+        else f"{number_of(len(plan), 'view')} of {height}×{width}, geometry only"
     )
     yield f"job {job.name}: {each}, {describe_camera(job)}"
     yield "  shapes     " + ", ".join(

@@ -65,10 +65,16 @@ def run(options: argparse.Namespace) -> int:
     from manifests import files, outputs
     from manifests.errors import InputError
     from manifests.materials import load_catalogue
+    from manifests.object_store import is_url
     from manifests.progress import tqdm
     from manifests.store import Store
 
-    store = Store(options.folder)
+    store, folder = Store(options.folder), options.folder
+    if folder.name in ("", ".."):
+        folder = folder.resolve()
+    out = options.out or folder.with_name(folder.name + "-preview")
+    if not is_url(folder):  # a URL is refused as a data set
+        outputs.try_folder(out)  # without --out, `require_places` has nothing to try
     dataset = store.dataset()
     materials = load_catalogue(options.folder / "materials.json")
     if not (1 <= options.count <= 1000 and 16 <= options.size <= 2048):
@@ -78,10 +84,6 @@ def run(options: argparse.Namespace) -> int:
             f"{options.count} and {options.size}",
             "--count 24 --size 128 suits most",
         )
-    folder = options.folder
-    if folder.name in ("", ".."):
-        folder = folder.resolve()
-    out = options.out or folder.with_name(folder.name + "-preview")
     outputs.reserve_outputs(out, ("sheet.png", "index.html"), options.overwrite)
     chosen = choose_records(store, options)
     if not chosen:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from factory.commands import job_options
+from manifests import JOBS
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
 from manifests.notices import notice
@@ -23,7 +25,7 @@ EPILOG = """examples:
     python -m factory render demo --out out/demo
   your own job, with two processes:
     python -m factory render my-job.json --out out/mine --workers 2
-  geometry alone, with the materials and lights to relight it:
+  geometry without pictures, with the materials and lights to relight it:
     python -m factory render geometry --out out/geometry
   part 3 of a job array of 8, whose tasks all write into one folder:
     python -m factory render my-job.json --out out/mine --shard 3/8
@@ -36,9 +38,7 @@ EPILOG = """examples:
   without a job file:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
-Presets: agreement, demo-full, demo, finetune, geometry-20, geometry-chairs, geometry-general,
-  geometry-meshes, geometry, ladder-development, ladder-second-test, ladder-test, multi-material,
-  pretrain, smallest, test;
+{presets};
   `plan --presets` says what each is for.
 Run the same command again to continue: pictures that exist are not rendered twice.
 A second job into the same folder adds to the data set.
@@ -55,7 +55,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " set: pictures, normals, depth, segments and material labels. The same command"
             " continues a run that was stopped."
         ),
-        epilog=EPILOG,
+        epilog=EPILOG.format(presets=_list_of_presets()),
         formatter_class=HelpFormatter,
     )
     parser.add_argument(
@@ -87,6 +87,14 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     )
     _add_job_without_file(parser)
     parser.set_defaults(run=run, result_folders=("out",), result_urls=("out",))
+
+
+def _list_of_presets() -> str:
+    """Return the line of the help that names all presets, wrapped like the other lines."""
+    names = ", ".join(sorted(path.stem for path in JOBS.glob("*.json")))
+    return textwrap.fill(
+        f"Presets: {names}", width=96, subsequent_indent="  ", break_on_hyphens=False
+    )
 
 
 def _add_several_machines(parser: argparse.ArgumentParser) -> None:

@@ -147,7 +147,7 @@ def _print_families(requested: str | None) -> None:
             )
     if requested is None:
         print(f"general families, for variety: {', '.join(FAMILIES)}")
-        print(f"families for testing alone, never for training: {', '.join(TEST_ONLY)}")
+        print(f"families only for testing, never for training: {', '.join(TEST_ONLY)}")
     if requested in (None, "primitive"):
         print(f"primitives: {', '.join(PRIMITIVES)} (sphere:LEVEL, blob:SEED)")
 

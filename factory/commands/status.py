@@ -23,7 +23,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="show how much of a data set is made, and what failed",
         description=(
             "Counts the pictures and views of a data set by split, category, tier and light, and"
-            " lists the failures. Reads the records alone and opens no picture."
+            " lists the failures. Reads only the records and opens no picture."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if report["views"]:
         print(
-            f"  views            {report['views']} of geometry alone: "
+            f"  views            {report['views']} without pictures: "
             + ", ".join(f"{n} {side}" for side, n in report["view_side"].items())
         )
     for key in ("split", "category", "tier", "light_resolution", "light"):

@@ -52,7 +52,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="check the records alone and open no picture: seconds, even for 720,000 records",
+        help=(
+            "check only the records and open no picture, which takes seconds even for 720,000"
+            " records"
+        ),
     )
     parser.add_argument(
         "--repair",

@@ -25,7 +25,7 @@ OPTIONS = {
 
 def presets() -> dict[str, Path]:
     """Return {name: path} of the jobs that come with the program."""
-    return {path.stem: path for path in sorted(JOBS.glob("*.json"))}
+    return {path.stem: path for path in sorted(JOBS.glob("*.json"), key=lambda path: path.stem)}
 
 
 def load(name_or_path: str | Path) -> tuple[Job, Path]:

@@ -41,7 +41,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--host",
         metavar="ADDRESS",
         help=(
-            "address to listen on (default 127.0.0.1: this computer alone; 0.0.0.0: whoever can"
+            "address to listen on (default 127.0.0.1: only this computer; 0.0.0.0: whoever can"
             " connect to it, without a password)"
         ),
     )

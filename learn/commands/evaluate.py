@@ -21,10 +21,10 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "evaluate",
         help="measure edits against Cycles' renderings of the same edits",
         description=(
-            "Compares edits with the truth. Pictures of a data set are edited into materials in"
-            " which the data set holds the same shape, view and light, by our method and by"
-            " others, and each edit is compared with that rendering. Writes index.html (open it"
-            " first), report.md and report.json. Every finished edit is a line in edits.jsonl:"
+            "Compares edits with the truth. Our method and others edit pictures of a data set, each"
+            " into the material of another picture of the same shape, view and light, with which"
+            " the edit is then compared. Writes index.html (open it first), report.md and"
+            " report.json. Every finished edit is a line in edits.jsonl:"
             " the same command continues a stopped run, and a larger --edits adds to it."
         ),
         epilog=EPILOG,
@@ -87,7 +87,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "whose training materials the row 'mean material' is the mean of: the data set's own, or"
         " the built-in ones (default: dataset)",
     )
-    options.add_seed(parser, "seed by which edits are drawn")
+    options.add_seed(parser, "seed with which edits are drawn")
     parser.add_argument(
         "--processes",
         type=positive,

@@ -50,8 +50,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         choices=SIDES,
         default="development",
         help=(
-            "development (default); test, which is opened once at the end; or second-test, whose"
-            " families no training has and which has the rungs direct and 8-bit only"
+            "development (default); test, which may be used only once; or second-test, which has"
+            " families that no training has, and only the rungs direct and 8-bit"
         ),
     )
     parser.add_argument(

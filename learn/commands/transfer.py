@@ -65,7 +65,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="LIGHT",
         help=(
             "render under this light instead of each picture's own: a map FILE.exr (twice as wide"
-            " as high, such as light.exr of `learn edit`), FILE.npz#NAME, computed:SEED, or another"
+            " as high, such as light.exr of `edit`), FILE.npz#NAME, computed:SEED, or another"
             " picture with its mask; repeat the option for several"
         ),
     )

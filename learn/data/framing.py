@@ -23,7 +23,7 @@ MARGIN = 1.18
 # from the object's mean luminance Y in the file as TYPICAL · Y^−DEPENDENCE. This was the best line
 # over 200 pictures of known light, exposed for their 99th percentile; on 600 others it is as good
 # as a line fitted to them, and either is wrong by more than a factor of 2.5 for a third of them.
-# `python -m learn.experiments exposure` measures this (docs/editing.md).
+# `python -m learn.experiments exposure` measures this (docs/editing-measurements.md).
 TYPICAL, DEPENDENCE = 0.23, 0.19
 # Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
 # it a file is in units of its own.

@@ -66,6 +66,15 @@ def test_a_place_below_a_file_ends_a_command_before_its_inputs_are_read(words, t
     assert os.listdir(tmp_path) == ["file"]
 
 
+def test_preview_tries_its_own_choice_of_a_place_too(tmp_path, capsys):
+    (tmp_path / "missing-preview").write_text("")
+    assert command_line.run(["preview", str(tmp_path / "missing")]) == 1
+    assert capsys.readouterr().err.startswith(
+        f"brdfactory: {tmp_path / 'missing-preview'}: expected a folder, or a name for a new one,"
+        " found a file "
+    )
+
+
 def ends_in_file(words):
     """Whether the place is a file, whose folder is then what is tried."""
     return words[-1] in ("--blend", "--materialx", "--parquet") or (

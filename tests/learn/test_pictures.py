@@ -55,7 +55,7 @@ def test_a_dark_picture_is_taken_to_be_of_a_darker_scene_but_not_in_proportion()
         framing.frame_object(np.full((20, 20, 3), Y, np.float32), mask, 16).exposure
         for Y in (0.05, 0.5)
     ]
-    # docs/editing.md
+    # docs/editing-measurements.md
     np.testing.assert_allclose(result, [0.23 * 0.05**-0.19, 0.23 * 0.5**-0.19], rtol=1e-5)
     assert (
         framing.frame_object(np.full((20, 20, 3), 0.5, np.float32), mask, 16, exposure=2.0).exposure
