@@ -172,7 +172,7 @@ def put_back(values: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def tile_size(pixels: int) -> int:
-    """Return how many pixels share a list: few where there are few, for their normals are far apart."""
+    """Return how many pixels share a list: few of few pixels, whose normals are far apart."""
     return 16 if pixels < 12288 else 32 if pixels < 24576 else CULLED_TILE
 
 

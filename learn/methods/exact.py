@@ -50,7 +50,9 @@ TEXELS, PAIRS = 2048, 32768
 def texels(
     light: torch.Tensor, camera_from_light: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the direction w (T, 3), camera frame, and E (T, 3) = radiance × solid angle of each texel.
+    """Return w (T, 3), camera frame, the direction of each texel, and E (T, 3).
+
+    E is radiance × solid angle.
 
     light  (Hl, Wl, 3)
     """
