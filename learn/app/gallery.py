@@ -143,12 +143,16 @@ def begins_word(name: str, word: str) -> bool:
 
 
 def ordered(names: list[str], asked: list[str]) -> list[str]:
-    """Return names with those first that have all words, or look like one of them."""
+    """Return names in the order in which they answer the words that were asked for.
+
+    A name that is one of the words comes first, then those that have all words, then those that
+    look like one of them.
+    """
     alike = [name for word in asked for name in ALIKE.get(word, ())]
 
-    def order(name: str) -> tuple[bool, int]:
+    def order(name: str) -> tuple[bool, bool, int]:
         named = all(word in name.lower() for word in asked)
-        return not named, alike.index(name) if name in alike else len(alike)
+        return name not in asked, not named, alike.index(name) if name in alike else len(alike)
 
     return sorted(names, key=order)
 
