@@ -61,7 +61,7 @@ def decompose(session: Session) -> None:
 
 
 def brass(edit: Edit) -> Edit:
-    return edit.with_region(0, Painted(choices.catalogue_material("brass")))
+    return edit.with_region(0, Painted(choices.named_material("brass")))
 
 
 def test_of_quick_choices_the_last_one_is_shown(session: Session) -> None:
@@ -95,7 +95,7 @@ def test_a_click_that_arrives_after_a_later_one_changes_nothing(session: Session
 
 def test_a_part_that_is_gone_is_named_in_a_sentence(session: Session) -> None:
     decompose(session)
-    change = painting(2, FIRST, choices.catalogue_material("brass"))
+    change = painting(2, FIRST, choices.named_material("brass"))
     with pytest.raises(InputError, match="a part from 1 to 1, found 2"):
         session.choose(change)
     assert share_of(session, 2) == 0
