@@ -215,19 +215,21 @@ class Pool:
             worker = self._workers[number]
             replies = worker.replies()
             if replies is None:
-                yield from self._replaced(number, worker.reason_of_death())
+                yield from self._replace_worker(number, worker.reason_of_death())
                 continue
             for reply in replies:
                 if reply.fatal:
                     raise InputError(*reply.problem) if reply.problem else OSError(reply.reason)
-                yield from self._received(number, worker, reply)
+                yield from self._receive(number, worker, reply)
         for number, worker in list(self._workers.items()):
             silence = time.monotonic() - worker.heard
             if worker.pending and silence > max(PATIENCE, 50 * self._longest):
                 worker.process.kill()
-                yield from self._replaced(number, f"the worker sent nothing for {silence:.0f} s")
+                yield from self._replace_worker(
+                    number, f"the worker sent nothing for {silence:.0f} s"
+                )
 
-    def _received(self, number: int, worker: _Worker, reply: Reply) -> Iterator[tuple[Shot, Reply]]:
+    def _receive(self, number: int, worker: _Worker, reply: Reply) -> Iterator[tuple[Shot, Reply]]:
         """Handle a reply about a worker's first pending shot."""
         shot = worker.pending.popleft()
         if reply.made:
@@ -246,7 +248,7 @@ class Pool:
         if shot.id in (s.id for s in self._suspects):
             self._drop(number)
 
-    def _replaced(self, number: int, reason: str) -> Iterator[tuple[Shot, Reply]]:
+    def _replace_worker(self, number: int, reason: str) -> Iterator[tuple[Shot, Reply]]:
         """Remove a worker that has died; another is started when there is work."""
         pending = list(self._workers[number].pending)
         self._workers[number].pending.clear()

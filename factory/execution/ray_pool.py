@@ -218,9 +218,9 @@ class RayPool:
             if worker.pending is None:
                 worker.pending = []
                 continue
-            yield from self._received(worker, answer)
+            yield from self._receive(worker, answer)
 
-    def _received(self, worker: _Worker, lines: list[bytes]) -> Iterator[tuple[Shot, Reply]]:
+    def _receive(self, worker: _Worker, lines: list[bytes]) -> Iterator[tuple[Shot, Reply]]:
         """Handle the replies about a worker's slice."""
         pending = deque(worker.pending or ())
         worker.pending = []

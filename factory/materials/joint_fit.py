@@ -206,7 +206,7 @@ class JointFit:
         g[:LABEL] += g_label
         return g, H
 
-    def _moved(self, state, step):
+    def _move(self, state, step):
         """Return the state after a step, inside its bounds.
 
         Steps are clipped to the range in which a linear model can be trusted.
@@ -248,7 +248,7 @@ class JointFit:
                 step = np.zeros(len(free))
                 damped = H + np.diag(damping * diagonal + 1e-12 * diagonal.max())
                 step[free] = np.linalg.solve(damped, -g)
-                trial = self._moved(state, step)
+                trial = self._move(state, step)
                 trial_cost, trial_projected = self.cost(trial)
                 if trial_cost < cost:
                     break

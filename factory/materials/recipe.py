@@ -257,17 +257,17 @@ class FittingProblem:
 
         if keeps(check):
             higher = [mu for mu in r.pulls if mu > middle]
-            state, check = self._raised(state, check, higher, keeps)
+            state, check = self._raise_weights(state, check, higher, keeps)
             return state, check.drift <= r.drift
         if not last:
             return state, False
         if check.agreement > r.hard_l1 or check.worst > r.hard_worst:
-            return self._lowered(state, check), False
+            return self._lower_weights(state, check), False
         if check.drift > r.hard_drift:
-            return self._traded(state), False
+            return self._trade_weights(state), False
         return state, False
 
-    def _raised(self, state, check, weights, allowed):
+    def _raise_weights(self, state, check, weights, allowed):
         """Return the last state, with rising weights, whose errors are allowed."""
         for mu in weights:
             trial, result = self.with_measurement_weight(state, mu, iterations=12)
@@ -276,7 +276,7 @@ class FittingProblem:
             state, check = trial, result
         return state, check
 
-    def _lowered(self, state, check):
+    def _lower_weights(self, state, check):
         """Return the first state, with falling weights, whose label and nodes agree well enough."""
         r = self.recipe
         for mu in sorted((mu for mu in r.pulls if mu < r.joint.mu), reverse=True):
@@ -285,7 +285,7 @@ class FittingProblem:
             state, check = self.with_measurement_weight(state, mu, iterations=15)
         return state
 
-    def _traded(self, state):
+    def _trade_weights(self, state):
         """Return the state whose higher weight brings the drift below its limit.
 
         The state is the given one if that costs too much agreement.

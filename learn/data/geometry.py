@@ -187,7 +187,7 @@ class Geometry:
             chosen, "packing geometry", unit="view", disable=not progress, leave=False
         ):
             try:
-                normals, depths, segments = self._checked(records, record)
+                normals, depths, segments = self._check(records, record)
             except InputError as problem:
                 if not skip_bad:
                     raise
@@ -196,7 +196,7 @@ class Geometry:
             rows = (pack_normals(normals), segments)
             yield record.geometry_hash, (*rows, pack_depth(depths)) if depth else rows
 
-    def _checked(
+    def _check(
         self, records: Records, record: Record | View
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return normals (H, W, 3), depth (H, W) and segments (H, W) of a record or a view.

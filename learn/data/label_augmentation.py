@@ -80,11 +80,11 @@ class LabelAugmentation:
             return f"mixture({name},{other})", self._within(mixed, largest)
         kind -= data.label_mixtures
         if kind < data.scaled_lobes:
-            scaled = self._scaled(rng, label.reshape(SHAPE))
+            scaled = self._scale_lobes(rng, label.reshape(SHAPE))
             return f"scaled({name})", self._within(scaled, _albedo(label))
         return name, label
 
-    def _scaled(self, rng: np.random.Generator, label: np.ndarray) -> np.ndarray:
+    def _scale_lobes(self, rng: np.random.Generator, label: np.ndarray) -> np.ndarray:
         """Return a label (3, 3, 2, 6) with scaled lobes, in canonical order."""
         result = label.astype(np.float64)
         result[:, :, 0] += rng.normal(0, AMPLITUDE, 3)[None, :, None]

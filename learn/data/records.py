@@ -128,7 +128,7 @@ class Records(torch.utils.data.Dataset):
             entry.name: entry for entry in read_catalogue(self.folder / "materials.json").materials
         }
         self.records = sorted(
-            self._judged("records", self.store.records(keep)), key=lambda record: record.id
+            self._judge_lines("records", self.store.records(keep)), key=lambda record: record.id
         )
         if twice := next((a.id for a, b in pairwise(self.records) if a.id == b.id), None):
             raise InputError(self.folder, "each record once", f"{twice} twice", REPAIR)
@@ -168,9 +168,9 @@ class Records(torch.utils.data.Dataset):
 
     def views(self) -> list[View]:
         """Return every View of geometry alone. Raises InputError as `Records` does."""
-        return self._judged("views", self.store.views())
+        return self._judge_lines("views", self.store.views())
 
-    def _judged(self, kind: str, lines: Iterable[Any]) -> list[Any]:
+    def _judge_lines(self, kind: str, lines: Iterable[Any]) -> list[Any]:
         """Return the lines, each compared with its id and its entries.
 
         Training would take an altered line for what it is not. Raises InputError.

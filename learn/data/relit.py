@@ -101,7 +101,7 @@ class RelitDataset:
         views = self.data_split.views[
             rng.choice(len(self.data_split.views), count, count > drawable, self.probabilities)
         ]
-        chosen = [self.names[i] for i in rng.choice(self._admitted(k), 2 * self.data.regions)]
+        chosen = [self.names[i] for i in rng.choice(self._admitted_count(k), 2 * self.data.regions)]
         channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
         labels = np.stack(
             [
@@ -109,7 +109,7 @@ class RelitDataset:
                 for name, c in zip(chosen, channels, strict=True)
             ]
         )
-        chosen, labels = self._augmented_labels(k, g, chosen, labels)
+        chosen, labels = self._augment_labels(k, g, chosen, labels)
         if training:
             L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
             if self.data.unknown_camera:
@@ -124,7 +124,7 @@ class RelitDataset:
         n, segments = self._geometry(views)
         depths: dict[int, np.ndarray] = {}
         if training and self.data.deformations:
-            n, segments, depths = self._deformed(views, n, segments, (k, g))
+            n, segments, depths = self._deform(views, n, segments, (k, g))
         images = self._pictures(n, segments, label, L)
         rng_of_patterns = self._generator(k, g, PATTERNS)
         if self.printed and rng_of_patterns.random() < self.printed:
@@ -137,7 +137,7 @@ class RelitDataset:
                 lambda of_lobe: self._pictures(n, segments, of_lobe, L),
             )
         if training and self.data.shadows:
-            images = self._shadowed(images, views, n, segments, depths, label, L, (k, g))
+            images = self._add_shadows(images, views, n, segments, depths, label, L, (k, g))
         names = [
             f"{self.data_split.geometry.views[v].shape} view"
             f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
@@ -183,20 +183,20 @@ class RelitDataset:
             )
         return result / result.sum()
 
-    def _augmented_labels(
+    def _augment_labels(
         self, k: int, g: int, names: list[str], labels: np.ndarray
     ) -> tuple[list[str], np.ndarray]:
         """Return names and labels (M, 108), some replaced as the run's shares say."""
         if self.augmentation is None:
             return names, labels
-        rng, admitted = self._generator(k, g, LABELS), self.names[: self._admitted(k)]
+        rng, admitted = self._generator(k, g, LABELS), self.names[: self._admitted_count(k)]
         drawn = [
             self.augmentation.draw(rng, name, label, admitted)
             for name, label in zip(names, labels, strict=True)
         ]
         return [name for name, _ in drawn], np.stack([label for _, label in drawn])
 
-    def _admitted(self, k: int) -> int:
+    def _admitted_count(self, k: int) -> int:
         """Return the number of materials that batch k draws from (the gloss curriculum)."""
         if not self.data.gloss_curriculum or self.data_split.side != "train":
             return len(self.names)
@@ -215,7 +215,7 @@ class RelitDataset:
         )
         return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
 
-    def _deformed(
+    def _deform(
         self,
         views: np.ndarray,
         n: torch.Tensor,
@@ -230,7 +230,7 @@ class RelitDataset:
         rng, geometry = self._generator(*number, DEFORMATIONS), self.data_split.geometry
         n, segments, depths = n.clone(), segments.clone(), {}
         for i in np.nonzero(rng.random(len(n)) < self.data.deformations)[0]:
-            depth = self._reduced(geometry.depth(views[i])) if self.data.shadows else None
+            depth = self._reduce(geometry.depth(views[i])) if self.data.shadows else None
             half_extent = geometry.cameras[views[i]].half_extent
             deformed = deformations.deform(
                 rng, n[i].numpy(), segments[i].numpy(), depth, half_extent
@@ -240,7 +240,7 @@ class RelitDataset:
                 depths[int(i)] = deformed.depth
         return n, segments, depths
 
-    def _reduced(self, values: np.ndarray) -> np.ndarray:
+    def _reduce(self, values: np.ndarray) -> np.ndarray:
         """Return stored values (H, W, …) at the size of pictures."""
         step = len(values) // self.size
         return values[step // 2 :: step, step // 2 :: step]
@@ -268,7 +268,7 @@ class RelitDataset:
             )
         return to_numpy(picture.clamp(0, BRIGHTEST))
 
-    def _shadowed(
+    def _add_shadows(
         self,
         images: np.ndarray,
         views: np.ndarray,
@@ -295,7 +295,7 @@ class RelitDataset:
                 position, view = shadows.positions(depths[i], distant)
             else:
                 position, view = (
-                    self._reduced(each)
+                    self._reduce(each)
                     for each in shadows.positions(geometry.depth(views[i]), camera)
                 )
             factor = shadows.factor(

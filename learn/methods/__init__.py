@@ -104,7 +104,10 @@ def load(name: object) -> ModuleType:
 
 
 def refusal(name: str, why: str = COMPILED) -> str:
-    """The error message where a method's derivatives are differentiated again; why: the reason."""
+    """Return the error message where a method's derivatives are differentiated again.
+
+    why  the reason
+    """
     return (
         f'method: expected "exact" where derivatives are differentiated again, found "{name}",'
         f' {why} (render with method="exact")'

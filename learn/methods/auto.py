@@ -133,7 +133,10 @@ def plan_sums(
 
 
 def improve_strategy(part: planned.Sum, _: Miss) -> planned.Strategy:
-    """A strategy of smaller error: more lights, a larger map, less culling; the same if none is."""
+    """Return a strategy of smaller error, or the same one if there is none.
+
+    It has more lights, a larger map or less culling.
+    """
     strategy, scene = part.strategy, part.scene
     culled = max(strategy.culled / 2.5, GUARANTEED)
     if strategy.size:

@@ -93,7 +93,10 @@ def plan_sums(
 
 
 def improve_strategy(part: planned_views.Sum, miss: Miss) -> Strategy:
-    """A strategy of smaller error: more lights, and what `improve_maps` or less culling gives."""
+    """Return a strategy of smaller error, or the same one if there is none.
+
+    It has more lights, and what `improve_maps` or less culling gives.
+    """
     strategy, scene = part.strategy, part.scene
     level = strategy.level
     if level:
@@ -188,7 +191,10 @@ def choose_strategies(
 
 
 def view_count(scene: planned_views.Scene, lobe: int, mirrored: bool, least: int) -> int:
-    """The fewest views, `least` or more, that keep their part of the tolerance; 0 if none do."""
+    """Return the fewest views that keep their part of the tolerance, 0 if none do.
+
+    least  of them that are tried
+    """
     for count in (1, 3) if mirrored else (1, 3, 6):
         share = ONE_VIEW[mirrored] if count == 1 else MORE
         if count >= least and view_error(scene, lobe, count, mirrored) <= share * scene.tolerance:

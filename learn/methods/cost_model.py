@@ -49,7 +49,10 @@ def choose_samples(pixels: int, texels: int) -> list[np.ndarray]:
 
 
 def keeps_tolerance(error: np.ndarray, level: float, tolerance: float) -> bool:
-    """Whether errors (S, 3) on a sample keep the tolerance, with a margin by their spread."""
+    """Return whether errors (S, 3) on a sample keep the tolerance.
+
+    A margin by their spread stands for the pixels that are not in the sample.
+    """
     by_pixel = error.mean(-1)
     uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
     return (
@@ -100,7 +103,10 @@ def light_error(rows: int, sharp: float) -> float:
 
 
 def map_size(sharp: float, error: float, detail: Sequence[float] = (1.0,), rows: int = 64) -> int:
-    """The smallest map whose predicted error is within `error`; LARGEST + 1 if there is none."""
+    """Return the size of the smallest map whose predicted error is within `error`.
+
+    It is LARGEST + 1 if there is none.
+    """
     enough = np.flatnonzero(map_error(SIZES, sharp, detail, rows) <= error)
     return int(SIZES[enough[0]]) if len(enough) else reflectance_map.LARGEST + 1
 

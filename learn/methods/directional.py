@@ -84,7 +84,10 @@ def approximate_radiance(
     error: float,
     method: str = "directional",
 ) -> torch.Tensor:
-    """Radiance (P, 3); each pixel may lack the part `error` of the picture's mean radiance."""
+    """Return radiance (P, 3) of which each pixel may lack some.
+
+    error  the part of the picture's mean radiance that it may lack
+    """
     return radiance(
         n, view, m, E, lights, error * mean_radiance(n, view, m, E, lights), method=method
     )

@@ -40,7 +40,10 @@ LEAST, MOST = 64, 4096
 
 
 def light_count(tolerance: float) -> int:
-    """Number of lights for a tolerance without sharp lobes: the error falls about as 1 / lights."""
+    """Return the number of lights for a tolerance without sharp lobes.
+
+    The error falls about as 1 / lights.
+    """
     return int(np.clip(2 ** math.ceil(math.log2(4.0 / tolerance)), LEAST, MOST))
 
 
@@ -136,7 +139,7 @@ def regions(energy: np.ndarray, count: int) -> np.ndarray:
 
 
 def halve_boxes(boxes: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Each box (R, 4) replaced by two halves of equal energy, or by itself if it is one texel."""
+    """Return two halves of equal energy for each box (R, 4), and boxes of one texel as they are."""
     height = table.shape[0] - 1
     top, bottom, left, right = boxes.T
     tall, wide = bottom - top, (right - left) * np.sin(np.pi * (top + bottom) / (2 * height))

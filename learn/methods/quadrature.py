@@ -310,7 +310,10 @@ def sum_over_samples_and_texels(
 
 
 def sharpness_limit(rows: float, tolerance: float, otherwise: float) -> float:
-    """Largest sharpness for which a sum over so many rows serves; `otherwise` if for none."""
+    """Return the largest sharpness for which a sum over so many rows serves.
+
+    otherwise  what is returned if it serves none
+    """
     return BROAD * (rows / 64) ** 2 if rows >= least_rows(tolerance) else otherwise
 
 

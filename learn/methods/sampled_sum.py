@@ -94,7 +94,10 @@ def radiance(
 
 
 def has_kernels(n: torch.Tensor, m: torch.Tensor) -> bool:
-    """Whether learn.engines.sample_directions takes these tensors; plain torch takes the others."""
+    """Return whether learn.engines.sample_directions takes these tensors.
+
+    Plain torch takes the others.
+    """
     if n.dtype != torch.float32 or n.device.type != "cpu" or not machine_code.is_available():
         return False
     most = MAX_EXPONENT if torch.is_grad_enabled() and m.requires_grad else LARGEST_IN_KERNEL

@@ -151,7 +151,7 @@ class Compact(Coded):
         regions   S; None: the highest of segments. A region that no pixel shows is read from the
                   rest of the picture
         """
-        features, deep = self._encoded(picture_code(image, mask))
+        features, deep = self._encode(picture_code(image, mask))
         predicted = code = light_code = None
         if n is None or "normals" in parts:
             predicted = self._normals(features)
@@ -171,7 +171,7 @@ class Compact(Coded):
         )
         return Prediction(predicted if "normals" in parts else None, code, label, light_code, light)
 
-    def _encoded(self, x):
+    def _encode(self, x):
         features, x = [], F.pixel_unshuffle(x, 2)
         for down, deepen in zip(self.down, self.deepen, strict=True):
             x = deepen(down(x))

@@ -76,17 +76,17 @@ class EncoderDecoder(Coded):
         features = self.encode(x)
         f_m, f_t = self.read(features[-1]), self.embed(self.ranges.code(target)[:, 0])
         code, embedded = (torch.tanh(self.regress(f).float())[:, None] for f in (f_m, f_t))
-        picture = F.softplus(self._decoded(f_t, features, F.pixel_unshuffle(x, 2)))
+        picture = F.softplus(self._decode(f_t, features, F.pixel_unshuffle(x, 2)))
         return Edited(code, self.ranges.label(code), embedded, picture)
 
-    def _decoded(self, f_t, features, picture):
-        x = self._swapped(len(features) - 1, features[-1], f_t)
+    def _decode(self, f_t, features, picture):
+        x = self._swap_statistics(len(features) - 1, features[-1], f_t)
         for level in reversed(range(len(features) - 1)):
             x = self.up[level](torch.cat([features[level], F.interpolate(x, scale_factor=2.0)], 1))
-            x = self._swapped(level, x, f_t)
+            x = self._swap_statistics(level, x, f_t)
         return F.pixel_shuffle(self.last(torch.cat([x, picture.to(x)], 1)), 2).float()
 
-    def _swapped(self, level, x, f_t):
+    def _swap_statistics(self, level, x, f_t):
         """Return features (B, C, h, w) scaled and shifted per channel by the target material's."""
         scale, shift = self.swap[level](f_t)[..., None, None].chunk(2, 1)
         return x * (1 + scale) + shift

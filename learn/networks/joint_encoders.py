@@ -38,8 +38,8 @@ class JointEncoders(CompactWrapped):
         self.of_normals = NormalsPretrained(ranges)
         self.narrow = nn.Conv2d(GROUPS[-1][1], WIDTHS[-1], 1)
 
-    def _encoded(self, x):
-        own, deep = super()._encoded(x)
+    def _encode(self, x):
+        own, deep = super()._encode(x)
         others = self.of_normals.features_of(x)
         beside = F.silu(self.narrow(others[-1]))
         return (own, others), torch.cat([deep, F.interpolate(beside, deep.shape[-2:])], 1)

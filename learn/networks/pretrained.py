@@ -51,10 +51,10 @@ class SamePadded(nn.Conv2d):
             # forward and backward, all of the encoder's depthwise filters take oneDNN 0.13 s of a
             # batch of 16 in float32 and 0.35 s in bfloat16 (docs/log.md)
             with torch.autocast("cpu", enabled=False):
-                return self._convolved(x.float())
-        return self._convolved(x)
+                return self._convolve(x.float())
+        return self._convolve(x)
 
-    def _convolved(self, x):
+    def _convolve(self, x):
         if (total := self.kernel_size[0] - self.stride[0]) > 0:
             first = total // 2
             if total % 2 == 0:
@@ -116,7 +116,7 @@ class CompactPretrained(CompactWrapped):
         )
         self.normals = nn.Conv2d(DECODED[0], 12, 3, 1, 1)
 
-    def _encoded(self, x):
+    def _encode(self, x):
         features = self._features(x)
         return features, F.relu(self.narrow(features[-1]))
 

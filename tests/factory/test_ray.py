@@ -212,11 +212,11 @@ def test_a_shot_that_fails_is_tried_once_more_and_the_rest_of_its_slice_goes_on(
     worker = _Worker(None, None, None, list(shots[:3]), unit=deque(shots[3:5]))
     replies = [Reply(made=shots[0].id), Reply(bad=shots[1].id, reason="no")]
     lines = [msgspec.json.encode(reply) for reply in replies]
-    assert [shot.id for shot, _ in made._received(worker, lines)] == [shots[0].id]
+    assert [shot.id for shot, _ in made._receive(worker, lines)] == [shots[0].id]
     assert [shot.id for shot in worker.unit] == [shot.id for shot in shots[2:5]]
     assert [shot.id for shot in made._retries] == [shots[1].id]
     worker.pending = [made._retries.popleft()]
-    ((shot, reply),) = made._received(worker, lines[1:])
+    ((shot, reply),) = made._receive(worker, lines[1:])
     assert shot.id == shots[1].id and reply.bad
 
 

@@ -138,8 +138,8 @@ def test_matte_first_draws_the_mattest_third_at_first_and_all_in_the_end(data_sp
         data_splits["train"].geometry, np.arange(1), labels, data_splits["train"].maps, "train"
     )
     source = RelitDataset(data_split, Data(sharing=1, gloss_curriculum=10), 1, SIZE, 1)
-    assert source.names[: source._admitted(0)] == order[:3]
-    assert (source._admitted(10), source._admitted(1000)) == (9, 9)
+    assert source.names[: source._admitted_count(0)] == order[:3]
+    assert (source._admitted_count(10), source._admitted_count(1000)) == (9, 9)
 
 
 def test_gloss_is_the_narrowest_lobes():

@@ -70,7 +70,7 @@ def test_the_encoder_computes_what_its_tensors_names_say():
     network.take_encoder(stored)
     x = torch.randn(1, 4, 64, 96, generator=torch.Generator().manual_seed(0)) / 3
     with torch.no_grad():
-        features, _ = network._encoded(x)
+        features, _ = network._encode(x)
         expected = classified_features(2 * x[:, :3], stored)
     assert expected.abs().max() > 1
     torch.testing.assert_close(features[-1], expected, rtol=1e-4, atol=1e-4)
