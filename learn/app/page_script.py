@@ -10,7 +10,8 @@ from learn.app.session import MOST_BYTES
 #   place of the page
 # - moves the line between the photograph and its edit with arrow keys
 # - says aloud what changes; names pictures and what is drawn on
-# - remembers which tab is open, for the page that is loaded again
+# - remembers which tab is open, and whether the photograph is being analysed, for the page that is
+#   loaded again
 SCRIPT = """
 () => {
   const find = selector => document.querySelector(selector);
@@ -84,6 +85,11 @@ SCRIPT = """
     setTimeout(() => say(handle), 100);
   });
 
+  addEventListener('pagehide', () => {
+    const busy = find('#stop')?.checkVisibility() ? 'yes' : 'no';
+    try { sessionStorage.setItem('brdfactory-busy', busy); } catch {}
+  });
+
   const live = '#status, #shown, #progress, #improving, #made, #count';
   const names = [
     ['#marking img', 'alt', 'The photograph. A click on it marks the object.'],
@@ -133,12 +139,17 @@ for name, text in (
 RECALL_KEY = """() => {
   try { return [sessionStorage.getItem('brdfactory-session') || ''] } catch { return [''] }
 }"""
-# The tab that was open is opened again if the session is the one that the page had.
+# If the session is the one that the page had, the tab that was open is opened again, and the
+# photograph that was being analysed is analysed again.
 KEEP_KEY = """key => {
   try {
     const before = sessionStorage.getItem('brdfactory-session');
     sessionStorage.setItem('brdfactory-session', key);
     const tab = sessionStorage.getItem('brdfactory-tab');
+    const busy = sessionStorage.getItem('brdfactory-busy') === 'yes';
+    sessionStorage.setItem('brdfactory-busy', 'no');
+    if (before === key && busy)  // as soon as the button can be pressed
+      setTimeout(() => document.querySelector('#decompose:enabled')?.click(), 500);
     if (before !== key) sessionStorage.setItem('brdfactory-tab', '1');
     else if (tab)
       [...document.querySelectorAll('[role=tab]')].find(e => e.innerText[0] === tab)?.click();

@@ -590,7 +590,10 @@ def test_a_page_that_is_loaded_again_goes_on_and_another_page_sees_nothing(serve
         window.wait("document.querySelector('#marking img')?.naturalWidth")
         walk.wait_for("#status", "in 2 parts")
         assert window.run(f"return {kept}") == key and key not in window.run("return location.href")
+        # a page that is loaded again while it analyses the photograph does so again
         window.click("#decompose")
+        window.wait("document.querySelector('#stop')?.checkVisibility()")
+        window.reload()
         window.wait("document.querySelector('#editor img')")
         window.reload()
         # the tab that was open is open again
