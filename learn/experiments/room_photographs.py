@@ -48,6 +48,7 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: float
     elevation_deg: float
     distance: float
+    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it
 
 
 class Case(NamedTuple):
