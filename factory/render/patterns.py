@@ -5,7 +5,7 @@ coordinates in metres along the surface, which `add_coordinates` gives a mesh.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 import numpy as np
@@ -17,7 +17,7 @@ LENGTH = 8.0  # of a plank, in widths
 GROUT = 0.04  # widths of tiles and bricks
 SOFT = 0.3  # of the contrast of mottled surfaces
 
-Socket = bpy.types.NodeSocket
+Socket: TypeAlias = bpy.types.NodeSocket
 
 
 def add_coordinates(mesh: bpy.types.Mesh, scale: float = 1.0) -> None:

@@ -92,19 +92,27 @@ def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "look"),
+    [((), ("plain", 48)), (("--surroundings", "varied", "--samples", "16"), ("varied", 16))],
+)
 def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
-    tmp_path, monkeypatch, capsys
+    tmp_path, monkeypatch, capsys, options, look
 ):
-    places = []
+    places, looks = [], []
 
-    def rendered(plan, folder, size):
+    def rendered(plan, folder, size, samples):
         places.append(folder.name)
+        looks.append((plan.surroundings, samples))
         return folder.name != "0001"
 
     monkeypatch.setattr(objects_in_rooms, "rendered", rendered)
-    monkeypatch.setattr("sys.argv", ["rooms", "--scenes", "3", "--out", str(tmp_path / "out")])
+    monkeypatch.setattr(
+        "sys.argv", ["rooms", "--scenes", "3", *options, "--out", str(tmp_path / "out")]
+    )
     objects_in_rooms.main()
     assert places == ["0000", *["0001"] * objects_in_rooms.PLACES, "0002"]
+    assert set(looks) == {look}
     (line,) = [each for each in capsys.readouterr().err.splitlines() if "left out" in each]
     assert str(tmp_path / "out" / "0001") in line
 

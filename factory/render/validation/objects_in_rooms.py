@@ -19,7 +19,8 @@ continues.
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
   scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place,
-                surroundings, materials, and the camera: azimuth and elevation in degrees, distance in metres
+                surroundings, materials, and the camera: azimuth and elevation in degrees,
+                distance in metres
 
 Shapes take turns: the program's families for development, families that no training has, and files
 of FOLDER. The camera looks at the object from where nothing stands between them.
@@ -50,6 +51,7 @@ from manifests import exr
 from manifests.files import write_image, write_json
 from manifests.materials import load_catalogue
 from manifests.notices import notice
+from manifests.option_types import positive
 from manifests.progress import tqdm
 from shaders import envmap, nodes
 from shaders.tone import LUMINANCE
@@ -283,6 +285,9 @@ def main() -> None:
         __doc__, "scenes", 36, seed=41, size=SIZE, reference=None, meshes=True
     )
     parser.add_argument("--surroundings", choices=SURROUNDINGS, default=SURROUNDINGS[0])
+    parser.add_argument(
+        "--samples", type=positive, default=SAMPLES, metavar="N", help="of each pixel"
+    )
     options = command_line.parse(parser, what="of the scenes' folders")
     meshes = meshes_of(options.meshes)
     for number in tqdm(range(options.scenes), unit="scene"):
@@ -291,7 +296,7 @@ def main() -> None:
             continue
         for attempt in range(PLACES):
             plan = planned(number, attempt, options.seed, meshes, options.surroundings)
-            if rendered(plan, folder, options.size):
+            if rendered(plan, folder, options.size, options.samples):
                 break
         else:
             notice(f"{folder}: left out, because no place of {PLACES} has a free view")
