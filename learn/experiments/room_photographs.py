@@ -244,7 +244,7 @@ def write_sheet(
         rows += [
             [
                 (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
-                ("edit", np.where(photo.mask[..., None], edited, photo.pixels)),
+                ("edit", edited),
                 (f"truth: {truth.material}", tone.display(truth.frame, photo.exposure)),
             ]
         ]
