@@ -552,6 +552,7 @@ REPORTS = {
     "room-photographs-unrefined": "room-photographs",
     "room-photographs-varied": "room-photographs",
     "room-photographs-varied-others": "room-photographs",
+    "room-photographs-varied-others-unrefined": "room-photographs",
     "room-photographs-varied-unrefined": "room-photographs",
     "exposure-line-varied": "exposure-line",
 }
