@@ -23,13 +23,37 @@ LAMP_COLOURS = ((1.0, 0.62, 0.33), (1.0, 0.78, 0.58), (1.0, 0.92, 0.84), (0.85, 
 
 
 @dataclass(frozen=True)
+class Pattern:
+    """What is on a surface beside its colour (factory.render.patterns draws it).
+
+    kind    of factory.lights.surroundings.KINDS
+    colour  the second one
+    size    in metres, of what repeats
+    turn    radians, within the surface
+    offset  metres along the surface, so that no two surfaces show the same place of a pattern
+    """
+
+    kind: str
+    colour: Triple
+    size: float
+    turn: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Material:
-    """A Principled material; emission in W/(m² sr) makes it a lamp."""
+    """A Principled material; emission in W/(m² sr) makes it a lamp.
+
+    part  of a scene that is made of it: "wall", "floor", "ceiling", "ground", "building",
+          "picture", "furniture" or "table"
+    """
 
     colour: Triple
     roughness: float = 0.6
     metallic: float = 0.0
     emission: float = 0.0
+    part: str = ""
+    pattern: Pattern | None = None
 
 
 @dataclass(frozen=True)
@@ -100,13 +124,15 @@ def _sky(rng: np.random.Generator, strength: float) -> Sky:
     )
 
 
-def _paint(rng: np.random.Generator, brightness: tuple[float, float], colour: float) -> Material:
+def _paint(
+    rng: np.random.Generator, brightness: tuple[float, float], colour: float, part: str
+) -> Material:
     """A matte or glossy surface; colour: how far from grey it may be."""
     value = rng.uniform(*brightness)
     tint = np.clip(1 + colour * rng.normal(size=3), 0.05, 1.6)
     red, green, blue = (float(c) for c in np.clip(value * tint, 0.01, 0.95))
     metal = float(rng.random() < 0.08)
-    return Material((red, green, blue), float(rng.uniform(0.1, 0.9)), metal)
+    return Material((red, green, blue), float(rng.uniform(0.1, 0.9)), metal, part=part)
 
 
 def _lamp(rng: np.random.Generator, watts: float, area: float) -> Material:
@@ -120,14 +146,15 @@ def _room(rng: np.random.Generator) -> Scene:
     size = rng.uniform((3.0, 3.0, 2.3), (9.0, 7.0, 3.8))
     eye = rng.uniform((0.3, 0.3, 0.25), (0.7, 0.7, 0.5)) * size
     low, high = -eye, size - eye
-    wall, floor = _paint(rng, (0.3, 0.85), 0.08), _paint(rng, (0.08, 0.6), 0.25)
-    ceiling = _paint(rng, (0.6, 0.9), 0.04)
+    wall = _paint(rng, (0.3, 0.85), 0.08, "wall")
+    floor = _paint(rng, (0.08, 0.6), 0.25, "floor")
+    ceiling = _paint(rng, (0.6, 0.9), 0.04, "ceiling")
     boxes = [
         _box(low - 0.2, (high[0] + 0.2, high[1] + 0.2, low[2]), floor),
         _box((low[0] - 0.2, low[1] - 0.2, high[2]), high + 0.2, ceiling),
     ]
     street = low[2] - rng.uniform(0.3, 12.0)
-    outside = _paint(rng, (0.05, 0.4), 0.2)
+    outside = _paint(rng, (0.05, 0.4), 0.2, "ground")
     boxes.append(_box((-300, -300, street - 1), (300, 300, street), outside))
     windows = set(rng.permutation(4)[: int(rng.choice([0, 1, 2, 3], p=[0.2, 0.4, 0.3, 0.1]))])
     for side in range(4):
@@ -212,7 +239,7 @@ def _picture(rng, low, high) -> Box:
     centre = rng.uniform(low[along] + 0.6, high[along] - 0.6), rng.uniform(0.0, high[2] - 0.6)
     a[along], b[along] = centre[0] - half[0], centre[0] + half[0]
     a[2], b[2] = centre[1] - half[1], centre[1] + half[1]
-    return _box(a, b, _paint(rng, (0.05, 0.8), 0.6))
+    return _box(a, b, _paint(rng, (0.05, 0.8), 0.6, "picture"))
 
 
 def _piece(rng, low, high) -> Furniture:
@@ -222,7 +249,7 @@ def _piece(rng, low, high) -> Furniture:
         place = rng.uniform(low + 0.3, high - 0.3)
         if np.hypot(place[0], place[1]) > radius + 0.5:
             break
-    material = _paint(rng, (0.03, 0.8), 0.5)
+    material = _paint(rng, (0.03, 0.8), 0.5, "furniture")
     spec = f"{family}:{int(rng.integers(SEEDS))}"
     spot = (float(place[0]), float(place[1]), float(low[2]))
     return Furniture(spec, spot, radius, float(rng.uniform(0, 2 * np.pi)), material)
@@ -231,7 +258,7 @@ def _piece(rng, low, high) -> Furniture:
 def _outdoors(rng: np.random.Generator) -> Scene:
     """Ground, perhaps buildings and things that stand about, under the sky."""
     eye = rng.uniform(0.8, 1.8)
-    ground = _paint(rng, (0.05, 0.5), 0.25)
+    ground = _paint(rng, (0.05, 0.5), 0.25, "ground")
     boxes = [_box((-300, -300, -eye - 1), (300, 300, -eye), ground)]
     for _ in range(int(rng.choice([0, 2, 6, 14]))):
         distance, angle = rng.uniform(6, 60), rng.uniform(0, 2 * np.pi)
@@ -241,7 +268,7 @@ def _outdoors(rng: np.random.Generator) -> Scene:
             continue
         start = (centre[0] - size[0] / 2, centre[1] - size[1] / 2, -eye)
         finish = (centre[0] + size[0] / 2, centre[1] + size[1] / 2, size[2] - eye)
-        boxes.append(_box(start, finish, _paint(rng, (0.08, 0.7), 0.25)))
+        boxes.append(_box(start, finish, _paint(rng, (0.08, 0.7), 0.25, "building")))
     low, high = np.array([-6.0, -6.0, -eye]), np.array([6.0, 6.0, 3.0])
     pieces = [_piece(rng, low, high) for _ in range(int(rng.integers(0, 5)))]
     return Scene(_sky(rng, 1.0), tuple(boxes), (), tuple(pieces))

@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from factory.lights.interiors import Box, Furniture, Material, Scene, Sky
-from factory.render import body, render_result
+from factory.render import body, patterns, render_result
 from factory.render.settings import ALWAYS, Setting, apply
 from factory.shapes.catalogue import load
 from factory.shapes.mesh import Mesh
@@ -212,6 +212,9 @@ def _material(material: Material) -> bpy.types.Material:
     node.inputs["Base Color"].default_value = (*material.colour, 1.0)
     node.inputs["Roughness"].default_value = material.roughness
     node.inputs["Metallic"].default_value = material.metallic
+    if material.pattern:
+        shown = patterns.colour(made.node_tree, material, material.pattern)
+        made.node_tree.links.new(shown, node.inputs["Base Color"])
     if material.emission:
         node.inputs["Emission Color"].default_value = (*material.colour, 1.0)
         node.inputs["Emission Strength"].default_value = material.emission
@@ -227,6 +230,8 @@ def _add(
     azimuth: float = 0.0,
 ) -> None:
     mesh.materials.append(_material(material))
+    if material.pattern:
+        patterns.add_coordinates(mesh, scale)
     thing = bpy.data.objects.new("thing", mesh)
     thing.location, thing.scale, thing.rotation_euler = place, (scale,) * 3, (0, 0, azimuth)
     stage.collection.objects.link(thing)

@@ -48,6 +48,7 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: float
     elevation_deg: float
     distance: float
+    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it
 
 
 class Case(NamedTuple):
@@ -243,7 +244,7 @@ def write_sheet(
         rows += [
             [
                 (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
-                ("edit", np.where(photo.mask[..., None], edited, photo.pixels)),
+                ("edit", edited),
                 (f"truth: {truth.material}", tone.display(truth.frame, photo.exposure)),
             ]
         ]

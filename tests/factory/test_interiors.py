@@ -113,3 +113,14 @@ def test_a_map_that_fails_keeps_those_before_it_and_begins_none_after_it(tmp_pat
         lights.run_make(options)
     assert list(library.read_list(tmp_path)) == ["interior-0", "interior-1"]
     assert len(begun) < 40
+
+
+def test_plans_are_those_of_the_published_lights_and_rooms():
+    numbers = [
+        value
+        for scene in map(interiors.draw, range(10))
+        for thing in (*scene.boxes, *scene.furniture)
+        for value in (*thing.material.colour, thing.material.roughness)
+    ]
+    assert len(numbers) == 636
+    assert sum(numbers) == pytest.approx(328.749245, abs=1e-6)

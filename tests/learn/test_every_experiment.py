@@ -550,6 +550,11 @@ REPORTS = {
     "room-photographs-others": "room-photographs",
     "room-photographs-two-encoders": "room-photographs",
     "room-photographs-unrefined": "room-photographs",
+    "room-photographs-varied": "room-photographs",
+    "room-photographs-varied-others": "room-photographs",
+    "room-photographs-varied-others-unrefined": "room-photographs",
+    "room-photographs-varied-unrefined": "room-photographs",
+    "exposure-line-varied": "exposure-line",
 }
 NOT_PUBLISHED = {
     "compare-weights",  # its reports are named by what they compare

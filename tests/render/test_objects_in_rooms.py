@@ -1,6 +1,8 @@
 """Scenes of objects in furnished rooms: what is planned, and what is rendered of it."""
 
+import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -33,11 +35,34 @@ def test_the_table_ends_where_the_object_begins_and_stands_on_the_floor():
     assert tuple(others) == interiors.draw(plan.place).boxes
 
 
+def test_varied_surroundings_change_surfaces_and_add_things_beside_the_object():
+    added = 0
+    for number in range(12):
+        plain = objects_in_rooms.planned(number, 0, 1, [])
+        plan = objects_in_rooms.planned(number, 0, 1, [], "varied")
+        assert plain.surroundings == "plain"
+        assert plan == dataclasses.replace(plain, surroundings="varied")
+        mesh = load("sphere:3")
+        bare, dressed = (objects_in_rooms.with_table(each, mesh) for each in (plain, plan))
+        table = dressed.boxes[-1]
+        assert (table.low, table.high) == (bare.boxes[-1].low, bare.boxes[-1].high)
+        assert table.material.part == "table"
+        assert bare.boxes[:-1] == interiors.draw(plan.place).boxes != dressed.boxes[:-1]
+        beside = dressed.furniture[len(bare.furniture) :]
+        added += len(beside)
+        for thing in beside:
+            assert thing.place[2] == pytest.approx(table.high[2])
+            assert math.hypot(*thing.place[:2]) > plan.radius + thing.radius
+            assert all(abs(thing.place[k]) < table.high[k] for k in (0, 1))
+    assert 6 < added <= 12 * objects_in_rooms.MOST_BESIDE
+
+
 def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
     plan = objects_in_rooms.planned(1, 0, 41, [])
     assert objects_in_rooms.rendered(plan, tmp_path / "a", size=32, samples=16)
     scene = json.loads((tmp_path / "a" / "scene.json").read_text())
     assert scene["shape"] == "dish:0" and tuple(scene["materials"]) == plan.materials
+    assert scene["surroundings"] == "plain"
     with Image.open(tmp_path / "a" / "mask.png") as picture:
         mask = np.array(picture) > 127
     row, column = np.nonzero(mask)
@@ -67,19 +92,27 @@ def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "look"),
+    [((), ("plain", 48)), (("--surroundings", "varied", "--samples", "16"), ("varied", 16))],
+)
 def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
-    tmp_path, monkeypatch, capsys
+    tmp_path, monkeypatch, capsys, options, look
 ):
-    places = []
+    places, looks = [], []
 
-    def rendered(plan, folder, size):
+    def rendered(plan, folder, size, samples):
         places.append(folder.name)
+        looks.append((plan.surroundings, samples))
         return folder.name != "0001"
 
     monkeypatch.setattr(objects_in_rooms, "rendered", rendered)
-    monkeypatch.setattr("sys.argv", ["rooms", "--scenes", "3", "--out", str(tmp_path / "out")])
+    monkeypatch.setattr(
+        "sys.argv", ["rooms", "--scenes", "3", *options, "--out", str(tmp_path / "out")]
+    )
     objects_in_rooms.main()
     assert places == ["0000", *["0001"] * objects_in_rooms.PLACES, "0002"]
+    assert set(looks) == {look}
     (line,) = [each for each in capsys.readouterr().err.splitlines() if "left out" in each]
     assert str(tmp_path / "out" / "0001") in line
 

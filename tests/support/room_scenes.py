@@ -33,4 +33,6 @@ def written(folder, size=64, scenes=1):
             "elevation_deg": 20.0,
             "distance": 1.0,
         }
+        if number:  # the first is as scenes were before surroundings could vary
+            scene["surroundings"] = "varied"
         (place / "scene.json").write_text(json.dumps(scene))

@@ -2,11 +2,15 @@
 
 python -m factory.render.validation.objects_in_rooms --scenes 36 --out DIR
 python -m factory.render.validation.objects_in_rooms --scenes 36 --meshes FOLDER --out DIR
+python -m factory.render.validation.objects_in_rooms --surroundings varied --seed 43 --out DIR
 
 The pictures of a data set show an object alone, under light from far away. Here it stands on a
 table in a room of factory.lights.interiors, so that light comes from near, walls and furniture are
 behind it, and the table shades and colours it. `python -m learn.experiments room-photographs` takes
 photographs of these pictures and compares their edits with the truth.
+
+Surroundings are "plain", as factory.lights.interiors draws them, or "varied": with the surfaces of
+factory.lights.surroundings, on the table too, which may be polished, and with other things on it.
 
 Each scene is a folder NUMBER of DIR, which is complete once it has scene.json: the same command
 continues.
@@ -14,8 +18,9 @@ continues.
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
-  scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place, materials,
-                and the camera: azimuth and elevation in degrees, distance in metres
+  scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place,
+                surroundings, materials, and the camera: azimuth and elevation in degrees,
+                distance in metres
 
 Shapes take turns: the program's families for development, families that no training has, and files
 of FOLDER. The camera looks at the object from where nothing stands between them.
@@ -34,8 +39,8 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from factory.lights import interiors
-from factory.lights.interiors import Box
+from factory.lights import interiors, surroundings
+from factory.lights.interiors import Box, Furniture
 from factory.render import body, materials, panorama, render_result, scene
 from factory.render.settings import Setting, apply, assign
 from factory.render.validation import command_line
@@ -46,6 +51,7 @@ from manifests import exr
 from manifests.files import write_image, write_json
 from manifests.materials import load_catalogue
 from manifests.notices import notice
+from manifests.option_types import positive
 from manifests.progress import tqdm
 from shaders import envmap, nodes
 from shaders.tone import LUMINANCE
@@ -59,6 +65,9 @@ ELEVATIONS = (8.0, 35.0)  # degrees
 ATTEMPTS = 12  # azimuths that are tried for a free view before another place is
 PLACES = 20  # that are tried for a scene
 EACH = 3  # materials of a scene
+SURROUNDINGS = ("plain", "varied")
+BESIDE = ("vessel", "toy", "lamp", "cushion", "letter", "tool", "dish")  # kinds of other things
+MOST_BESIDE = 4
 
 SEEDS = 6  # of each family
 OWN_FAMILIES, HELD_OUT_FAMILIES = (
@@ -84,10 +93,11 @@ FRAME = tuple(
 class Plan:
     """A scene that is to be rendered.
 
-    place      seed of factory.lights.interiors
-    radius     of the sphere about the object, metres
-    azimuths   in radians, of which the first with a free view is used
-    elevation  in radians
+    place         seed of factory.lights.interiors
+    radius        of the sphere about the object, metres
+    azimuths      in radians, of which the first with a free view is used
+    elevation     in radians
+    surroundings  of SURROUNDINGS
     """
 
     shape: str
@@ -96,10 +106,20 @@ class Plan:
     radius: float
     azimuths: tuple[float, ...]
     elevation: float
+    surroundings: str = SURROUNDINGS[0]
 
 
-def planned(number: int, attempt: int, seed: int, meshes: Sequence[Path]) -> Plan:
-    """Return scene `number` of a seed; each attempt has another place and camera."""
+def planned(
+    number: int,
+    attempt: int,
+    seed: int,
+    meshes: Sequence[Path],
+    look: str = SURROUNDINGS[0],
+) -> Plan:
+    """Return scene `number` of a seed; each attempt has another place and camera.
+
+    look  the Plan's surroundings, on which nothing else of it depends
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     groups: list[Sequence[Any]] = [OWN, HELD_OUT, *([meshes] if meshes else [])]
     group = groups[number % len(groups)]
@@ -113,6 +133,7 @@ def planned(number: int, attempt: int, seed: int, meshes: Sequence[Path]) -> Pla
         radius=float(rng.uniform(*RADII)),
         azimuths=tuple(float(a) for a in rng.uniform(0, 2 * math.pi, ATTEMPTS)),
         elevation=math.radians(rng.uniform(*ELEVATIONS)),
+        surroundings=look,
     )
 
 
@@ -126,7 +147,30 @@ def with_table(plan: Plan, mesh: Mesh) -> interiors.Scene:
     red, green, blue = (float(c) for c in rng.uniform(0.05, 0.7) * rng.uniform(0.6, 1, 3))
     look = interiors.Material((red, green, blue), roughness=float(rng.uniform(0.2, 0.9)))
     table = Box((-half[0], -half[1], floor), (half[0], half[1], top), look)
+    if plan.surroundings == "varied":
+        place = surroundings.varied(place, plan.place)
+        table = dataclasses.replace(table, material=surroundings.surface(rng, "table"))
+        beside = _others(rng, half, top, plan.radius)
+        place = dataclasses.replace(place, furniture=(*place.furniture, *beside))
     return dataclasses.replace(place, boxes=(*place.boxes, table))
+
+
+def _others(
+    rng: np.random.Generator, half: np.ndarray, top: float, radius: float
+) -> list[Furniture]:
+    """Return things that stand on a table beside an object of a radius, where there is room."""
+    things: list[Furniture] = []
+    for _ in range(int(rng.integers(MOST_BESIDE + 1))):
+        size = float(radius * rng.uniform(0.15, 0.5))
+        spot = rng.uniform(-1, 1, 2) * np.maximum(half - 0.7 * size, 0)
+        kind = f"{rng.choice(BESIDE)}:{int(rng.integers(interiors.SEEDS))}"
+        look = surroundings.surface(rng, "furniture", float(rng.random() < 0.15))
+        turn = float(rng.uniform(0, 2 * np.pi))
+        near = [math.dist(spot, thing.place[:2]) < size + thing.radius for thing in things]
+        if np.hypot(*spot) > radius + size and not any(near):
+            place = (float(spot[0]), float(spot[1]), top)
+            things.append(Furniture(kind, place, size, turn, look))
+    return things
 
 
 def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES) -> bool:
@@ -165,6 +209,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         "category": mesh.category,
         "place": "room" if _has_ceiling(place) else "sky",
         "seed": plan.place,
+        "surroundings": plan.surroundings,
         "materials": plan.materials,
         "azimuth_deg": math.degrees(azimuth),
         "elevation_deg": math.degrees(plan.elevation),
@@ -239,6 +284,10 @@ def main() -> None:
     parser = command_line.parser(
         __doc__, "scenes", 36, seed=41, size=SIZE, reference=None, meshes=True
     )
+    parser.add_argument("--surroundings", choices=SURROUNDINGS, default=SURROUNDINGS[0])
+    parser.add_argument(
+        "--samples", type=positive, default=SAMPLES, metavar="N", help="of each pixel"
+    )
     options = command_line.parse(parser, what="of the scenes' folders")
     meshes = meshes_of(options.meshes)
     for number in tqdm(range(options.scenes), unit="scene"):
@@ -246,7 +295,8 @@ def main() -> None:
         if (folder / "scene.json").exists():
             continue
         for attempt in range(PLACES):
-            if rendered(planned(number, attempt, options.seed, meshes), folder, options.size):
+            plan = planned(number, attempt, options.seed, meshes, options.surroundings)
+            if rendered(plan, folder, options.size, options.samples):
                 break
         else:
             notice(f"{folder}: left out, because no place of {PLACES} has a free view")
