@@ -25,8 +25,11 @@ def namespace(*arrays: object) -> Any:
 def like(values: Any, array: Array) -> Array:
     """Return `values` as a constant of the same library, dtype and device as `array`.
 
-    values  anything that numpy can read
+    values  anything that numpy can read, or a tensor, which may be on another device
     """
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(values, torch.Tensor):
+        return values.to(array)
     if namespace(array) is np:
         dtype = array.dtype if isinstance(array, np.ndarray | np.floating) else np.float64
         return np.asarray(values, dtype=dtype)

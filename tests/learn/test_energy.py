@@ -133,7 +133,10 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
     image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
     weights = explained_weights(image, torch.ones(100), 0.1)
     report = (root / "docs" / "refinement.md").read_text(encoding="utf-8")
-    assert f"a grey one in lamplight and daylight {float(weights[-1]):.2f}." in report
+    assert (
+        f"grey object in lamplight and daylight, it has a weight of {float(weights[-1]):.2f}."
+        in report
+    )
     assert float(weights[0]) == pytest.approx(1)
 
 
@@ -278,7 +281,7 @@ def test_defaults_are_those_that_the_documentation_tells(root):
     assert f"paper: a = {paper.a:g}, b = {paper.b:g}, c = {paper.c:g}" in report
     assert f"spherical harmonics up to degree {s.degree}," in report
     assert f"each held within {s.trust_region:g} of where its pass began" in report
-    assert f"| 1 | {', then '.join(s.order)}, each alone |" in report
+    assert f"| 1 | {', then '.join(s.order)}, one at a time |" in report
     assert f"under the whole map, rendered to {100 * s.tolerance:g} %" in report
     assert s.outer_iterations == 2 and "in one pass and evaluations in two" in report
 
@@ -291,9 +294,9 @@ def test_the_way_down_begins_under_few_lights_and_ends_under_all(root):
         0,
     ) and "steps of L-BFGS, at all pixels of the object" in report
     for line in (
-        "each alone | reduced to 32 × 64 |",
-        "| 2 | all three at once | reduced to 32 × 64 |",
-        "| 3 | all three at once | whole, 64 × 128 |",
+        "one at a time | reduced to 32 × 64 |",
+        "| 2 | all three together | reduced to 32 × 64 |",
+        "| 3 | all three together | whole, 64 × 128 |",
     ):
         assert line in report
     assert (first.light, last.light) == ((32, 64), (64, 128))
