@@ -38,11 +38,11 @@ def suggestion(name: object, known: Collection[str]) -> str:
 
     known  every name that would be understood
     """
-    word = str(name).lower()
+    word = str(name).strip().lower()
     near = difflib.get_close_matches(word, ALIKE, n=1, cutoff=NEAR)
     named = [k for k in known if word in k.lower().replace("_", "-").split("-")]
     looks = [k for k in (ALIKE[near[0]] if near else ()) if k in known]
-    if looks:
+    if looks and word not in known:
         more = [k for k in named if k not in looks][:2]
         return (
             f"these look like {near[0]}: {', '.join(looks + more)}; `python -m learn edit` also"

@@ -23,7 +23,7 @@ from learn.app.choices import (
     named_material,
 )
 from learn.data import photographs
-from learn.editing import material_expression, material_file
+from learn.editing import material_expression, material_file, targets
 from learn.networks import own_weights
 from manifests import files, reading
 from manifests.errors import InputError
@@ -136,7 +136,8 @@ def read(path: Path) -> Edit:
             label = np.asarray(entry.label, np.float32)
             label = material_file.require_label(label, path)
             return Chosen(entry.text, label, named=False, read=entry.read)
-        if material_expression.is_expression(entry.text):
+        is_measured = targets.MEASURED.fullmatch(entry.text)
+        if material_expression.is_expression(entry.text) and not is_measured:
             label = np.asarray(material_expression.fit_expression(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))
         return named_material(entry.text)

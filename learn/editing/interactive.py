@@ -275,7 +275,8 @@ def list_materials(result: "EditResult") -> list[dict]:
     """Return name, family, search words and label of each material.
 
     The materials read from the photograph are first, then those that the user named and that have
-    no name of their own, then the described ones, then the catalogue's.
+    no name of their own, or that a data set has in place of the catalogue's, then the described
+    ones, then the catalogue's.
     """
     own = result.decomposition.label
     names = (
@@ -285,8 +286,11 @@ def list_materials(result: "EditResult") -> list[dict]:
     catalogue = load_catalogue()
     for edit in result.edits:
         for text, label in targets.of_regions(edit.text, edit.labels):
-            if label is not None and text not in catalogue and text not in DESCRIBED:
-                here[targets.caption_of(text)] = label
+            if label is None:
+                continue
+            name = _name_of(text, label)
+            if name not in catalogue and name not in DESCRIBED:
+                here[name] = label
     materials = [
         {"name": name, "family": "this photograph", "words": "own original", "label": label}
         for name, label in here.items()
@@ -301,12 +305,23 @@ def list_materials(result: "EditResult") -> list[dict]:
     return materials
 
 
+def _name_of(text: str, label: np.ndarray) -> str:
+    """Return how the page calls a material that the user named by a text.
+
+    A data set's own materials are as measured; their names would stand for calibrated ones here.
+    """
+    named = text in DESCRIBED or text in load_catalogue()
+    if named and not np.array_equal(label, targets.label_of(text)):
+        return f"{text} of the data set"
+    return targets.caption_of(text)
+
+
 def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
     """Return the index of each region's material in the first edit; −1: it stays as it is."""
     index = {material["name"]: number for number, material in enumerate(materials)}
     first = result.edits[0]
     return [
-        -1 if label is None else index.get(targets.caption_of(text), index.get(text, 0))
+        -1 if label is None else index.get(_name_of(text, label), index.get(text, 0))
         for text, label in targets.of_regions(first.text, first.labels)
     ]
 

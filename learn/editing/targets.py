@@ -51,20 +51,24 @@ def resolve_labels(
         return material_file.read(path)
     if is_file(text) or (len(path.suffix) > 1 and path.suffix[1:].isalpha()):
         return of_picture(path)
-    as_measured = MEASURED.fullmatch(text)
-    named = find_material(as_measured[1] if as_measured else text)
-    label = named.label if as_measured else named.calibrated_label
-    return label.reshape(1, SIZE).astype(np.float32)
+    return label_of(text)[None]
 
 
 def label_of(name: str) -> np.ndarray:
     """Return the label (108,) float32 of a described material or one of the catalogue.
 
+    name    of a material, or measured(NAME)
     Raises  InputError for an unknown name
     """
     if name in DESCRIBED:
         return _fit(name).label.reshape(SIZE).astype(np.float32)
-    return find_material(name).calibrated_label.reshape(SIZE).astype(np.float32)
+    as_measured = MEASURED.fullmatch(name)
+    if as_measured and as_measured[1] in DESCRIBED:
+        remedy = f"{as_measured[1]} is described: name it alone"
+        raise InputError(f"material {name!r}", "a measured material", "none", remedy)
+    named = find_material(as_measured[1] if as_measured else name)
+    label = named.label if as_measured else named.calibrated_label
+    return label.reshape(SIZE).astype(np.float32)
 
 
 def find_material(name: str) -> Material:

@@ -48,7 +48,8 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: float
     elevation_deg: float
     distance: float
-    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it
+    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it, and samples
+    samples: int | None = None
 
 
 class Case(NamedTuple):

@@ -434,6 +434,14 @@ def test_a_coarse_map_is_read_at_the_nodes_of_a_finer_one() -> None:
     assert np.allclose(reflectance_store.finer(plane(16), 69)[inner], plane(64)[inner], atol=1e-4)
 
 
+def test_edit_json_may_name_a_material_as_it_was_measured(tmp_path: Path) -> None:
+    text = '{"regions": [{"first": {"text": "measured(brass)"}}]}'
+    (tmp_path / "edit.json").write_text(text)
+    (painted,) = edit_file.read(tmp_path / "edit.json").regions
+    label = load_catalogue()["brass"].label.reshape(-1).astype(np.float32)
+    np.testing.assert_array_equal(painted.first.label, label)
+
+
 @pytest.mark.parametrize("map_of_own", [False, True])
 def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None:
     read = Chosen("other.png", label_of("brass")[0], named=False, read=True)

@@ -3,6 +3,7 @@ be read back, and it asks for nothing outside itself.
 """
 
 import base64
+import dataclasses
 import io
 import json
 import re
@@ -203,6 +204,18 @@ def test_names_words_and_the_first_choice_are_in_the_header(made):
     assert header["chosen"] == [names.index("brass"), -1]
     assert "copper" in header["materials"][names.index("brass")]["words"]
     assert "car" not in header["materials"][names.index("brass")]["words"].split()
+
+
+def test_a_data_sets_own_material_is_no_other_on_the_page(made):
+    own = load_catalogue()["brass"].label.reshape(-1).astype(np.float32)
+    result = dataclasses.replace(
+        made.result,
+        edits=[edit.Edit("brass+keep", [own, None], made.result.edits[0].picture, None)],
+    )
+    materials = interactive.list_materials(result)
+    first, second = interactive.chosen_materials(result, materials)
+    assert materials[first]["name"] == "brass of the data set" and second == -1
+    np.testing.assert_array_equal(materials[first]["label"], own)
 
 
 def test_the_page_asks_for_nothing_outside_itself(made):

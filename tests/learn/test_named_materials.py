@@ -65,8 +65,13 @@ def test_edits_name_the_surface_or_what_was_measured_of_it():
     assert targets.split_by_region("measured(brass)+keep") == ["measured(brass)", "keep"]
     assert targets.file_name("measured(brass)") == "measured-brass"
     assert targets.fit_errors(["measured(brass)"]) == {}
-    with pytest.raises(InputError, match=r"material 'bras'.*brass"):
-        targets.resolve_labels("measured(bras)", lambda path: pytest.fail("no picture"))
+    for text, remedy in (
+        ("measured(bras)", "material 'bras'.*brass"),
+        ("measured(copper)", "copper is described: name it alone"),
+        ("Copper", r"did you mean copper\?"),
+    ):
+        with pytest.raises(InputError, match=remedy):
+            targets.resolve_labels(text, lambda path: pytest.fail("no picture"))
 
 
 @pytest.mark.parametrize("name", DESCRIBED)

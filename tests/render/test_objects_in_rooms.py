@@ -62,7 +62,7 @@ def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
     assert objects_in_rooms.rendered(plan, tmp_path / "a", size=32, samples=16)
     scene = json.loads((tmp_path / "a" / "scene.json").read_text())
     assert scene["shape"] == "dish:0" and tuple(scene["materials"]) == plan.materials
-    assert scene["surroundings"] == "plain"
+    assert scene["surroundings"] == "plain" and scene["samples"] == 16
     with Image.open(tmp_path / "a" / "mask.png") as picture:
         mask = np.array(picture) > 127
     row, column = np.nonzero(mask)
@@ -115,6 +115,29 @@ def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
     assert set(looks) == {look}
     (line,) = [each for each in capsys.readouterr().err.splitlines() if "left out" in each]
     assert str(tmp_path / "out" / "0001") in line
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        (("--surroundings", "varied"), "surroundings varied, found plain"),
+        (("--seed", "42"), "materials"),
+        (("--samples", "16"), "samples 16, found 48"),
+        ((), None),
+    ],
+)
+def test_a_folder_of_other_options_is_refused(tmp_path, monkeypatch, capsys, options, wrong):
+    plan = objects_in_rooms.planned(0, 3, 41, [])
+    scene = {"shape": plan.shape, "materials": plan.materials, "seed": plan.place, "samples": 48}
+    (tmp_path / "0000").mkdir()
+    (tmp_path / "0000" / "scene.json").write_text(json.dumps(scene))
+    monkeypatch.setattr(objects_in_rooms, "rendered", lambda *_: pytest.fail("rendered"))
+    monkeypatch.setattr("sys.argv", ["rooms", "--scenes", "1", *options, "--out", str(tmp_path)])
+    if wrong is None:
+        return objects_in_rooms.main()
+    with pytest.raises(SystemExit, match="2"):
+        objects_in_rooms.main()
+    assert wrong in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_place_that_cannot_be_written_is_a_wrong_option(tmp_path, monkeypatch, capsys):

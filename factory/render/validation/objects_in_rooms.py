@@ -13,14 +13,14 @@ Surroundings are "plain", as factory.lights.interiors draws them, or "varied": w
 factory.lights.surroundings, on the table too, which may be polished, and with other things on it.
 
 Each scene is a folder NUMBER of DIR, which is complete once it has scene.json: the same command
-continues.
+continues. Scenes of another seed, or of other shapes, surroundings or samples, are refused.
 
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
   scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place,
-                surroundings, materials, and the camera: azimuth and elevation in degrees,
-                distance in metres
+                surroundings, materials, samples of each pixel, and the camera: azimuth and
+                elevation in degrees, distance in metres
 
 Shapes take turns: the program's families for development, families that no training has, and files
 of FOLDER. The camera looks at the object from where nothing stands between them.
@@ -29,6 +29,7 @@ of FOLDER. The camera looks at the object from where nothing stands between them
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ from factory.render.validation.scenes import meshes_of
 from factory.shapes.catalogue import load as load_shape
 from factory.shapes.mesh import Mesh
 from manifests import exr
+from manifests.errors import InputError
 from manifests.files import write_image, write_json
 from manifests.materials import load_catalogue
 from manifests.notices import notice
@@ -68,6 +70,7 @@ EACH = 3  # materials of a scene
 SURROUNDINGS = ("plain", "varied")
 BESIDE = ("vessel", "toy", "lamp", "cushion", "letter", "tool", "dish")  # kinds of other things
 MOST_BESIDE = 4
+REMEDY = "give the options with which the folder was begun, or another folder"
 
 SEEDS = 6  # of each family
 OWN_FAMILIES, HELD_OUT_FAMILIES = (
@@ -204,19 +207,44 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
     mask = passes["IndexOB"][..., 0] > 0.5
     write_image(folder / "mask.png", 255 * mask.astype(np.uint8), "PNG")
     about = {
-        "shape": Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape,
+        "shape": shape_name(plan),
         "shape_hash": mesh.hash,
         "category": mesh.category,
         "place": "room" if _has_ceiling(place) else "sky",
         "seed": plan.place,
         "surroundings": plan.surroundings,
         "materials": plan.materials,
+        "samples": samples,
         "azimuth_deg": math.degrees(azimuth),
         "elevation_deg": math.degrees(plan.elevation),
         "distance": distance,
     }
     write_json(folder / "scene.json", about)
     return True
+
+
+def shape_name(plan: Plan) -> str:
+    """Return what a scene.json calls a plan's shape: a file goes by its name alone."""
+    return Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape
+
+
+def require_scene_of(plans: Sequence[Plan], samples: int, folder: Path) -> None:
+    """Raise InputError where a folder's scene is that of no plan; plans: of all attempts."""
+    path = folder / "scene.json"
+    about = json.loads(path.read_text("utf-8"))
+    plan = plans[0]
+    # scenes of before 2026-11-29 lack the last two
+    expected = {
+        "shape": (about.get("shape"), shape_name(plan)),
+        "materials": (tuple(about.get("materials", ())), plan.materials),
+        "surroundings": (about.get("surroundings", SURROUNDINGS[0]), plan.surroundings),
+        "samples": (about.get("samples", samples), samples),
+    }
+    for name, (written, requested) in expected.items():
+        if written != requested:
+            raise InputError(path, f"{name} {requested}", f"{written}", REMEDY)
+    if about.get("seed") not in {each.place for each in plans}:
+        raise InputError(path, "a place of this seed", f"{about.get('seed')}", REMEDY)
 
 
 def _has_ceiling(place: interiors.Scene) -> bool:
@@ -290,12 +318,22 @@ def main() -> None:
     )
     options = command_line.parse(parser, what="of the scenes' folders")
     meshes = meshes_of(options.meshes)
-    for number in tqdm(range(options.scenes), unit="scene"):
-        folder = options.out / f"{number:04d}"
-        if (folder / "scene.json").exists():
+    folders = [options.out / f"{number:04d}" for number in range(options.scenes)]
+    attempts = [
+        [planned(number, k, options.seed, meshes, options.surroundings) for k in range(PLACES)]
+        for number in range(options.scenes)
+    ]
+    done = [(folder / "scene.json").exists() for folder in folders]
+    for folder, plans, is_done in zip(folders, attempts, done, strict=True):
+        if is_done:
+            try:
+                require_scene_of(plans, options.samples, folder)
+            except InputError as problem:
+                parser.error(str(problem))
+    for folder, plans, is_done in zip(tqdm(folders, unit="scene"), attempts, done, strict=True):
+        if is_done:
             continue
-        for attempt in range(PLACES):
-            plan = planned(number, attempt, options.seed, meshes, options.surroundings)
+        for plan in plans:
             if rendered(plan, folder, options.size, options.samples):
                 break
         else:
