@@ -72,8 +72,9 @@ def exact_view(session: Session) -> tuple[Any, ...]:
 
 def kept_row(session: Session) -> str:
     """Return HTML with the pictures that are kept to be compared."""
-    beside = None if session.beside is None else session.kept.index(session.beside)
-    return kept_tiles([(each.picture, each.edit.caption) for each in session.kept], beside)
+    kept, left = list(session.kept), session.beside
+    beside = next((number for number, each in enumerate(kept) if each is left), None)
+    return kept_tiles([(each.picture, each.edit.caption) for each in kept], beside)
 
 
 def said(note: str, edit: Edit, beside: Kept | None) -> str:

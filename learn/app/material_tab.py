@@ -284,7 +284,7 @@ class MaterialTab:
         if event.act == "remove":
             session.forget(kept)
         elif event.act == "beside":
-            session.beside = None if session.beside is kept else kept
+            session.put_beside(kept)
         result = quick_view(session, lambda edit: kept.edit if event.act == "show" else edit)
         return (*result, kept_row(session), *controls_of(session, int(region)))
 

@@ -258,6 +258,12 @@ class Session:
                 self.beside = None
         kept.picture.unlink(missing_ok=True)
 
+    def put_beside(self, kept: Kept) -> None:
+        """Show a kept edit on the left of the view, or the photograph again if it is there."""
+        with self._lock:
+            if any(each is kept for each in self.kept):  # not removed meanwhile
+                self.beside = None if self.beside is kept else kept
+
     def kept_edit(self, name: str) -> Kept:
         """Return the kept edit whose picture's file has a name. Raises InputError.
 

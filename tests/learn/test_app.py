@@ -20,6 +20,7 @@ from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
+from learn.app.edit_view import kept_row
 from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
@@ -690,7 +691,7 @@ def test_kept_pictures_are_compared_brought_back_and_removed(
     session.keep()
     session.keep()  # the same once more
     assert len(session.kept) == 3
-    session.beside = session.kept[1]
+    session.put_beside(session.kept[1])
     assert session.left == str(session.kept[1].picture)
     path = session.kept[1].picture
     kept = session.kept_edit(path.name)
@@ -701,7 +702,9 @@ def test_kept_pictures_are_compared_brought_back_and_removed(
     with pytest.raises(InputError, match="a kept picture"):
         session.kept_edit(path.name)
     session.forget(kept)
-    assert len(session.kept) == 2
+    session.put_beside(kept)  # of which a click came late
+    assert len(session.kept) == 2 and session.beside is None
+    assert 'aria-pressed="true"' not in kept_row(session)
     for number in range(10):
         session.choose(lambda e, n=number: replace(e, brightness_stops=-n / 10))
         session.keep()
