@@ -120,13 +120,14 @@ def write(
 
 
 def nearest(label: np.ndarray, ranges: Ranges) -> list[str]:
-    """Return names of the catalogue's materials whose codes are nearest to a label's (108,)."""
+    """Return names of the catalogue's materials whose codes are nearest to a label's (108,).
+
+    A material counts as near as the nearer of two labels: as it was measured, which a data set's
+    pictures show, and calibrated, which photographs show.
+    """
     catalogue = load_catalogue()
     names = sorted(catalogue)
-    codes = ranges.code(
-        torch.from_numpy(
-            np.stack([catalogue[name].calibrated_label.reshape(-1) for name in names])
-        ).float()
-    )
-    order = ((codes - ranges.code(torch.from_numpy(label))) ** 2).mean(-1).argsort()[:NEAREST]
-    return [names[i] for i in order]
+    labels = [(catalogue[name].label, catalogue[name].calibrated_label) for name in names]
+    codes = ranges.code(torch.from_numpy(np.stack(labels).reshape(len(names), 2, -1)).float())
+    distances = ((codes - ranges.code(torch.from_numpy(label))) ** 2).mean(-1)
+    return [names[i] for i in distances.amin(1).argsort()[:NEAREST]]

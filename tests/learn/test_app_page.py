@@ -99,6 +99,12 @@ class Walk:
         self.window.wait(f"{new} || ({ERROR_TEXT}).length")
         assert self.window.run(f"return {new}"), self.window.run(f"return {ERROR_TEXT}")
 
+    def take_back(self) -> None:
+        """Undo what was marked last, and wait until the picture shows it."""
+        before = self.window.run("return document.querySelector('#marking img').src")
+        self.window.click("#undo")
+        self.window.wait(f"document.querySelector('#marking img').src !== {before!r}")
+
     def changed(self, act, *says: str) -> np.ndarray:
         """Do something that changes the result, and return the picture then shown.
 
@@ -220,8 +226,8 @@ def test_a_photograph_is_edited_from_upload_to_download(served, photo, tmp_path)
         walk.point((120, 139))
         walk.wait_for("#status", "2 parts")
         walk.shot("regions")
-        walk.window.click("#undo")
-        walk.window.click("#undo")
+        walk.take_back()
+        walk.take_back()
         window.wait("!document.querySelector('#status').innerText.includes('2 parts')")
         walk.point(SAUCER)
         walk.wait_for("#status", "2 parts")

@@ -121,12 +121,9 @@ def test_a_material_of_the_catalogue_is_its_own_nearest(weights):
     _, metadata = checkpoint.load_network(weights)
     catalogue = load_catalogue()
     for name in ("brass", "red-fabric", "blue-rubber"):
-        assert (
-            material_file.nearest(
-                catalogue[name].label.reshape(108).astype(np.float32), metadata["ranges"]
-            )[0]
-            == name
-        )
+        for label in (catalogue[name].label, catalogue[name].calibrated_label):
+            flat = label.reshape(108).astype(np.float32)
+            assert material_file.nearest(flat, metadata["ranges"])[0] == name
 
 
 def test_the_material_file_tells_where_the_object_was_and_at_what_exposure(weights, tmp_path):
