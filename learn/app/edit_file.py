@@ -136,7 +136,7 @@ def read(path: Path) -> Edit:
             label = np.asarray(entry.label, np.float32)
             label = material_file.require_label(label, path)
             return Chosen(entry.text, label, named=False, read=entry.read)
-        is_measured = targets.MEASURED.fullmatch(entry.text)
+        is_measured = targets.measured_name(entry.text) is not None
         if material_expression.is_expression(entry.text) and not is_measured:
             label = np.asarray(material_expression.fit_expression(entry.text).label, np.float32)
             return Chosen(entry.text, label.reshape(SIZE))

@@ -235,7 +235,7 @@ def find_truth(opened: Photograph, text: str) -> np.ndarray | None:
     record, records = opened.record, opened.records
     if record is None or records is None:
         return None
-    names = targets.split_by_region(text)
+    names = [targets.measured_name(part) or part for part in targets.split_by_region(text)]
     names = names * len(record.materials) if len(names) == 1 else names
     # segments that the camera does not see have no part in the text
     requested = tuple(

@@ -62,13 +62,19 @@ def label_of(name: str) -> np.ndarray:
     """
     if name in DESCRIBED:
         return _fit(name).label.reshape(SIZE).astype(np.float32)
-    as_measured = MEASURED.fullmatch(name)
-    if as_measured and as_measured[1] in DESCRIBED:
-        remedy = f"{as_measured[1]} is described: name it alone"
+    measured = measured_name(name)
+    if measured in DESCRIBED:
+        remedy = f"{measured} is described: name it alone"
         raise InputError(f"material {name!r}", "a measured material", "none", remedy)
-    named = find_material(as_measured[1] if as_measured else name)
-    label = named.label if as_measured else named.calibrated_label
+    named = find_material(measured or name)
+    label = named.label if measured else named.calibrated_label
     return label.reshape(SIZE).astype(np.float32)
+
+
+def measured_name(text: str) -> str | None:
+    """Return NAME of a text that is measured(NAME); None for any other text."""
+    match = MEASURED.fullmatch(text)
+    return match and match[1]
 
 
 def find_material(name: str) -> Material:
@@ -95,7 +101,7 @@ def is_from_picture(text: str, region: int = 0) -> bool:
 
 def is_expression(text: str) -> bool:
     """Return whether a text describes a material, or names a described one, and is no file."""
-    if MEASURED.fullmatch(text) or is_file(text):
+    if measured_name(text) or is_file(text):
         return False
     return text in DESCRIBED or material_expression.is_expression(text)
 

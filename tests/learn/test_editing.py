@@ -340,6 +340,7 @@ def test_the_truth_of_regions_has_them_in_their_order_and_what_is_kept_as_it_was
     assert edit.find_truth(two, "a+b") == ("a", "b")
     assert edit.find_truth(two, "b+a") == ("b", "a")
     assert edit.find_truth(two, "keep+b") == edit.find_truth(two, "b") == ("b", "b")
+    assert edit.find_truth(two, "measured(b)+keep") == ("b", "a")
     assert edit.find_truth(two, "a+a") is None
     assert (
         edit.find_truth(
