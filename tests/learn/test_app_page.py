@@ -675,7 +675,8 @@ def press(window: Browser, selector: str, key: str) -> None:
 
 
 def test_a_dropped_photograph_is_edited_by_the_keyboard_and_quick_choices_are_not_lost(served):
-    selected = "document.querySelector('[role=tab][aria-selected=true]').innerText"
+    # a page that has just been loaded again has no tabs yet
+    selected = "(document.querySelector('[role=tab][aria-selected=true]')?.innerText ?? '')"
     with Browser(1300, 1000) as window:
         walk = opened(window, served, Path())
         window.wait("sessionStorage.getItem('brdfactory-session')")
