@@ -1,4 +1,4 @@
-"""Everyday materials by name that nobody measured: each stands for a description.
+"""Everyday materials by name, none of which was measured: each stands for a description.
 
 Colours of metals, porcelain, terracotta and brick are those of the table "Physically Based" by
 Anton Palmqvist, in the package materialxmaterials (Apache-2.0). The other colours, and how rough

@@ -1,7 +1,7 @@
 """What a file is from which no picture can be read, and what to do about it.
 
-A file is told by its first bytes. Its ending counts for raw files of cameras alone, most of which
-begin as TIFF files do.
+A file is recognised by its first bytes. Its ending counts only for raw files of cameras, most of
+which begin as TIFF files do.
 """
 
 from collections.abc import Callable

@@ -10,6 +10,8 @@ from learn.layer.albedo import lobe_albedos
 from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
 from manifests.materials import CALIBRATIONS, find, load_catalogue
+from shaders import errors
+from shaders.samples import held_out_samples
 from shaders.tone import LUMINANCE
 
 (MERL,) = CALIBRATIONS
@@ -45,6 +47,23 @@ def test_calibrated_materials_of_merl_are_as_bright_as_such_materials_are():
     assert teflon == pytest.approx(spectralon, abs=0.08)
     # its refractive index says 0.71, 0.64, 0.52
     assert albedo(find("nickel").calibrated_label) == pytest.approx([0.60, 0.53, 0.47], abs=0.01)
+
+
+def test_labels_are_scaled_with_the_error_that_the_documentation_states():
+    """Relative L1 of f·cos at six view angles that no fit used, the mean of them."""
+    samples = held_out_samples()
+    error = {
+        material.name: errors.relative_l1(
+            errors.label_values(material.calibrated_label, samples),
+            material.calibration * errors.label_values(material.label, samples),
+            samples,
+        ).mean()
+        for material in load_catalogue().values()
+        if material.source == MERL
+    }
+    worst = max(error, key=error.__getitem__)
+    assert np.mean([*error.values()]) == pytest.approx(0.018, abs=0.0005)
+    assert (worst, error[worst]) == ("black-obsidian", pytest.approx(0.07, abs=0.005))
 
 
 def test_a_material_of_another_source_is_as_it_was_measured():
