@@ -245,8 +245,9 @@ def figures_of(
     taken back, "cues": of learn.editing.exposure, "edits": [{"target", "family", "narrow": share of
     its albedo in narrow lobes, "darkened": stops by which it was rendered darker for that, "stops":
     of brightness above the truth's, "green" and "red_blue": of colour beyond the truth's, "l2":
-    with each of SCALES, "unchanged": L2 of the photograph as it was}]}; {"refused", "edits": []}
-    for a photograph that cannot be edited
+    with each of SCALES, "l2_coloured": the same if the edit's mean had the colour of the truth's,
+    "unchanged": L2 of the photograph as it was}]}; {"refused", "edits": []} for a photograph that
+    cannot be edited
     """
     from dataclasses import asdict
 
@@ -293,10 +294,16 @@ def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, An
     edited = compositor.edited([target.label])
     before = compositor.decomposition.photograph
     inside = photo.mask & (before.coverage > 1 - CLEAR)
-    truth = target.frame * np.float32(photo.exposure)
+    truth = photo.of(target.frame)
     colours = [np.maximum(each[inside].mean(0), 1e-6) for each in (edited, truth)]
     mine, its = (float(colour @ LUMINANCE) for colour in colours)
     red_blue = [float(np.log2(colour[0] / colour[2])) for colour in colours]
+    coloured = edited * (colours[1] / colours[0] * (mine / its)).astype(np.float32)
+
+    def l2_by_scale(picture: np.ndarray) -> list[float]:
+        each = (tone.display_l2(picture * 2**s, truth, 1.0, inside) for s in SCALES)
+        return [round(float(l2), 1) for l2 in each]
+
     return {
         "target": target.material,
         "family": target.family,
@@ -305,7 +312,8 @@ def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, An
         "stops": float(np.log2(mine / its)),
         "green": light_colour.green_of(colours[0]) - light_colour.green_of(colours[1]),
         "red_blue": red_blue[0] - red_blue[1],
-        "l2": [round(float(tone.display_l2(edited * 2**s, truth, 1.0, inside)), 1) for s in SCALES],
+        "l2": l2_by_scale(edited),
+        "l2_coloured": l2_by_scale(coloured),
         "unchanged": round(float(tone.display_l2(before.radiance, truth, 1.0, inside)), 1),
     }
 

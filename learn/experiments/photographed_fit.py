@@ -233,6 +233,12 @@ def page(report: Report) -> str:
         " mean of red and blue. As it was read: with the green of the light that was read.\n"
     )
     result.append(_colours(edits, weights))
+    if all("l2_coloured" in row for row in edits.rows):  # reports of before 2026-11-29 lack it
+        result.append(
+            "## What brightness and colour cost\n\nL2 of edits whose brightness, or the colour of"
+            " whose mean too, were the truth's.\n"
+        )
+        result.append(_known_means(edits, weights))
     return "\n".join(result)
 
 
@@ -312,6 +318,26 @@ def _colours(edits: Edits, weights: np.ndarray) -> str:
         for name, off in shown.items()
     ]
     return runner.table(["", "mean", "off by"], lines)
+
+
+def _known_means(edits: Edits, weights: np.ndarray) -> str:
+    now = edits.error(in_use(edits))
+    coloured = np.array([row["l2_coloured"] for row in edits.rows])
+    shown = {
+        "in use": now,
+        "in use, in the truth's mean colour": replace(edits, l2=coloured).error(in_use(edits)),
+        "at each edit's best brightness": edits.l2.min(1),
+        "the same, in the truth's mean colour": coloured.min(1),
+    }
+    lines = [
+        [
+            name,
+            runner.interval(bootstrap.interval(l2, weights), 0),
+            runner.interval(bootstrap.relative(now, l2, weights), 2),
+        ]
+        for name, l2 in shown.items()
+    ]
+    return runner.table(["edits", "L2", "as a part of those in use"], lines)
 
 
 def _mean(values: np.ndarray) -> str:

@@ -3,10 +3,11 @@
 In the photographs of `photographed-edits` the light is far away, and it is also what lies behind
 the object. Here an object stands on a table, light comes from near, and walls, furniture and ground
 are behind it (`python -m factory.render.validation.objects_in_rooms` renders them). A camera
-exposes the frame and keeps 8 bits. Each photograph is edited into the other materials of its scene
-as `edit` does it, and compared with Cycles' picture of the same object in that material, in the
-same place and under the same exposure. rows.jsonl keeps a line per photograph: the same command
-continues, and more --scenes add to it. sheet.jpg shows some of the edits beside their truth.
+exposes the frame, balances its white if asked to, and keeps 8 bits. Each photograph is edited into
+the other materials of its scene as `edit` does it, and compared with Cycles' picture of the same
+object in that material, in the same place and as the same camera takes it. rows.jsonl keeps a line
+per photograph: the same command continues, and more --scenes add to it. sheet.jpg shows some of the
+edits beside their truth.
 """
 
 from __future__ import annotations
@@ -53,11 +54,15 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Case(NamedTuple):
-    """A scene's folder, its RoomScene, and the material that the photograph shows."""
+    """A photograph: a scene's folder, its RoomScene, and the material that it shows.
+
+    balances  whether the camera balances white
+    """
 
     folder: Path
     scene: RoomScene
     source: str
+    balances: bool = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +78,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         metavar="N",
         help="number of scenes that are left out before these (default 0)",
+    )
+    parser.add_argument(
+        "--white-balance",
+        action="store_true",
+        help="photograph with a camera that balances white, as most do",
     )
     parser.add_argument(
         "--no-refine",
@@ -104,7 +114,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
-    cases = cases_of(arguments.data, arguments.scenes, arguments.after)
+    cases = cases_of(arguments.data, arguments.scenes, arguments.after, arguments.white_balance)
     settings = None if arguments.no_refine else PHOTOGRAPHS
     seen = overlap.sentences([arguments.weights], tested(cases), arguments.data, True)
     about = {
@@ -112,6 +122,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": file_hash(cases[0].folder / "scene.json"),
         "weights": file_hash(arguments.weights),
         "refinement": None if settings is None else asdict(settings),
+        "white_balance": arguments.white_balance or None,  # earlier folders lack the key
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -169,12 +180,15 @@ def compared(report: runner.Report, path: Path) -> dict[str, Any]:
     return {"name": path.parent.name, "edits": len(ours.rows), **ratios}
 
 
-def cases_of(folder: Path, count: int | None = None, after: int = 0) -> list[Case]:
+def cases_of(
+    folder: Path, count: int | None = None, after: int = 0, balances: bool = False
+) -> list[Case]:
     """Return a photograph of each material of scenes of a folder.
 
-    count   number of scenes; None: all
-    after   number of scenes before them
-    Raises  InputError: there are none
+    count     number of scenes; None: all
+    after     number of scenes before them
+    balances  whether the camera balances white
+    Raises    InputError: there are none
     """
     from manifests.errors import InputError
     from manifests.reading import read
@@ -186,7 +200,7 @@ def cases_of(folder: Path, count: int | None = None, after: int = 0) -> list[Cas
     result = []
     for path in scenes:
         scene = read(path / "scene.json", RoomScene)
-        result += [Case(path, scene, name) for name in scene.materials]
+        result += [Case(path, scene, name, balances) for name in scene.materials]
     return result
 
 
@@ -246,7 +260,7 @@ def write_sheet(
             [
                 (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
                 ("edit", edited),
-                (f"truth: {truth.material}", tone.display(truth.frame, photo.exposure)),
+                (f"truth: {truth.material}", tone.display(photo.of(truth.frame), 1.0)),
             ]
         ]
     if rows:
@@ -270,7 +284,7 @@ def _photograph(case: Case) -> Photographed:
 
     frame = _frame(case, case.source)
     mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
-    return exposed(frame, mask, _name(case))
+    return exposed(frame, mask, _name(case), case.balances)
 
 
 def _truth(case: Case, target: str) -> photographed_edits.Truth:

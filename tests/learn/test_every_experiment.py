@@ -463,6 +463,20 @@ def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, t
     assert "expected the same photographs" in capsys.readouterr().err
 
 
+def test_a_camera_that_balances_white_has_its_own_folder_of_results(room, tmp_path, capsys):
+    words = f"--data {room}/rooms --weights {room}/weights.safetensors --no-refine --scenes 1"
+    assert run("room-photographs", f"{words} --white-balance", tmp_path / "a") == 0
+    first = json.loads((tmp_path / "a" / "report.json").read_text())
+    page = (tmp_path / "a" / "report.md").read_text()
+    assert "## What brightness and colour cost" in page
+    assert run("room-photographs", words, tmp_path / "a") == 1
+    assert "white_balance" in capsys.readouterr().err
+    assert run("room-photographs", words, tmp_path / "b") == 0
+    second = json.loads((tmp_path / "b" / "report.json").read_text())
+    l2 = [[row["edits"][0]["l2"] for row in each["rows"]] for each in (first, second)]
+    assert l2[0] != l2[1]
+
+
 def test_a_name_that_is_not_known_is_a_line_with_the_known_ones(tmp_path, capsys):
     assert run("latency", "--light lampz", tmp_path / "a") == 1
     assert "did you mean lamps" in capsys.readouterr().err

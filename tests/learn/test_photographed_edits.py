@@ -64,6 +64,38 @@ def test_a_photograph_holds_the_object_in_its_middle_under_its_exposure() -> Non
     assert again.exposure == photo.exposure != other.exposure
 
 
+def test_a_camera_takes_back_the_colour_of_the_light_but_little_green() -> None:
+    rng = np.random.default_rng(0)
+    grey = np.repeat(rng.uniform(0.05, 0.3, (20, 20, 1)), 3, -1)
+    warm = grey * 2 ** np.array([0.5, 0.0, -0.5])
+    balance = photographing.white_balance(warm)
+    colour = (warm * balance).reshape(-1, 3).mean(0)
+    assert colour == pytest.approx(colour.mean() * np.ones(3), rel=1e-5)
+    middle = tone.LUMINANCE @ warm[0, 0]
+    assert tone.LUMINANCE @ (warm[0, 0] * balance) == pytest.approx(middle, rel=1e-5)
+    # a lamp that is brighter than white has no colour left
+    lamp = warm.copy()
+    lamp[3, 3] = 5.0, 0.2, 0.2
+    assert photographing.white_balance(lamp) == pytest.approx(balance, rel=0.02)
+    # a lawn stays green, and a red wall reddish
+    green = photographing.white_balance(grey * 2 ** np.array([0.0, 1.0, 0.0]))
+    assert np.log2(green[1] / green[0]) == pytest.approx(-photographing.MOST_GREEN, rel=1e-4)
+    red = photographing.white_balance(grey * 2 ** np.array([1.5, 0.0, -1.5]))
+    assert np.log2(red[2] / red[0]) == pytest.approx(photographing.MOST_RED_BLUE, rel=1e-4)
+    # nothing is known of a frame that is white, or lacks a colour
+    for frame in (np.full((4, 4, 3), 2.0), grey * np.array([1.0, 1.0, 0.0])):
+        assert (photographing.white_balance(frame) == 1).all()
+
+
+def test_a_balanced_photograph_says_how_it_took_its_colours() -> None:
+    frame = np.random.default_rng(0).uniform(0.02, 0.2, (24, 24, 3)) * np.array([1.5, 1.0, 0.6])
+    plain, balanced = (photographing.exposed(frame, frame[..., 0] > 0, "a", b) for b in (0, 1))
+    assert (plain.balance == 1).all() and plain.exposure == balanced.exposure
+    for photo in (plain, balanced):
+        assert abs(photo.pixels - tone.display(photo.of(frame), 1.0)).max() <= 0.51
+    assert np.ptp(plain.pixels.mean((0, 1))) > 3 * np.ptp(balanced.pixels.mean((0, 1)))
+
+
 def edits(count: int, slopes: np.ndarray, noise: float = 0.0) -> Edits:
     """Return edits whose brightness follows a line; L2 is the square of how far they are off."""
     rng = np.random.default_rng(1)
