@@ -464,7 +464,8 @@ def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, t
 
 
 def test_a_camera_that_balances_white_has_its_own_folder_of_results(room, tmp_path, capsys):
-    words = f"--data {room}/rooms --weights {room}/weights.safetensors --no-refine --scenes 1"
+    room_scenes.written(tmp_path / "warm", lamp=(1.4, 1.0, 0.7))
+    words = f"--data {tmp_path}/warm --weights {room}/weights.safetensors --no-refine"
     assert run("room-photographs", f"{words} --white-balance", tmp_path / "a") == 0
     first = json.loads((tmp_path / "a" / "report.json").read_text())
     page = (tmp_path / "a" / "report.md").read_text()

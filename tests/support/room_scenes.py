@@ -10,8 +10,11 @@ from manifests import exr
 ALBEDOS = {"white-marble": 0.7, "violet-rubber": 0.15}  # by material; what the frames show
 
 
-def written(folder, size=64, scenes=1):
-    """Write scenes of one ball in two materials into a folder, each before a wall of its own."""
+def written(folder, size=64, scenes=1, lamp=(1.0, 1.0, 1.0)):
+    """Write scenes of one ball in two materials into a folder, each before a wall of its own.
+
+    lamp  colour of the light
+    """
     y, x = (np.indices((size, size)) - (size - 1) / 2) / (size / 3)
     inside = x * x + y * y < 1
     n_up = np.where(inside, -y, 0.0)
@@ -20,7 +23,8 @@ def written(folder, size=64, scenes=1):
         place.mkdir(parents=True)
         for name, albedo in ALBEDOS.items():
             L = np.where(inside, albedo * (0.6 + 0.4 * n_up), 0.2 + 0.1 * number)
-            exr.write(place / f"{name}.exr", {c: L.astype(np.float32) for c in "RGB"})
+            channels = zip("RGB", lamp, strict=True)
+            exr.write(place / f"{name}.exr", {c: (L * k).astype(np.float32) for c, k in channels})
         Image.fromarray((255 * inside).astype(np.uint8)).save(place / "mask.png")
         scene = {
             "shape": "sphere",
