@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from learn.editing import targets
-from learn.editing.interactive import FAMILY_WORDS
+from learn.editing.material_list import FAMILY_WORDS
 from manifests import files
 from manifests.described_materials import DESCRIBED
 from manifests.material_words import ALIKE

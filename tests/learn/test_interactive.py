@@ -24,6 +24,7 @@ from learn.editing import (
     edit_files,
     interactive,
     interactive_maps,
+    material_list,
     photograph,
 )
 from learn.editing import reflectance_store as store
@@ -86,8 +87,8 @@ def made(tmp_path_factory):
     """The result, its page's text and file, and a compositor like the page's own."""
     catalogue = load_catalogue()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(interactive, "load_catalogue", lambda: {k: catalogue[k] for k in CHOSEN})
-        patch.setattr(interactive, "DESCRIBED", {})
+        patch.setattr(material_list, "load_catalogue", lambda: {k: catalogue[k] for k in CHOSEN})
+        patch.setattr(material_list, "DESCRIBED", {})
         patch.setattr(interactive, "MEASURED", {})
         result = result_of()
         options = SimpleNamespace(tolerance=1e-2, detail=0.25)
@@ -176,8 +177,8 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     file = tmp_path / "material.json"
     file.write_text(json.dumps({"label": [float(x) for x in label]}))
     catalogue = load_catalogue()
-    monkeypatch.setattr(interactive, "load_catalogue", lambda: {"nickel": catalogue["nickel"]})
-    monkeypatch.setattr(interactive, "DESCRIBED", {})
+    monkeypatch.setattr(material_list, "load_catalogue", lambda: {"nickel": catalogue["nickel"]})
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     monkeypatch.setattr(interactive.spheres, "preview_lighting", lambda: np.ones((64, 128, 3)))
     result = result_of()
@@ -212,8 +213,8 @@ def test_a_data_sets_own_material_is_no_other_on_the_page(made):
         made.result,
         edits=[edit.Edit("brass+keep", [own, None], made.result.edits[0].picture, None)],
     )
-    materials = interactive.list_materials(result)
-    first, second = interactive.chosen_materials(result, materials)
+    materials = material_list.list_materials(result)
+    first, second = material_list.chosen_materials(result, materials)
     assert materials[first]["name"] == "brass of the data set" and second == -1
     np.testing.assert_array_equal(materials[first]["label"], own)
 
@@ -228,8 +229,8 @@ def test_the_page_asks_for_nothing_outside_itself(made):
 
 def test_a_page_that_would_be_too_large_is_refused(made, monkeypatch):
     monkeypatch.setattr(interactive, "LARGEST_FILE", 1000)
-    monkeypatch.setattr(interactive, "load_catalogue", dict)
-    monkeypatch.setattr(interactive, "DESCRIBED", {})
+    monkeypatch.setattr(material_list, "load_catalogue", dict)
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     with pytest.raises(InputError, match=r"at most 0\.001 MB"):
         interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
@@ -310,8 +311,8 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
 @pytest.mark.parametrize("address", ["", "#canvas"])
 def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
     catalogue = load_catalogue()
-    monkeypatch.setattr(interactive, "load_catalogue", lambda: {"chrome": catalogue["chrome"]})
-    monkeypatch.setattr(interactive, "DESCRIBED", {})
+    monkeypatch.setattr(material_list, "load_catalogue", lambda: {"chrome": catalogue["chrome"]})
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
     monkeypatch.setattr(store, "LIMIT", 0.0)
     monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
@@ -354,8 +355,8 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
     made, monkeypatch, tmp_path
 ):
     """Without WebGL the same: drawn twice, once each."""
-    monkeypatch.setattr(interactive, "load_catalogue", dict)
-    monkeypatch.setattr(interactive, "DESCRIBED", {})
+    monkeypatch.setattr(material_list, "load_catalogue", dict)
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     result = result_of(cut_out=True)
     path = tmp_path / interactive.NAME
@@ -388,8 +389,8 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
 @pytest.mark.long
 def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp_path):
     """The mask's soft edge lies before colours that the photograph hides by its transparency."""
-    monkeypatch.setattr(interactive, "load_catalogue", dict)
-    monkeypatch.setattr(interactive, "DESCRIBED", {})
+    monkeypatch.setattr(material_list, "load_catalogue", dict)
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     alpha = ball(SIDE, RADIUS + 3)[1].astype(np.float32)
     alpha[SIDE // 2 :] = 1
