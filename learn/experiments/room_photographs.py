@@ -49,8 +49,9 @@ class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: float
     elevation_deg: float
     distance: float
-    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it, and samples
+    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it, samples and size
     samples: int | None = None
+    size: int | None = None
 
 
 class Case(NamedTuple):

@@ -62,7 +62,7 @@ def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
     assert objects_in_rooms.rendered(plan, tmp_path / "a", size=32, samples=16)
     scene = json.loads((tmp_path / "a" / "scene.json").read_text())
     assert scene["shape"] == "dish:0" and tuple(scene["materials"]) == plan.materials
-    assert scene["surroundings"] == "plain" and scene["samples"] == 16
+    assert scene["surroundings"] == "plain" and (scene["samples"], scene["size"]) == (16, 32)
     with Image.open(tmp_path / "a" / "mask.png") as picture:
         mask = np.array(picture) > 127
     row, column = np.nonzero(mask)
@@ -123,12 +123,14 @@ def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
         (("--surroundings", "varied"), "surroundings varied, found plain"),
         (("--seed", "42"), "materials"),
         (("--samples", "16"), "samples 16, found 48"),
+        (("--size", "96"), "size 96, found 192"),
         ((), None),
     ],
 )
 def test_a_folder_of_other_options_is_refused(tmp_path, monkeypatch, capsys, options, wrong):
     plan = objects_in_rooms.planned(0, 3, 41, [])
-    scene = {"shape": plan.shape, "materials": plan.materials, "seed": plan.place, "samples": 48}
+    scene = {"shape": plan.shape, "materials": plan.materials, "seed": plan.place}
+    scene |= {"samples": 48, "size": 192}
     (tmp_path / "0000").mkdir()
     (tmp_path / "0000" / "scene.json").write_text(json.dumps(scene))
     monkeypatch.setattr(objects_in_rooms, "rendered", lambda *_: pytest.fail("rendered"))

@@ -13,14 +13,15 @@ Surroundings are "plain", as factory.lights.interiors draws them, or "varied": w
 factory.lights.surroundings, on the table too, which may be polished, and with other things on it.
 
 Each scene is a folder NUMBER of DIR, which is complete once it has scene.json: the same command
-continues. Scenes of another seed, or of other shapes, surroundings or samples, are refused.
+continues. Scenes of another seed, or of other shapes, surroundings, samples or another size, are
+refused.
 
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
   scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place,
-                surroundings, materials, samples of each pixel, and the camera: azimuth and
-                elevation in degrees, distance in metres
+                surroundings, materials, samples of each pixel, size in pixels, and the camera:
+                azimuth and elevation in degrees, distance in metres
 
 Shapes take turns: the program's families for development, families that no training has, and files
 of FOLDER. The camera looks at the object from where nothing stands between them.
@@ -215,6 +216,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         "surroundings": plan.surroundings,
         "materials": plan.materials,
         "samples": samples,
+        "size": size,
         "azimuth_deg": math.degrees(azimuth),
         "elevation_deg": math.degrees(plan.elevation),
         "distance": distance,
@@ -228,17 +230,18 @@ def shape_name(plan: Plan) -> str:
     return Path(plan.shape).stem if Path(plan.shape).suffix else plan.shape
 
 
-def require_scene_of(plans: Sequence[Plan], samples: int, folder: Path) -> None:
+def require_scene_of(plans: Sequence[Plan], size: int, samples: int, folder: Path) -> None:
     """Raise InputError where a folder's scene is that of no plan; plans: of all attempts."""
     path = folder / "scene.json"
     about = json.loads(path.read_text("utf-8"))
     plan = plans[0]
-    # scenes of before 2026-11-29 lack the last two
+    # scenes of before 2026-11-29 lack the last three
     expected = {
         "shape": (about.get("shape"), shape_name(plan)),
         "materials": (tuple(about.get("materials", ())), plan.materials),
         "surroundings": (about.get("surroundings", SURROUNDINGS[0]), plan.surroundings),
         "samples": (about.get("samples", samples), samples),
+        "size": (about.get("size", size), size),
     }
     for name, (written, requested) in expected.items():
         if written != requested:
@@ -327,7 +330,7 @@ def main() -> None:
     for folder, plans, is_done in zip(folders, attempts, done, strict=True):
         if is_done:
             try:
-                require_scene_of(plans, options.samples, folder)
+                require_scene_of(plans, options.size, options.samples, folder)
             except InputError as problem:
                 parser.error(str(problem))
     for folder, plans, is_done in zip(tqdm(folders, unit="scene"), attempts, done, strict=True):
