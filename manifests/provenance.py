@@ -3,6 +3,7 @@
 import importlib.metadata
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -43,7 +44,10 @@ def own_command() -> str:
     """Return the command line of this process: `python -m PROGRAM ARGUMENT …`."""
     program = getattr(sys.modules.get("__main__"), "__spec__", None)
     name = program.name.removesuffix(".__main__") if program else "brdfactory"
-    return " ".join([f"python -m {name}", *map(shorten, sys.argv[1:])])
+    words = map(shorten, sys.argv[1:])
+    return " ".join(
+        [f"python -m {name}", *(shlex.quote(word) if " " in word else word for word in words)]
+    )
 
 
 def shorten(argument: str) -> str:

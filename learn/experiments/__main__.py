@@ -38,6 +38,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "refinement-ablation": "measure refinement for each weight, and from bad initialisations",
         "edit-cost": "chart the error of edits against seconds and hours of training",
         "edit-methods": "chart all methods of editing against their cost, from several reports",
+        "edit-summary": "chart how good edits are at a glance, from several reports",
         "edit-brightness": "measure how bright edits are beside their truth",
         "photographed-edits": "measure edits of photographs, and how to expose them",
         "room-photographs": "measure edits of photographs of objects that stand in rooms",

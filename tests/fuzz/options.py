@@ -127,6 +127,7 @@ BASES = {
     "learn.experiments room-photographs": "--data {seeds}/nothing --out {out}",
     "learn.experiments exposure-line": "--fit a={seeds}/nothing --out {out}",
     "learn.experiments stereo-normals": "--pictures {seeds}/nothing --out {out}",
+    "learn.experiments edit-summary": "--out {out}",
     "learn.experiments edit-methods": "--out {out}",
     "learn.experiments engine-speed": "--out {out}",
     "learn.experiments work-precision": "--out {out}",

@@ -210,6 +210,22 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(row["edit_l2_aligned"] <= row["edit_l2"] for row in r["rows"])
         ),
     ),
+    "edit-summary": (
+        "--photographs rooms={root}/room-photographs/report.json --ladder"
+        " meshes={root}/ladder-test/report.json --evaluation rendered={root}/evaluation/report.json"
+        " --methods some={root}/evaluation-kept-jobs/report.json"
+        " later={root}/evaluation-equal-time/report.json",
+        lambda r: (
+            [row["name"] for row in r["pictures"]] == ["rooms", "meshes", "rendered"]
+            and all(row["after"][0] < (row["before"] or [4000])[0] for row in r["pictures"])
+            and r["methods"]["name"] == "some"
+            and [row["name"] for row in r["methods"]["rows"]][0::4]
+            == ["not edited", "this program"]
+            # what the later report lacks stays the earlier one's
+            and {row["source"] for row in r["methods"]["rows"][:3]} == {"evaluation-equal-time"}
+            and r["methods"]["rows"][3]["source"] == "evaluation-kept-jobs"
+        ),
+    ),
     "edit-methods": (
         "--evaluation {root}/evaluation-kept-jobs/report.json"
         " --mitsuba {root}/mitsuba-comparison/report.json"
@@ -463,6 +479,17 @@ def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, t
     assert "expected the same photographs" in capsys.readouterr().err
 
 
+def test_a_summary_needs_reports_and_their_words(tmp_path, capsys):
+    assert run("edit-summary", "", tmp_path / "a") == 1
+    assert "--photographs WORDS=FILE" in capsys.readouterr().err
+    (tmp_path / "other.json").write_text('{"rows": [{}]}')
+    assert run("edit-summary", f"--photographs a={tmp_path}/other.json", tmp_path / "b") == 1
+    assert "expected a report of that command, found another one" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        run("edit-summary", "--ladder report.json", tmp_path / "c")
+    assert "expected WORDS=FILE" in capsys.readouterr().err
+
+
 def test_a_camera_that_balances_white_has_its_own_folder_of_results(room, tmp_path, capsys):
     room_scenes.written(tmp_path / "warm", lamp=(1.4, 1.0, 0.7))
     words = f"--data {tmp_path}/warm --weights {room}/weights.safetensors --no-refine"
@@ -567,10 +594,13 @@ REPORTS = {
     "ladder-two-encoders": "compare-weights",
     "evaluation-regions-fine-tuned": "compare-weights",
     "room-photographs-others": "room-photographs",
+    "room-photographs-others-balanced": "room-photographs",
     "room-photographs-two-encoders": "room-photographs",
     "room-photographs-unrefined": "room-photographs",
     "room-photographs-varied": "room-photographs",
+    "room-photographs-varied-balanced": "room-photographs",
     "room-photographs-varied-others": "room-photographs",
+    "room-photographs-varied-others-balanced": "room-photographs",
     "room-photographs-varied-others-unrefined": "room-photographs",
     "room-photographs-varied-unrefined": "room-photographs",
     "exposure-line-varied": "exposure-line",

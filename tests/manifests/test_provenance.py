@@ -55,3 +55,9 @@ def test_a_published_command_has_no_folders_of_this_machine():
     given = ["/a/b=c/d", "x=/a/w.safetensors", "--out=/a/b", "x=a/b", "a/b", "--size"]
     expected = ["…/d", "x=…/w.safetensors", "--out=…/b", "x=a/b", "a/b", "--size"]
     assert [provenance.shorten(word) for word in given] == expected
+
+
+def test_words_with_spaces_can_be_typed_as_they_are_published(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["main", "run", "two words=/a/b.json", "--out", "c"])
+    command = provenance.own_command()
+    assert command.endswith("run 'two words=…/b.json' --out c")
