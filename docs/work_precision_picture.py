@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from learn.experiments import chart_drawing, pareto_front
+from learn.experiments.layer import chart_drawing, pareto_front
 
 REPORT = Path(__file__).resolve().parent / "results" / "work-precision" / "report.json"
 CAMERAS = {"orthographic": "distant viewer", "perspective": "view per pixel"}

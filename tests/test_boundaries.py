@@ -210,7 +210,7 @@ WRITERS = {
         "….save",
     ): "run by another Python, without this project's packages",
     (
-        "learn/experiments/step_profile.py",
+        "learn/experiments/training/step_profile.py",
         "tempfile.TemporaryDirectory",
     ): "a run made to be timed",
     (
@@ -225,16 +225,22 @@ WRITERS = {
         "factory/blender_extension/__init__.py",
         "….write_text",
     ): "a job, inside Blender, which has no manifests",
-    ("learn/experiments/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
+    ("learn/experiments/layer/cold_start.py", "tempfile.TemporaryDirectory"): "an empty cache",
     (
-        "learn/experiments/mitsuba_comparison.py",
+        "learn/experiments/editing/mitsuba_comparison.py",
         "tempfile.TemporaryDirectory",
     ): "what two processes hand each other",
-    ("learn/experiments/mitsuba_comparison.py", "….savez"): "the same",
-    ("learn/experiments/mitsuba_descent.py", "….savez"): "the same; the process has no manifests",
-    ("learn/experiments/mitsuba_rival.py", "tempfile.TemporaryDirectory"): "as mitsuba_comparison",
-    ("learn/experiments/mitsuba_rival.py", "….savez"): "the same",
-    ("learn/experiments/mitsuba_sphere.py", "….savez"): "as mitsuba_descent",
+    ("learn/experiments/editing/mitsuba_comparison.py", "….savez"): "the same",
+    (
+        "learn/experiments/editing/mitsuba_descent.py",
+        "….savez",
+    ): "the same; the process has no manifests",
+    (
+        "learn/experiments/layer/mitsuba_rival.py",
+        "tempfile.TemporaryDirectory",
+    ): "as mitsuba_comparison",
+    ("learn/experiments/layer/mitsuba_rival.py", "….savez"): "the same",
+    ("learn/experiments/layer/mitsuba_sphere.py", "….savez"): "as mitsuba_descent",
 }
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 # modules of ours whose save() goes through manifests.files

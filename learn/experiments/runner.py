@@ -1,6 +1,6 @@
 """What all experiments share: the command line, the folder of a run, and its report.
 
-An experiment is a module of this package with
+An experiment is a module of one of the packages beside this file, which are by subject, with
 
     add_arguments(parser) -> None   its options, besides --out and --report
     measure(arguments) -> dict      the content of report.json; it may keep rows in arguments.out
@@ -9,8 +9,10 @@ An experiment is a module of this package with
     ON_RAY = True                   optional: its rows may be measured on a Ray cluster
                                     (learn.experiments.on_ray)
 
-whose docstring is the description in `--help`. Heavy libraries are imported inside these functions,
-so that `--help` is quick. This module runs it: it locks the folder, writes report.json with the
+whose docstring is the description in `--help`. The module is named as the command line names the
+experiment, with underscores for hyphens; the other modules of those packages are parts of one or
+several experiments. Heavy libraries are imported inside these functions, so that `--help` is quick.
+This module runs it: it locks the folder, writes report.json with the
 provenance of the figures, report.md and chart.png, and draws the last two again from a report.
 """
 
@@ -38,7 +40,7 @@ Case = TypeVar("Case")
 
 
 class Experiment(Protocol):
-    """The functions that a module of this package has if it is an experiment."""
+    """The functions that a module has if it is an experiment."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None: ...
 
@@ -49,7 +51,8 @@ class Experiment(Protocol):
 
 def find(name: str) -> Experiment:
     """Return the module of the experiment that the command line calls `name`."""
-    module = importlib.import_module(f"learn.experiments.{name.replace('-', '_')}")
+    (path,) = Path(__file__).parent.glob(f"*/{name.replace('-', '_')}.py")
+    module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
     return cast(Experiment, module)
 
 

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from learn.experiments import compare_weights
+from learn.experiments.editing import compare_weights
 from manifests.errors import InputError
 
 LINE = {"category": "ball", "viewpoint": 0, "rotation_texels": 0, "split": "test"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from learn.editing import decomposition
-from learn.experiments import upsampling_comparison, upsampling_strategies
+from learn.experiments.editing import upsampling_comparison, upsampling_strategies
 from learn.layer import predictions
 from tests.support.known_ball import NETWORK, SIZE, Knowing, label_of, lit, opened
 

@@ -11,8 +11,11 @@ import torch
 
 import learn.__main__
 import learn.experiments.__main__
-from learn.experiments import auto_calibration, edit_brightness, exposure_rule, runner
+from learn.experiments import runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
+from learn.experiments.editing import edit_brightness
+from learn.experiments.layer import auto_calibration
+from learn.experiments.photographs import exposure_rule
 from learn.metrics import bootstrap
 from learn.networks import weights
 from learn.networks.coding import Ranges

@@ -12,7 +12,13 @@ from learn.data.data_split import DataSplit, gloss
 from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run, Schedule
 from learn.evaluation import model_card
-from learn.experiments import layer_ablation, normals_ablation, step_profile, step_timing, variants
+from learn.experiments.training import (
+    layer_ablation,
+    normals_ablation,
+    step_profile,
+    step_timing,
+    variants,
+)
 from learn.networks import weights as checkpoint
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from learn.data import framing
-from learn.experiments import exposure_rule
 from learn.experiments.__main__ import COMMANDS
+from learn.experiments.photographs import exposure_rule
 from manifests.cli import main
 from tests.support.two_materials import written
 

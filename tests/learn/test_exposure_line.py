@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from learn.experiments import exposure_line
+from learn.experiments.photographs import exposure_line
 from manifests.errors import InputError
 
 

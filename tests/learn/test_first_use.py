@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from learn.experiments import converged_integrals, first_use
+from learn.experiments.layer import converged_integrals, first_use
 
 
 def test_a_start_tells_the_seconds_of_everything_a_program_waits_for(capsys, monkeypatch):

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from learn.experiments import (
+from learn.experiments.__main__ import COMMANDS
+from learn.experiments.layer import (
     chart_cases,
     chart_drawing,
     chart_measurement,
@@ -15,7 +16,6 @@ from learn.experiments import (
     torch_rival,
     work_precision,
 )
-from learn.experiments.__main__ import COMMANDS
 from manifests import cli
 from manifests import materials as catalogue
 

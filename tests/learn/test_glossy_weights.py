@@ -10,7 +10,7 @@ import torch
 from learn.commands import options
 from learn.data.batch import collate
 from learn.evaluation.ladder_pictures import Shown
-from learn.experiments import glossy_weights
+from learn.experiments.training import glossy_weights
 
 
 def picture(size):

@@ -12,9 +12,9 @@ from learn.data import lights
 from learn.data.data_split import DataSplit
 from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule, read_run
-from learn.experiments import light_repairs, objective_training, variants
-from learn.experiments.kept_batches import KeptBatches
-from learn.experiments.light_repairs import REFERENCE, VARIANTS
+from learn.experiments.training import light_repairs, objective_training, variants
+from learn.experiments.training.kept_batches import KeptBatches
+from learn.experiments.training.light_repairs import REFERENCE, VARIANTS
 from learn.training import losses
 from manifests.errors import InputError
 from tests.support.two_materials import album_of, written

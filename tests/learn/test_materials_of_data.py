@@ -14,7 +14,7 @@ from learn.commands.options import TABLE_WEIGHTS
 from learn.data import lights, settings, sources
 from learn.data.records import Records
 from learn.data.settings import Data
-from learn.experiments import refinement_initialisations
+from learn.experiments.editing import refinement_initialisations
 from learn.networks import weights
 from learn.training import loop
 from manifests import JOBS, RUNS, reading

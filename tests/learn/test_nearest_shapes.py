@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learn.experiments import nearest_shapes
+from learn.experiments.training import nearest_shapes
 
 
 def rows(distances, errors):

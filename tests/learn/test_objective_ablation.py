@@ -13,10 +13,15 @@ from learn.data import lights
 from learn.data.data_split import DataSplit
 from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule
-from learn.experiments import objective_ablation, objective_report, objective_training, variants
-from learn.experiments.kept_batches import KeptBatches
-from learn.experiments.objective_ablation import FROM_NOTHING, VARIANTS
-from learn.experiments.objective_report import FROM_WEIGHTS
+from learn.experiments.training import (
+    objective_ablation,
+    objective_report,
+    objective_training,
+    variants,
+)
+from learn.experiments.training.kept_batches import KeptBatches
+from learn.experiments.training.objective_ablation import FROM_NOTHING, VARIANTS
+from learn.experiments.training.objective_report import FROM_WEIGHTS
 from learn.layer import predictions
 from learn.networks import features, weights
 from learn.networks.coding import Ranges

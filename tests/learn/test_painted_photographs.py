@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from learn.experiments import painted_photographs, painted_tables, painting
-from learn.experiments.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
-from learn.experiments.painting import COLOUR, KINDS, NONE, PRINT
-from learn.experiments.photographed_edits import SCALES
+from learn.experiments.photographs import painted_photographs, painted_tables, painting
+from learn.experiments.photographs.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
+from learn.experiments.photographs.painting import COLOUR, KINDS, NONE, PRINT
+from learn.experiments.photographs.photographed_edits import SCALES
 
 SIZE = 48
 

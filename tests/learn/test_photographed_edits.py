@@ -9,13 +9,13 @@ import pytest
 
 from learn.data.records import Records
 from learn.editing import brightness, exposure
-from learn.experiments import (
+from learn.experiments.photographs import (
     photographed_edits,
     photographed_fit,
     photographing,
     room_photographs,
 )
-from learn.experiments.photographed_fit import TERMS, Edits
+from learn.experiments.photographs.photographed_fit import TERMS, Edits
 from manifests.errors import InputError
 from shaders import envmap, tone
 from shaders.frames import ELEVATION

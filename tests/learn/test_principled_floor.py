@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learn.experiments import principled_fit as experiment
+from learn.experiments.editing import principled_fit as experiment
 from shaders import principled_fit
 from shaders.principled import PrincipledMaterial, ggx, lambert
 from shaders.samples import held_out_samples

@@ -13,13 +13,13 @@ import torch.nn.functional as F
 from scipy.optimize import OptimizeResult, minimize
 
 from learn.data.batch import ExampleBatch
-from learn.experiments import (
+from learn.experiments.__main__ import COMMANDS
+from learn.experiments.editing import (
     refinement_ablation,
     refinement_chart,
     refinement_initialisations,
     refinement_sweep,
 )
-from learn.experiments.__main__ import COMMANDS
 from learn.layer import render
 from learn.metrics.radiometry import log_albedo
 from learn.networks.prediction import Prediction

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from learn.data.records import Records
-from learn.experiments import ladder_scenes, relighting
+from learn.experiments.editing import ladder_scenes, relighting
 from learn.networks.prediction import Prediction
 from manifests.errors import InputError
 from tests.support import ladder_rungs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learn.experiments import stereo_scenes
+from learn.experiments.training import stereo_scenes
 from manifests.errors import InputError
 from shaders import frames
 from tests.support import stereo_sphere

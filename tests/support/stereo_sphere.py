@@ -1,4 +1,4 @@
-"""A photograph of a sphere with its disparities, as learn.experiments.stereo_scenes reads them."""
+"""A photograph of a sphere with its disparities, as stereo_scenes of the experiments reads them."""
 
 import json
 

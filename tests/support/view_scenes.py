@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from learn.experiments import chart_cases, near_shapes
+from learn.experiments.layer import chart_cases, near_shapes
 from learn.methods import planned_views
 from shaders.frames import camera_from_light
 from tests.support.card_scenes import MATERIALS, light, material

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from learn.experiments import chart_cases
-from learn.experiments.quadrature_materials import sun_at
+from learn.experiments.layer import chart_cases
+from learn.experiments.layer.quadrature_materials import sun_at
 from learn.methods import lamps, load, quadrature
 from learn.methods.directional import sample
 from manifests.materials import find

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from learn.experiments import chart_cases, chart_measurement
-from learn.experiments.quadrature_materials import sun_at
+from learn.experiments.layer import chart_cases, chart_measurement
+from learn.experiments.layer.quadrature_materials import sun_at
 from learn.methods import load, quadrature, sampled_sum, split_texels
 from learn.methods.directional import sample
 from manifests.materials import find

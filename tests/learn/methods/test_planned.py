@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from learn.engines import layout, pixel_selection
-from learn.experiments import chart_cases
+from learn.experiments.layer import chart_cases
 from learn.layer import render
 from learn.methods import (
     coarse,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.experiments import near_shapes
+from learn.experiments.layer import near_shapes
 from learn.layer import render
 from learn.methods import (
     auto_views,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.experiments import chart_cases
+from learn.experiments.layer import chart_cases
 from learn.methods import load, quadrature, split_texels
 from manifests.materials import find
 from shaders.envmap import directions, texel

@@ -1,0 +1,1 @@
+"""Edits of rendered pictures: refinement, its rivals, relighting, enlarging."""

@@ -1,0 +1,1 @@
+"""How accurate and how fast the rendering layer is: its methods and its engine."""

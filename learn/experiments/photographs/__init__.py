@@ -1,0 +1,1 @@
+"""Edits of photographs: how they are exposed, painted objects, objects in rooms."""

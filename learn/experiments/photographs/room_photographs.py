@@ -1,0 +1,331 @@
+"""Measure edits of photographs of objects that stand in rooms and under open skies.
+
+In the photographs of `photographed-edits` the light is far away, and it is also what lies behind
+the object. Here an object stands on a table, light comes from near, and walls, furniture and ground
+are behind it (`python -m factory.render.validation.objects_in_rooms` renders them). A camera
+exposes the frame, balances its white if asked to, and keeps 8 bits. Each photograph is edited into
+the other materials of its scene as `edit` does it, and compared with Cycles' picture of the same
+object in that material, in the same place and as the same camera takes it. rows.jsonl keeps a line
+per photograph: the same command continues, and more --scenes add to it. sheet.jpg shows some of the
+edits beside their truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import msgspec
+
+from learn.commands import options
+from learn.experiments import runner
+from learn.experiments.photographs import exposure_line, photographed_edits
+from manifests.option_types import positive, whole
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    import torch
+
+    from learn.evaluation import overlap
+    from learn.experiments.photographs.photographing import Photographed
+    from learn.refinement import RefinementSettings
+    from manifests.materials import Material
+
+ON_RAY = True
+SHOWN = 8  # edits of the sheet, of as many scenes
+
+
+class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
+    """A scene.json of factory.render.validation.objects_in_rooms, which describes its keys."""
+
+    shape: str
+    shape_hash: str
+    category: str
+    place: str
+    seed: int
+    materials: Annotated[tuple[str, ...], msgspec.Meta(min_length=2)]
+    azimuth_deg: float
+    elevation_deg: float
+    distance: float
+    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it, samples and size
+    samples: int | None = None
+    size: int | None = None
+
+
+class Case(NamedTuple):
+    """A photograph: a scene's folder, its RoomScene, and the material that it shows.
+
+    balances  whether the camera balances white
+    """
+
+    folder: Path
+    scene: RoomScene
+    source: str
+    balances: bool = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the scenes, the weights and how many scenes are photographed."""
+    options.add_data(parser, "a folder of factory.render.validation.objects_in_rooms")
+    options.add_weights(parser)
+    parser.add_argument(
+        "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
+    )
+    parser.add_argument(
+        "--after",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="number of scenes that are left out before these (default 0)",
+    )
+    parser.add_argument(
+        "--white-balance",
+        action="store_true",
+        help="photograph with a camera that balances white, as most do",
+    )
+    parser.add_argument(
+        "--no-refine",
+        action="store_true",
+        help="edit what the network predicts, without refinement",
+    )
+    parser.add_argument(
+        "--beside",
+        type=Path,
+        metavar="FILE",
+        help="report.json of the same photographs edited otherwise, with whose errors to compare",
+    )
+
+
+def measure(arguments: argparse.Namespace) -> runner.Report:
+    """Return {"rows", "weights", "seen"}; rows as of `photographed_edits.row_of`.
+
+    With --beside also {"beside": {"name": its folder's, "edits": number, rule: its L2 by which ours
+    is divided, [mean, low, high]}}. Raises InputError: no scenes, or a report of other photographs
+    """
+    from dataclasses import asdict
+
+    import torch
+
+    from learn.evaluation import overlap
+    from learn.networks import weights as checkpoint
+    from learn.refinement import PHOTOGRAPHS
+    from manifests import outputs
+    from manifests.store_paths import file_hash
+
+    torch.set_num_threads(1)
+    cases = cases_of(arguments.data, arguments.scenes, arguments.after, arguments.white_balance)
+    settings = None if arguments.no_refine else PHOTOGRAPHS
+    seen = overlap.sentences([arguments.weights], tested(cases), arguments.data, True)
+    about = {
+        # a larger --scenes keeps the first one
+        "data": file_hash(cases[0].folder / "scene.json"),
+        "weights": file_hash(arguments.weights),
+        "refinement": None if settings is None else asdict(settings),
+        "white_balance": arguments.white_balance or None,  # earlier folders lack the key
+    }
+    outputs.pin_settings(arguments.out / "settings.json", about)
+    network, metadata = checkpoint.load_parts(arguments.weights)
+    todo = [({"photograph": _name(case)}, case) for case in cases]
+    rows = runner.resume(
+        arguments.out / "rows.jsonl",
+        todo,
+        lambda case: row_of(case, network, metadata["size"], settings),
+        "photograph",
+    )
+    write_sheet(arguments.out, cases, network, metadata["size"], settings)
+    report: runner.Report = {"rows": rows, "weights": arguments.weights.name, "seen": seen}
+    if arguments.beside:
+        report["beside"] = compared(report, arguments.beside)
+    return report
+
+
+def tested(cases: Sequence[Case]) -> overlap.Tested:
+    """Return the shapes and materials that photographs show, as learn.evaluation.overlap has them.
+
+    Their places are drawn for them alone, and no weights were trained on their light.
+    """
+    from learn.data.seen import DIGITS, label_hash
+    from manifests.materials import find
+
+    scenes = [case.scene for case in cases]
+    names = sorted({name for scene in scenes for name in scene.materials})
+    return {
+        "shapes": {scene.shape_hash[:DIGITS]: scene.shape for scene in scenes},
+        "materials": {label_hash(_label(find(name))): name for name in names},
+        "lights": {},
+    }
+
+
+def compared(report: runner.Report, path: Path) -> dict[str, Any]:
+    """Return "beside" of `measure`: our errors divided by those of another report."""
+    import numpy as np
+
+    from learn.experiments.photographs import photographed_fit
+    from learn.metrics import bootstrap
+    from manifests.errors import InputError
+
+    ours, theirs = photographed_fit.edits_of(report), exposure_line.read_edits(path)
+    pairs = [[(row["photograph"], row["target"]) for row in of.rows] for of in (ours, theirs)]
+    if pairs[0] != pairs[1]:
+        remedy = "measure both with the same --data, --scenes and --after"
+        raise InputError(path, "the same photographs", "others", remedy)
+    weights = photographed_fit.weights_of(ours)
+    errors = {
+        "as exposed in use": [of.error(photographed_fit.in_use(of)) for of in (theirs, ours)],
+        "under the true exposure": [of.error(of.true) for of in (theirs, ours)],
+        "at each edit's best brightness": [np.min(of.l2, 1) for of in (theirs, ours)],
+    }
+    ratios = {rule: bootstrap.relative(a, b, weights) for rule, (a, b) in errors.items()}
+    return {"name": path.parent.name, "edits": len(ours.rows), **ratios}
+
+
+def cases_of(
+    folder: Path, count: int | None = None, after: int = 0, balances: bool = False
+) -> list[Case]:
+    """Return a photograph of each material of scenes of a folder.
+
+    count     number of scenes; None: all
+    after     number of scenes before them
+    balances  whether the camera balances white
+    Raises    InputError: there are none
+    """
+    from manifests.errors import InputError
+    from manifests.reading import read
+
+    scenes = sorted(path.parent for path in folder.glob("[0-9]*/scene.json"))[after:][:count]
+    if not scenes:
+        remedy = "render them: python -m factory.render.validation.objects_in_rooms --out DIR"
+        raise InputError(folder, "folders with a scene.json", "none", remedy)
+    result = []
+    for path in scenes:
+        scene = read(path / "scene.json", RoomScene)
+        result += [Case(path, scene, name, balances) for name in scene.materials]
+    return result
+
+
+def row_of(
+    case: Case, network: torch.nn.Module, size: int, settings: RefinementSettings | None
+) -> dict[str, Any]:
+    """Return the row of `photographed_edits.row_of` for a photograph in a room.
+
+    settings  of refinement; None: none
+    """
+    from learn.evaluation.ladder_design import group_of
+
+    photo = _photograph(case)
+    scene = case.scene
+    about = {
+        "shape": scene.shape,
+        "group": group_of(scene.shape, scene.category)[0],
+        "light": f"{scene.place}-{scene.seed}",
+        "source": case.source,
+    }
+    targets = (_truth(case, other) for other in scene.materials if other != case.source)
+    name = _name(case)
+    return about | photographed_edits.figures_of(photo, name, targets, network, size, settings)
+
+
+def write_sheet(
+    out: Path,
+    cases: Sequence[Case],
+    network: torch.nn.Module,
+    size: int,
+    settings: RefinementSettings | None,
+) -> None:
+    """Write sheet.jpg: of some scenes the photograph, its edit into another material, the truth.
+
+    A photograph that cannot be edited is left out.
+    """
+    import numpy as np
+
+    from learn.editing import decomposition, photograph
+    from learn.editing.compositor import Compositor
+    from learn.figures import montage
+    from manifests import files
+    from manifests.errors import InputError
+    from shaders import tone
+
+    first = [case for case in cases if case.source == case.scene.materials[0]]
+    rows = []
+    for case in first[:: -(-len(first) // SHOWN)]:
+        photo, truth = _photograph(case), _truth(case, case.scene.materials[1])
+        try:
+            read = photograph.from_arrays(photo.pixels, photo.mask, name=_name(case))
+            parts = decomposition.decompose(read, network, size, settings)
+        except InputError:
+            continue
+        edited = tone.display(Compositor(parts).edited([truth.label]), 1.0)
+        rows += [
+            [
+                (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
+                ("edit", edited),
+                (f"truth: {truth.material}", tone.display(photo.of(truth.frame), 1.0)),
+            ]
+        ]
+    if rows:
+        tiles = [
+            [tile for row in pair for tile in row]
+            for pair in zip(rows[::2], rows[1::2], strict=False)
+        ]
+        tiles += [rows[-1]] if len(rows) % 2 else []
+        shown = montage.eight_bit(montage.contact_sheet(tiles, photo.pixels.shape[0]))
+        files.write_image(out / "sheet.jpg", shown, "JPEG")
+
+
+def _name(case: Case) -> str:
+    return f"{case.folder.name} {case.source}"
+
+
+def _photograph(case: Case) -> Photographed:
+    """Return what a camera takes of a case."""
+    from learn.data import photographs
+    from learn.experiments.photographs.photographing import exposed
+
+    frame = _frame(case, case.source)
+    mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
+    return exposed(frame, mask, _name(case), case.balances)
+
+
+def _truth(case: Case, target: str) -> photographed_edits.Truth:
+    from manifests.materials import find
+
+    material = find(target)
+    frame = _frame(case, target)
+    return photographed_edits.Truth(target, material.family, _label(material), frame)
+
+
+def _label(material: Material) -> np.ndarray:
+    """Return a material's label (108,) float32 as data sets hold it."""
+    import numpy as np
+
+    return material.label.reshape(-1).astype(np.float32)
+
+
+def _frame(case: Case, material: str) -> np.ndarray:
+    """Return radiance (N, N, 3) float32 of a case's frame with the object in a material.
+
+    Raises InputError where it is none of the built-in ones, whose names are no paths
+    """
+    import numpy as np
+
+    from manifests import exr
+    from manifests.materials import find
+
+    channels = exr.read(case.folder / f"{find(material).name}.exr")
+    return np.stack([channels[name] for name in "RGB"], -1)
+
+
+def tables(report: runner.Report) -> str:
+    """Return the edits by way of exposing them, in groups, and the line that is fitted to them."""
+    from learn.experiments.photographs import photographed_fit
+
+    page = photographed_fit.page(report)
+    if beside := report.get("beside"):
+        ratios = {rule: of for rule, of in beside.items() if rule not in ("name", "edits")}
+        lines = [[rule, runner.interval(ratio, 2)] for rule, ratio in ratios.items()]
+        page += f"\n## Beside `{beside['name']}`\n\nL2 divided by that of the same edits there.\n\n"
+        page += runner.table(["brightness", "ratio"], lines)
+    return page

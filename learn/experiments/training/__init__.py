@@ -1,0 +1,1 @@
+"""What training gains by losses, shapes and renderings; normals of what was trained."""
