@@ -32,6 +32,7 @@ from manifests.provenance import provenance
 from manifests.reading import read
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
 REPORT, PAGE, CHART = "report.json", "report.md", "chart.png"
@@ -162,6 +163,22 @@ def interval(values: Sequence[float], digits: int = 3) -> str:
     """Return "mean [low, high]" with so many decimal places."""
     mean, low, high = (f"{value:.{digits}f}" for value in values)
     return f"{mean} [{low}, {high}]"
+
+
+def mean_interval(values: np.ndarray, weights: np.ndarray, digits: int = 3) -> str:
+    """Return the mean of values (P,) as `interval` writes it; weights (D, P) of bootstrap."""
+    from learn.metrics import bootstrap
+
+    return interval(bootstrap.interval(values, weights), digits)
+
+
+def ratio_interval(
+    before: np.ndarray, after: np.ndarray, weights: np.ndarray, digits: int = 3
+) -> str:
+    """Return mean after / mean before as `interval` writes it, of values (P,) of the same rows."""
+    from learn.metrics import bootstrap
+
+    return interval(bootstrap.relative(before, after, weights), digits)
 
 
 def resume(

@@ -9,7 +9,8 @@ cannot be drawn differently: the interval then holds for this one.
 P pictures; D draws; groups: arrays (P,) of integers 0 … G − 1, one array for each kind of grouping
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,13 @@ def draws(groups: Groups, count: int = DRAWS) -> np.ndarray:
     rng = np.random.default_rng(0)
     weights = np.stack([_one_draw(rng, groups) for _ in range(count)])
     return weights[weights.sum(1) > 0]
+
+
+def draws_of_rows(
+    rows: Sequence[Mapping[str, Any]], kinds: Iterable[str], count: int = DRAWS
+) -> np.ndarray:
+    """Return `draws` of rows with a picture each; kinds: keys of its shape, its material, …"""
+    return draws(groups_of(*([row[kind] for row in rows] for kind in kinds)), count)
 
 
 def interval(values: np.ndarray, weights: np.ndarray) -> list[float]:

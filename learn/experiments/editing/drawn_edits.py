@@ -143,7 +143,7 @@ def comparison(
     by_value = [[row for row in rows if row[key] == value] for value in values]
     first, last = by_value[0], by_value[-1]
     kinds = ("shape", "target", "light")
-    weights = bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in last] for kind in kinds)))
+    weights = bootstrap.draws_of_rows(last, kinds)
 
     def figures(of: Sequence[Mapping[str, Any]], part: str, name: str) -> np.ndarray:
         return np.array([row[part][name] for row in of])
@@ -160,10 +160,10 @@ def comparison(
         mine, theirs = (figures(each, "refined", "edit_l2") for each in (of, last))
         slow, fast = (figures(each, "refined", "seconds") for each in (last, of))
         return [
-            runner.interval(bootstrap.interval(mine - theirs, weights), 0),
-            runner.interval(bootstrap.relative(theirs, mine, weights), 3),
+            runner.mean_interval(mine - theirs, weights, 0),
+            runner.ratio_interval(theirs, mine, weights, 3),
             f"{(mine < theirs).sum()} of {len(last)}",
-            runner.interval(bootstrap.relative(slow, fast, weights), 2),
+            runner.ratio_interval(slow, fast, weights, 2),
         ]
 
     lines = [["none: predicted", *means(first, "predicted"), "", "", "", ""]]

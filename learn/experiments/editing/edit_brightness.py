@@ -153,8 +153,7 @@ def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, Any]:
 def _weights(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
     from learn.metrics import bootstrap
 
-    groups = [[row[kind] for row in rows] for kind in ("shape", "target", "light")]
-    return bootstrap.draws(bootstrap.groups_of(*groups))
+    return bootstrap.draws_of_rows(rows, ("shape", "target", "light"))
 
 
 def tables(report: runner.Report) -> str:
@@ -216,15 +215,13 @@ def table_by_factor(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return L2 of refined edits with each of FACTORS, and how many edits are better by it."""
     import numpy as np
 
-    from learn.metrics import bootstrap
-
     weights = _weights(rows)
     l2 = np.array([row["refined"]["l2"] for row in rows])
     lines = [
         [
             f"{factor:.2f}",
-            runner.interval(bootstrap.interval(l2[:, k], weights), 0),
-            runner.interval(bootstrap.relative(l2[:, UNCHANGED], l2[:, k], weights), 2),
+            runner.mean_interval(l2[:, k], weights, 0),
+            runner.ratio_interval(l2[:, UNCHANGED], l2[:, k], weights, 2),
             f"{(l2[:, k] < l2[:, UNCHANGED]).sum()} of {len(rows)}",
         ]
         for k, factor in enumerate(FACTORS)

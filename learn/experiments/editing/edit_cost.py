@@ -230,10 +230,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, 
         result[rung] = {}
         for name in dict.fromkeys(row["method"] for row in rows):
             of = [row for row in rows if row["rung"] == rung and row["method"] == name]
-            groups = bootstrap.groups_of(
-                *([row[kind] for row in of] for kind in ("shape", "target", "light"))
-            )
-            weights = bootstrap.draws(groups)
+            weights = bootstrap.draws_of_rows(of, ("shape", "target", "light"))
             edits, aligned, seconds = (
                 np.array([row[key] for row in of])
                 for key in ("edit_l2", "edit_l2_aligned", "seconds")

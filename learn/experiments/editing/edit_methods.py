@@ -138,9 +138,7 @@ def _mitsuba(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     from learn.metrics import bootstrap
 
     rows = report["rows"]
-    weights = bootstrap.draws(
-        bootstrap.groups_of(*([row[key] for row in rows] for key in ("shape", "target", "light")))
-    )
+    weights = bootstrap.draws_of_rows(rows, ("shape", "target", "light"))
     name = str(report["weights"]).removesuffix(".safetensors")
     methods = []
     for key, words in MITSUBA.items():

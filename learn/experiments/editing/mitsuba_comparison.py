@@ -299,8 +299,7 @@ def tables(report: runner.Report) -> str:
     from learn.metrics import bootstrap
 
     rows = report["rows"]
-    names = [[row[key] for row in rows] for key in ("shape", "target", "light")]
-    weights = bootstrap.draws(bootstrap.groups_of(*names))
+    weights = bootstrap.draws_of_rows(rows, ("shape", "target", "light"))
     lines = []
     for name, title in METHODS.items():
         values = {key: np.array([row[name][key] for row in rows]) for key in FIGURES}
@@ -309,10 +308,10 @@ def tables(report: runner.Report) -> str:
         lines.append(
             [
                 f"{title} ({report['longer']} times)" if name == "longer" else title,
-                runner.interval(bootstrap.interval(values["edit"], weights), 0),
-                runner.interval(bootstrap.relative(ours, values["edit"], weights), 2),
-                runner.interval(bootstrap.interval(values["aligned"], weights), 0),
-                runner.interval(bootstrap.interval(values["irradiance"], weights), 3),
+                runner.mean_interval(values["edit"], weights, 0),
+                runner.ratio_interval(ours, values["edit"], weights, 2),
+                runner.mean_interval(values["aligned"], weights, 0),
+                runner.mean_interval(values["irradiance"], weights, 3),
                 f"{values['image'].mean():.0f}",
                 f"{values['seconds'].mean():.1f}",
                 "" if None in steps else f"{np.mean([s for s in steps if s is not None]):.0f}",
@@ -323,7 +322,7 @@ def tables(report: runner.Report) -> str:
     parts = ["# Refinement and descent through Mitsuba 3"]
     parts += [f"**{sentence}**" for sentence in report["seen"]]
     parts.append(
-        f"{len(rows)} scenes of {len(set(names[0]))} shapes, direct tier; weights"
+        f"{len(rows)} scenes of {len({row['shape'] for row in rows})} shapes, direct tier; weights"
         f" {report['weights']}. Both begin at the same prediction and use one thread. Edits are"
         " rendered by the layer from each one's light and normals; the re-rendering is each one's"
         " own, by Mitsuba or the layer. Seconds are of the processor; Mitsuba's kernels are"

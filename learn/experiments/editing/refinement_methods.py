@@ -244,13 +244,11 @@ def _again(rows: Sequence[Mapping[str, Any]]) -> str:
 
     by = [[row for row in rows if row["method"] == method] for method in METHODS]
     kinds = ("shape", "source", "light")
-    weights = bootstrap.draws(
-        bootstrap.groups_of(*([row[kind] for row in by[0]] for kind in kinds))
-    )
+    weights = bootstrap.draws_of_rows(by[0], kinds)
     ratios = []
     for key, name in (("image_l2", "the picture's re-rendering"), ("normals_mean_deg", "normals")):
         mine, theirs = (np.array([row["refined"][key] for row in of]) for of in by)
-        ratio = runner.interval(bootstrap.relative(theirs, mine, weights))
+        ratio = runner.ratio_interval(theirs, mine, weights)
         ratios.append(
             f"{name} {mine.mean():.4g} by {METHODS[0]}, {theirs.mean():.4g} by"
             f" {METHODS[1]}, ratio {ratio}"

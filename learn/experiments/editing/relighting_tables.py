@@ -30,20 +30,18 @@ def by_method(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return a row for each of METHODS, of one task's rows on one rung."""
     import numpy as np
 
-    from learn.metrics import bootstrap
-
     weights = _draws(rows)
     l2 = {key: np.array([row["l2"][key] for row in rows]) for key in METHODS}
     factor = {key: np.array([row["one_factor"][key] for row in rows]) for key in METHODS}
     lines = [
         [
             title,
-            runner.interval(bootstrap.interval(l2[key], weights), 0),
+            runner.mean_interval(l2[key], weights, 0),
             f"{np.median(l2[key]):.0f}",
             *_by_metal(rows, l2[key]),
-            runner.interval(bootstrap.interval(factor[key], weights), 0),
+            runner.mean_interval(factor[key], weights, 0),
             *_by_metal(rows, factor[key]),
-            runner.interval(bootstrap.relative(l2["unchanged"], l2[key], weights), 2),
+            runner.ratio_interval(l2["unchanged"], l2[key], weights, 2),
             f"{(l2[key] < l2['unchanged']).sum()} of {len(rows)}",
         ]
         for key, title in METHODS.items()
@@ -68,7 +66,6 @@ def by_group(rows: Sequence[Mapping[str, Any]]) -> str:
     import numpy as np
 
     from learn.evaluation.ladder_design import GROUPS
-    from learn.metrics import bootstrap
 
     lines = []
     for group in GROUPS:
@@ -81,7 +78,7 @@ def by_group(rows: Sequence[Mapping[str, Any]]) -> str:
             [
                 group,
                 f"{len(chosen)}, {sum(row['metal'] for row in chosen)}",
-                runner.interval(bootstrap.interval(l2["predicted"], _draws(chosen)), 0),
+                runner.mean_interval(l2["predicted"], _draws(chosen), 0),
                 *_by_metal(chosen, l2["predicted"]),
                 f"{factor.mean():.0f}",
                 *_by_metal(chosen, factor),
@@ -111,7 +108,7 @@ def _draws(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
     kinds = ["shape", "material", "from_light", "to_light"]
     if any(row["shape"] != row["material_of"] for row in rows):
         kinds.append("material_of")
-    return bootstrap.draws(bootstrap.groups_of(*([row[kind] for row in rows] for kind in kinds)))
+    return bootstrap.draws_of_rows(rows, kinds)
 
 
 def _by_metal(rows: Sequence[Mapping[str, Any]], values: np.ndarray) -> list[str]:

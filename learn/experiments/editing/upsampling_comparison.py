@@ -122,9 +122,7 @@ def compare_pictures(picture: np.ndarray, truth: np.ndarray, mask: np.ndarray) -
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return {"ours" | "true": {strategy: {figure: [mean, low, high]}}} of rows."""
     result: dict[str, dict[str, Any]] = {}
-    weights = bootstrap.draws(
-        bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows])
-    )
+    weights = bootstrap.draws_of_rows(rows, ("shape", "material"))
     for parts in ("ours", "true"):
         names = list(rows[0][parts])
         l2, ssim = (

@@ -89,7 +89,7 @@ def _figures(edits: Edits, paints: list[str]) -> str:
             for key in FIGURES.values():
                 values = np.array([edit[key] for edit in edits[paint, method]])
                 if key in ("l2", "as_bright"):
-                    line.append(runner.interval(bootstrap.interval(values, weights), 0))
+                    line.append(runner.mean_interval(values, weights, 0))
                 else:
                     line.append(f"{np.sqrt((values**2).mean()):.2f}")
             lines.append(line)
@@ -107,12 +107,11 @@ def _ratios(edits: Edits, paints: list[str]) -> str:
                     np.array([edit[key] for edit in edits[paint, method]])
                     for method in (before, after)
                 )
-                line.append(runner.interval(bootstrap.relative(was, now, weights), 2))
+                line.append(runner.ratio_interval(was, now, weights, 2))
             lines.append([*line, f"{(now < was).sum()} of {len(now)}"])
     head = ["paint", "methods", "L2", "L2 as bright as the truth", "edits better, as bright"]
     return runner.table(head, lines)
 
 
 def _weights(edits: list[dict[str, Any]]) -> np.ndarray:
-    names = ([edit[key] for edit in edits] for key in ("shape", "target", "light"))
-    return bootstrap.draws(bootstrap.groups_of(*names))
+    return bootstrap.draws_of_rows(edits, ("shape", "target", "light"))

@@ -196,7 +196,7 @@ def page(report: Report) -> str:
             "the photograph, not edited",
             "",
             "",
-            runner.interval(bootstrap.interval(edits.unchanged, weights), 0),
+            runner.mean_interval(edits.unchanged, weights, 0),
             _mean(edits.unchanged[metals]),
             _mean(edits.unchanged[~metals]),
         ]
@@ -206,9 +206,9 @@ def page(report: Report) -> str:
         lines.append(
             [
                 name,
-                runner.interval(bootstrap.interval(off, weights), 2),
+                runner.mean_interval(off, weights, 2),
                 f"{np.sqrt((off**2).mean()):.2f}",
-                runner.interval(bootstrap.interval(l2, weights), 0),
+                runner.mean_interval(l2, weights, 0),
                 _mean(l2[metals]),
                 _mean(l2[~metals]),
             ]
@@ -216,7 +216,7 @@ def page(report: Report) -> str:
     result.append(runner.table(head, lines))
     result.append(f"Metals: {', '.join(METALS)}; {metals.sum()} edits.\n")
     before, now = (edits.error(shown[name]) for name in (BEFORE, IN_USE))
-    ratio = runner.interval(bootstrap.relative(before, now, weights), 2)
+    ratio = runner.ratio_interval(before, now, weights, 2)
     result.append(
         f"In use, L2 is {ratio} times what it was before; {(now < before).sum()} of"
         f" {len(now)} edits are better.\n"
@@ -312,7 +312,7 @@ def _colours(edits: Edits, weights: np.ndarray) -> str:
     lines = [
         [
             name,
-            runner.interval(bootstrap.interval(off, weights), 2),
+            runner.mean_interval(off, weights, 2),
             f"{np.sqrt((off**2).mean()):.2f}",
         ]
         for name, off in shown.items()

@@ -190,11 +190,7 @@ def _of_rung(rung: str, rows: Sequence[Mapping[str, Any]], names: Sequence[str])
 
     by = {name: [row for row in rows if row["weights"] == name] for name in names}
     first = by[names[0]]
-    weights = bootstrap.draws(
-        bootstrap.groups_of(
-            *([row[kind] for row in first] for kind in ("shape", "source", "light"))
-        )
-    )
+    weights = bootstrap.draws_of_rows(first, ("shape", "source", "light"))
 
     def values(name: str, key: str) -> np.ndarray:
         return np.array([row[key] for row in by[name]])
@@ -205,7 +201,7 @@ def _of_rung(rung: str, rows: Sequence[Mapping[str, Any]], names: Sequence[str])
         [
             name,
             *(
-                runner.interval(bootstrap.interval(values(name, key), weights), digits)
+                runner.mean_interval(values(name, key), weights, digits)
                 for key, (_, digits) in FIGURES.items()
             ),
         ]
@@ -215,9 +211,7 @@ def _of_rung(rung: str, rows: Sequence[Mapping[str, Any]], names: Sequence[str])
         [
             name,
             *(
-                runner.interval(
-                    bootstrap.relative(values(names[0], key), values(name, key), weights)
-                )
+                runner.ratio_interval(values(names[0], key), values(name, key), weights)
                 for key in FIGURES
             ),
         ]

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from learn.experiments.training import ablation_options
+from learn.experiments.training import ablation_options, ratio_chart
 from manifests.option_types import positive
 
 if TYPE_CHECKING:
@@ -340,14 +340,9 @@ def figure(report: runner.Report) -> Any:
     drawn = Figure(figsize=(2.1 * len(ERRORS) + 2, 0.3 * len(names) + 1.1), layout="constrained")
     axes = drawn.subplots(1, len(ERRORS), sharey=True)
     for axis, (key, label) in zip(axes, ERRORS.items(), strict=True):
-        for i, name in enumerate(names):
-            mean, low, high = report["variants"][name]["ratios"][key]
-            axis.plot([low, high], [i, i], color="#345", lw=2)
-            axis.plot(mean, i, "o", color="#345")
-        axis.axvline(1, color="#999", lw=1)
-        axis.set_title(label, fontsize=8)
-        axis.set_yticks(range(len(names)), names, fontsize=8)
-        axis.tick_params(axis="x", labelsize=8)
+        ratio_chart.draw_ratios(
+            axis, label, {name: report["variants"][name]["ratios"][key] for name in names}
+        )
     axes[0].invert_yaxis()
     drawn.suptitle(f"ratio to {REFERENCE}, with 95 % intervals", fontsize=10)
     return drawn

@@ -261,10 +261,9 @@ def _line(title: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
     from learn.metrics import bootstrap
 
-    groups = bootstrap.groups_of(*([row[key] for row in rows] for key in KINDS))
-    weights = bootstrap.draws(groups, DRAWS)
+    weights = bootstrap.draws_of_rows(rows, KINDS, DRAWS)
     columns = [np.array([row[key] for row in rows]) for key in ("angle", "facing")]
-    cells = [runner.interval(bootstrap.interval(values, weights), 1) for values in columns]
+    cells = [runner.mean_interval(values, weights, 1) for values in columns]
     shapes = shapes_of(rows)
     distance = f"{np.mean([each[0] for each in shapes]):.1f}"
     return [title, str(len(shapes)), str(len(rows)), distance, *cells]

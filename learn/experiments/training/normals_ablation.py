@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from learn.experiments import runner
-from learn.experiments.training import ablation_options
+from learn.experiments.training import ablation_options, ratio_chart
 from manifests.option_types import above_zero, whole
 
 if TYPE_CHECKING:
@@ -263,12 +263,8 @@ def figure(report: runner.Report) -> Figure:
         (axes[0], "ratio", "render L2 against L2 alone"),
         (axes[1], "angle_ratio", "mean angle against L2 alone"),
     ):
-        for i, name in enumerate(names):
-            mean, low, high = report["rows"][name][key]
-            axis.plot([low, high], [i, i], color="#345", lw=2)
-            axis.plot(mean, i, "o", color="#345")
-        axis.axvline(1, color="#999", lw=1)
-        axis.set_title(title, fontsize=10)
-        axis.set_yticks(range(len(names)), names)
+        ratio_chart.draw_ratios(
+            axis, title, {name: report["rows"][name][key] for name in names}, size=10
+        )
     axes[0].invert_yaxis()
     return drawn

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from learn.experiments import runner
+from learn.experiments.training import ratio_chart
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 REFERENCE, AGAIN = "all terms", "all terms again"
 FROM_WEIGHTS = "weights"
@@ -108,14 +110,9 @@ def figure(report: runner.Report) -> Figure:
     for line, (start, of_start) in zip(axes, of_starts.items(), strict=True):
         names = [name for name in of_start if name != REFERENCE]
         for axis, (key, label) in zip(line, FIGURES.items(), strict=True):
-            for i, name in enumerate(names):
-                mean, low, high = of_start[name]["ratios"][key]
-                axis.plot([low, high], [i, i], color="#345", lw=2)
-                axis.plot(mean, i, "o", color="#345")
-            axis.axvline(1, color="#999", lw=1)
-            axis.set_title(label, fontsize=8)
-            axis.set_yticks(range(len(names)), names, fontsize=8)
-            axis.tick_params(axis="x", labelsize=8)
+            ratio_chart.draw_ratios(
+                axis, label, {name: of_start[name]["ratios"][key] for name in names}
+            )
         line[0].set_ylabel(f"from {start}", fontsize=9)
         line[0].invert_yaxis()
     drawn.suptitle(f"ratio to {REFERENCE}, with 95 % intervals", fontsize=10)

@@ -145,7 +145,7 @@ def tables(report: runner.Report) -> str:
                 [
                     title,
                     str(len(kept)),
-                    runner.interval(bootstrap.interval(mine, weights), 0),
+                    runner.mean_interval(mine, weights, 0),
                     f"{np.median(mine):.0f}",
                     runner.interval(bootstrap.ratio(plain, mine, groups), 2),
                 ]

@@ -209,10 +209,9 @@ def _line(title: str, rows: Sequence[dict[str, Any]], columns: Sequence[str]) ->
 
     from learn.metrics import bootstrap
 
-    groups = bootstrap.groups_of([row["shape"] for row in rows], [row["material"] for row in rows])
-    weights = bootstrap.draws(groups, DRAWS)
+    weights = bootstrap.draws_of_rows(rows, ("shape", "material"), DRAWS)
     cells = [
-        runner.interval(bootstrap.interval(np.array([row[column] for row in rows]), weights), 1)
+        runner.mean_interval(np.array([row[column] for row in rows]), weights, 1)
         for column in columns
     ]
     return [title, str(len({row["shape"] for row in rows})), str(len(rows)), *cells]
