@@ -4,6 +4,8 @@ import importlib.util
 import json
 import math
 import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -442,6 +444,15 @@ def run(name, words, out):
 def test_every_experiment_has_a_smallest_size_and_a_line_in_the_help():
     assert sorted(SMALLEST) == sorted(COMMANDS)
     assert all(f"  {name} " in description() for group in GROUPS.values() for name in group)
+
+
+def test_help_needs_no_torch():
+    program = (
+        "import sys; from learn.experiments import __main__ as program, runner;"
+        " print(len([runner.find(name) for name in program.COMMANDS]), 'torch' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.stdout.split() == [str(len(COMMANDS)), "False"], run.stderr
 
 
 @pytest.mark.parametrize("name", SMALLEST)

@@ -9,7 +9,7 @@ import torch
 from learn.experiments.photographs import painted_photographs, painted_tables, painting
 from learn.experiments.photographs.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
 from learn.experiments.photographs.painting import COLOUR, KINDS, NONE, PRINT
-from learn.experiments.photographs.photographed_edits import SCALES
+from learn.experiments.photographs.photographed_fit import SCALES
 
 SIZE = 48
 

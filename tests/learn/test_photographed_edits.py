@@ -103,7 +103,7 @@ def edits(count: int, slopes: np.ndarray, noise: float = 0.0) -> Edits:
     right = cues @ slopes + noise * rng.normal(size=count)
     used, darkened = rng.normal(size=(2, count))
     stops = right - used - darkened
-    scales = np.array(photographed_edits.SCALES)
+    scales = np.array(photographed_fit.SCALES)
     rows = [
         {"shape": str(k % 5), "light": str(k % 7), "target": "a", "group": "b", "family": "metal"}
         for k in range(count)

@@ -15,7 +15,6 @@ from scipy.optimize import OptimizeResult, minimize
 from learn.data.batch import ExampleBatch
 from learn.experiments.__main__ import COMMANDS
 from learn.experiments.editing import (
-    refinement_ablation,
     refinement_chart,
     refinement_initialisations,
     refinement_sweep,
@@ -366,7 +365,7 @@ def test_a_study_has_a_row_a_picture_goes_on_where_it_was_and_refuses_other_weig
 
 
 def test_a_weight_moved_beside_the_default_alone_is_charted():
-    row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in refinement_ablation.FIGURES}
+    row = {figure: [2.0, 1.0, 2.0, 1.0] for figure in refinement_sweep.FIGURES}
     assert len(refinement_chart.draw({"a=0.1": row}).axes) == 4
     assert refinement_chart.draw({"default": row}) is None
 

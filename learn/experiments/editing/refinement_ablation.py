@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from learn.data.records import Records
     from learn.networks.prediction import Prediction
 
-FIGURES = {
-    "image": "re-rendering, display L2",
-    "edit": "edit, display L2",
-    "angle_deg": "normals, mean angle (°)",
-    "light": "irradiance, relative error",
-}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the data, the weights, the settings and the numbers of pictures and initialisations."""
@@ -114,6 +107,8 @@ def _measure(
 
 def tables(report: runner.Report) -> str:
     """Return figures before and after refinement by setting and by initialisation, and seconds."""
+    from learn.experiments.editing.refinement_sweep import FIGURES
+
     parts = ["# Refinement of pictures whose edits are known", ""]
     if settings := report.get("settings"):
         head = ["setting", *FIGURES.values(), "edit, ratio of means", "seconds", "pictures"]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from learn.experiments.editing.refinement_ablation import FIGURES
-from learn.experiments.editing.refinement_sweep import SWEEPS, value_of
+from learn.experiments.editing.refinement_sweep import FIGURES, SWEEPS, value_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -24,7 +24,6 @@ from learn.data import pairs
 from learn.data.batch import ExampleBatch
 from learn.data.records import Records
 from learn.experiments import runner
-from learn.experiments.editing.refinement_ablation import FIGURES
 from learn.layer import predictions
 from learn.metrics.radiometry import irradiance_error
 from learn.networks.prediction import Prediction
@@ -34,6 +33,12 @@ from manifests.errors import InputError
 from manifests.renamed_keys import current_name
 from shaders import tone
 
+FIGURES = {
+    "image": "re-rendering, display L2",
+    "edit": "edit, display L2",
+    "angle_deg": "normals, mean angle (°)",
+    "light": "irradiance, relative error",
+}
 SWEEPS = {
     "a": (0.01, 0.05, 0.1, 1.0),
     "b": (0.002, 0.02, 0.2, 10.0),

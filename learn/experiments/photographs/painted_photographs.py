@@ -17,7 +17,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from learn.experiments import runner
-from learn.experiments.photographs import painting, photographed_edits
+from learn.experiments.photographs import photographed_edits
 from learn.experiments.photographs.photographed_edits import Case
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     Raises InputError for a data set without pictures of one scene in two materials.
     """
+    from learn.experiments.photographs import painting
+
     opened = photographed_edits.opened(arguments, {m: _as_json(m) for m in METHODS})
     todo = [
         ({"photograph": case.source.id, "paint": paint, "method": method}, (case, paint, method))
@@ -77,6 +79,7 @@ def row_of(
     records: Records, network: torch.nn.Module, size: int, case: Case, paint: str, method: str
 ) -> dict[str, Any]:
     """Return the row of `photographed_edits.row_of` for a painted object and one method."""
+    from learn.experiments.photographs import painting
 
     def in_paint(sample: Sample) -> np.ndarray:
         return painting.painted(paint, sample, case.source.id)

@@ -9,7 +9,7 @@ import numpy as np
 from learn.experiments import runner
 from learn.experiments.photographs.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
 from learn.experiments.photographs.painting import KINDS
-from learn.experiments.photographs.photographed_edits import SCALES
+from learn.experiments.photographs.photographed_fit import SCALES
 from learn.metrics import bootstrap
 
 FIGURES = {

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 ON_RAY = True
 TARGETS = 3  # edits of a photograph
-SCALES = tuple(k / 4 for k in range(-16, 17))  # stops by which an edit is made brighter
 
 
 class Case(NamedTuple):
@@ -245,9 +244,9 @@ def figures_of(
     taken back, "cues": of learn.editing.exposure, "edits": [{"target", "family", "narrow": share of
     its albedo in narrow lobes, "darkened": stops by which it was rendered darker for that, "stops":
     of brightness above the truth's, "green" and "red_blue": of colour beyond the truth's, "l2":
-    with each of SCALES, "l2_coloured": the same if the edit's mean had the colour of the truth's,
-    "unchanged": L2 of the photograph as it was}]}; {"refused", "edits": []} for a photograph that
-    cannot be edited
+    if brighter by each of SCALES (photographed_fit), "l2_coloured": the same if the edit's mean had
+    the colour of the truth's, "unchanged": L2 of the photograph as it was}]}; {"refused", "edits":
+    []} for a photograph that cannot be edited
     """
     from dataclasses import asdict
 
@@ -287,6 +286,7 @@ def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, An
 
     from learn.editing import light_colour
     from learn.editing.photograph import CLEAR
+    from learn.experiments.photographs.photographed_fit import SCALES
     from learn.layer.albedo import narrow_share
     from shaders import tone
     from shaders.tone import LUMINANCE

@@ -1,8 +1,8 @@
 """Tables of `photographed-edits`: rules for an edit's brightness, and the line of exposures.
 
-Edits were made under one exposure and are known at others: SCALES of photographed_edits, between
-which L2 is interpolated, and beyond which it is that of the last. So every rule is applied to the
-same decompositions. E: number of edits.
+Edits were made under one exposure, and their L2 is known if they were brighter by each of SCALES.
+Between these L2 is interpolated, and beyond them it is that of the last. So every rule is applied
+to the same decompositions. E: number of edits.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 
 from learn.editing import brightness, exposure
 from learn.experiments import runner
-from learn.experiments.photographs.photographed_edits import SCALES
 from learn.metrics import bootstrap
 
 if TYPE_CHECKING:
     from learn.experiments.runner import Report
 
+SCALES = tuple(k / 4 for k in range(-16, 17))  # in stops
 TERMS = ("constant", "object", "again", "background", "narrow")
 WITH_BACKGROUND = ("constant", "again", "background", "narrow")  # of the line in use
 CUT_OUT = ("constant", "again", "narrow")  # of that without a background
