@@ -13,6 +13,7 @@ from learn.engines.distant import (
     add_by_n,
     add_radiance,
     cosine,
+    facing,
     half_offset,
     peak_cosine,
     reflectance,
@@ -29,7 +30,7 @@ from learn.engines.layout import (
     LANES,
     LOBE_STRIDE,
 )
-from learn.engines.triples import add_vector, clear, product, scaled, vector_at, write_sums
+from learn.engines.triples import add_vector, clear, product, vector_at, write_sums
 from learn.engines.vector import (
     FLOAT_POINTER,
     INT_POINTER,
@@ -39,7 +40,6 @@ from learn.engines.vector import (
     lane_max,
     load,
     lowest_bit,
-    maximum,
     splat,
 )
 
@@ -185,25 +185,21 @@ def backward(
                         visible = n_w > 0.0
                         if not anywhere(visible):
                             continue
-                        offset = half_offset(geometry, o, normal)
-                        c, log_c = peak_cosine(offset)
-                        nearest, seen = lane_max(log_c), False
-                        n_w, by_radiance = maximum(n_w, 0.0), vector_at(g, p)
-                        weight = scaled(n_w, by_radiance)
+                        pixel = facing(geometry, o, normal, n_w, visible, vector_at(g, p))
+                        nearest, seen = lane_max(pixel.log_c), False
                         f = splat(0.0), splat(0.0), splat(0.0)
                         slope = splat(0.0), splat(0.0), splat(0.0)
                         for s in range(many):
                             if nearest > cuts[CUTS * i + s]:
                                 seen, t = True, LOBE_STRIDE * (many * block + s)
+                                to = base_l + t
                                 f, slope = reflectance_backward(
-                                    lobes, t, log_c, weight, lobe_sums, base_l + t, f, slope
+                                    lobes, t, pixel.log_c, pixel.weight, lobe_sums, to, f, slope
                                 )
                         if not seen:
                             continue
-                        add_vector(energy_sums, base_e + e, product(f, weight))
+                        add_vector(energy_sums, base_e + e, product(f, pixel.weight))
                         if with_n:
-                            add_by_n(
-                                scratch, sums + ENERGY_STRIDE * j, w_of(geometry, o), energy, e,
-                                n_w, visible, c, offset, f, slope, by_radiance,
-                            )  # fmt: skip
+                            at, w = sums + ENERGY_STRIDE * j, w_of(geometry, o)
+                            add_by_n(scratch, at, w, energy, e, pixel, f, slope)
             write_sums(scratch, sums, 3 * count * with_n, by_n, 3 * start)

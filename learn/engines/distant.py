@@ -19,6 +19,8 @@ matters there too (γ = 1e5). Sums run over blocks in order, so a pixel's bits d
 its own inputs.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
@@ -195,6 +197,32 @@ def forward(
         write_sums(scratch, 0, 3 * count, radiance, 3 * start)
 
 
+class Facing(NamedTuple):
+    """One pixel before sixteen lights, with the derivative by its radiance.
+
+    n_w      μ = max(0, n·w); visible: where n·w is above 0
+    offset   h − n; c and log_c: c and log2 c
+    g        derivative by radiance; weight: g μ of each channel
+    """
+
+    n_w: Lanes
+    visible: Mask
+    offset: Vector
+    c: Lanes
+    log_c: Lanes
+    g: Triple
+    weight: Vector
+
+
+@inlined
+def facing(geometry: np.ndarray, o: int, n: Triple, n_w: Lanes, visible: Mask, g: Triple) -> Facing:
+    """A pixel before the lights of the block at offset o, of which `visible` ones have n·w > 0."""
+    offset = half_offset(geometry, o, n)
+    c, log_c = peak_cosine(offset)
+    n_w = maximum(n_w, 0.0)
+    return Facing(n_w, visible, offset, c, log_c, g, scaled(n_w, g))
+
+
 @inlined
 def lobe_backward(
     lobes: np.ndarray,
@@ -235,7 +263,7 @@ def reflectance_backward(
     """`lobe_backward` of one lobe's three channels.
 
     o, to     offsets of the first channel in `lobes` and in `lobe_sums`
-    weight    g max(0, n·w) of each channel
+    weight    of `Facing`
     f, slope  of the lobes before, by channel
     """
     f0, d0 = lobe_backward(lobes, o, log_c, weight[0], lobe_sums, to, f[0], slope[0])
@@ -253,27 +281,22 @@ def add_by_n(
     w: Vector,
     energy: np.ndarray,
     e: int,
-    n_w: Lanes,
-    visible: Mask,
-    c: Lanes,
-    offset: Vector,
+    pixel: Facing,
     f: Vector,
     slope: Vector,
-    g: Triple,
 ) -> None:
     """Add the derivative by n to a pixel's sums: Σ_k g_k E_k (F w + μ dF/dc (h − n)).
 
-    a        offset of the pixel's sums; e: of the lights' energy
-    n_w      μ = max(0, n·w); visible: where it is above 0
-    offset   h − n
-    f        F of each channel; slope: dF/dc · c log2 e of each; g: derivative by radiance
+    a  offset of the pixel's sums; e: of the lights' energy
+    f  F of each channel; slope: dF/dc · c log2 e of each
     """
-    (f0, f1, f2), (d0, d1, d2), (g0, g1, g2) = f, slope, g
+    n_w = pixel.n_w
+    (f0, f1, f2), (d0, d1, d2), (g0, g1, g2) = f, slope, pixel.g
     e0, e1, e2 = load(energy, e), load(energy, e + LANES), load(energy, e + 2 * LANES)
     by_w = fma(f0 * g0, e0, fma(f1 * g1, e1, f2 * g2 * e2))
-    by_w = select(visible, by_w, 0.0)
-    by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / c
-    add_vector(sums, a, combined(by_w, w, by_c, offset))
+    by_w = select(pixel.visible, by_w, 0.0)
+    by_c = fma(d0 * (n_w * g0), e0, fma(d1 * (n_w * g1), e1, d2 * (n_w * g2) * e2)) * LN2 / pixel.c
+    add_vector(sums, a, combined(by_w, w, by_c, pixel.offset))
 
 
 def backward(
@@ -326,24 +349,19 @@ def backward(
                     visible = n_w > 0.0
                     if not anywhere(visible):
                         continue
-                    offset = half_offset(geometry, o, normal)
-                    c, log_c = peak_cosine(offset)
-                    nearest, seen = lane_max(log_c), False
-                    n_w, by_radiance = maximum(n_w, 0.0), vector_at(g, p)
-                    weight = scaled(n_w, by_radiance)
+                    pixel = facing(geometry, o, normal, n_w, visible, vector_at(g, p))
+                    nearest, seen = lane_max(pixel.log_c), False
                     f = splat(0.0), splat(0.0), splat(0.0)
                     slope = splat(0.0), splat(0.0), splat(0.0)
                     for s in range(3):
                         if nearest * least[3 * block + s] > cut[block]:
                             seen, t = True, LOBES_STRIDE * block + LOBE_STRIDE * s
                             f, slope = reflectance_backward(
-                                lobes, t, log_c, weight, lobe_sums, t, f, slope
+                                lobes, t, pixel.log_c, pixel.weight, lobe_sums, t, f, slope
                             )
                     if not seen:
                         continue
-                    add_vector(energy_sums, e, product(f, weight))
-                    add_by_n(
-                        scratch, sums + ENERGY_STRIDE * j, w_of(geometry, o), energy, e, n_w,
-                        visible, c, offset, f, slope, by_radiance,
-                    )  # fmt: skip
+                    add_vector(energy_sums, e, product(f, pixel.weight))
+                    at, w = sums + ENERGY_STRIDE * j, w_of(geometry, o)
+                    add_by_n(scratch, at, w, energy, e, pixel, f, slope)
             write_sums(scratch, sums, 3 * count, n_part, 3 * (chunk * pixels + start))

@@ -74,6 +74,6 @@ def test_draws_that_keep_no_picture_are_left_out():
 
 def test_draws_of_rows_are_those_of_the_groups_that_rows_name():
     rows = [{"shape": s, "light": e} for s in "abc" for e in "xy"]
-    by_groups = bootstrap.draws(bootstrap.groups_of("aabbcc", "xyxyxy"), 50)
+    by_groups = bootstrap.draws(bootstrap.groups_of(list("aabbcc"), list("xyxyxy")), 50)
     assert np.array_equal(bootstrap.draws_of_rows(rows, ("shape", "light"), 50), by_groups)
     assert not np.array_equal(bootstrap.draws_of_rows(rows, ("light", "shape"), 50), by_groups)
