@@ -4,7 +4,7 @@ It is the backward pass of learn.engines.general.backward, whose loops it repeat
 is unrolled around values in registers.
 
 Letters, arrays and the sum as in learn.engines.general, S and its parts as in
-learn.engines.distant_second; besides
+learn.engines.second_lobes; besides
 n_along, v_along  (P, 3): n', v', tangential up to rounding
 m                 (3 lobes, 3 channels, 2, 6): control values of γ and of κ log2 e
 m_along           the same of γ' and of κ'
@@ -27,15 +27,6 @@ from numba import types
 
 from learn.engines.compilation import inlined
 from learn.engines.distant import first_block, is_seen, w_of
-from learn.engines.distant_second import (
-    Change,
-    Weights,
-    add_by_energy_and_g,
-    by_cosine,
-    change_of,
-    lobe_second,
-    weights_of,
-)
 from learn.engines.exponentials import angle
 from learn.engines.halfway import half_vectors, view_at
 from learn.engines.layout import (
@@ -54,6 +45,15 @@ from learn.engines.layout import (
     VALUES,
 )
 from learn.engines.second_angles import add_by_n, add_by_v, along_of, angles_of, x_along_of
+from learn.engines.second_lobes import (
+    Change,
+    Weights,
+    add_by_energy_and_g,
+    by_cosine,
+    change_of,
+    lobe_second,
+    weights_of,
+)
 from learn.engines.splines import ANGLE_TO_X, Basis, Tents, add_curve, basis, curve, slope, tents
 from learn.engines.triples import clear, difference, dot, vector_at, write_sums
 from learn.engines.vector import (
