@@ -12,7 +12,7 @@ from learn.data import lights
 from learn.data.data_split import DataSplit
 from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Losses, Run, Schedule, read_run
-from learn.experiments.training import light_repairs, objective_training, variants
+from learn.experiments.training import light_figures, light_repairs, objective_training, variants
 from learn.experiments.training.kept_batches import KeptBatches
 from learn.experiments.training.light_repairs import REFERENCE, VARIANTS
 from learn.training import losses
@@ -83,7 +83,7 @@ def test_a_dark_frame_and_a_green_cast_are_seen_in_stops():
     framed[0, :, 1:-1, 1:-1] *= 4
     framed[0] /= 4
     framed[1, 1] *= 2
-    figures = light_repairs.light_figures(framed, true)
+    figures = light_figures.light_figures(framed, true)
     # of random texels, and a little less for what is faint
     assert figures["frame"].tolist() == pytest.approx([-2, 0], abs=0.15)
     assert figures["green"][1].item() == pytest.approx(1, abs=1e-4)
@@ -91,8 +91,8 @@ def test_a_dark_frame_and_a_green_cast_are_seen_in_stops():
     smooth = torch.ones(1, 3, 16, 32)
     stepped = smooth.clone()
     stepped[..., 0] *= 8
-    assert light_repairs.light_figures(stepped, smooth)["seam"].item() == pytest.approx(3, abs=0.1)
-    same = light_repairs.light_figures(true, true)
+    assert light_figures.light_figures(stepped, smooth)["seam"].item() == pytest.approx(3, abs=0.1)
+    same = light_figures.light_figures(true, true)
     assert all(value.abs().max() == 0 for value in same.values())
 
 
