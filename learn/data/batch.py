@@ -66,6 +66,12 @@ class ExampleBatch:
         return replace(self, **new)
 
 
+def shape_and_material(name: str) -> tuple[str, str]:
+    """Return the shape and the material of a picture from its name in `ExampleBatch.names`."""
+    shape, *_, material = name.split(" ")
+    return shape, material
+
+
 def collate(examples: Sequence[tuple], elevation: float) -> ExampleBatch:
     """Return the batch of examples whose arrays have their channels last.
 

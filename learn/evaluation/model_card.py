@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import torch
 
+from learn.data.batch import shape_and_material
 from learn.data.data_split import DataSplit
 from learn.data.settings import decode_run
 from learn.evaluation import card_batches
@@ -134,9 +135,7 @@ def _under_patterns(results: Mapping[str, Sequence[card_batches.Measured]]) -> d
     """
     (plain, names), (under, _) = (results[kind][0] for kind in card_batches.PATTERNS)
     angles = [values["angle_deg"] for values in (plain, under)]
-    resampled = bootstrap.draws(
-        bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
-    )
+    resampled = _draws(names)
     return {
         "plain_angle_deg": bootstrap.interval(angles[0], resampled),
         "printed_angle_deg": bootstrap.interval(angles[1], resampled),
@@ -169,15 +168,19 @@ def _all_different(paths, runs):
             )
 
 
+def _draws(names: Sequence[str]) -> np.ndarray:
+    """Return weights (D, P) of draws of the shapes and materials of pictures of these names."""
+    shapes, materials = zip(*map(shape_and_material, names), strict=True)
+    return bootstrap.draws(bootstrap.groups_of(shapes, materials))
+
+
 def _under(where, found):
     """Return the part of card.json about one kind of pictures, of the first network and of all.
 
     found  (values {figure: (P,)}, names (P,)) of each network, on the same pictures
     """
     (values, names), *_ = found
-    resampled = bootstrap.draws(
-        bootstrap.groups_of(*([name.split(" ")[place] for name in names] for place in (0, -1)))
-    )
+    resampled = _draws(names)
     report = {
         where or "figures": {key: _interval(value, resampled) for key, value in values.items()},
         f"{where}_pictures" if where else "pictures": len(names),

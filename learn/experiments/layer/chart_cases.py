@@ -113,7 +113,7 @@ def lights(folder: Path | None = None, names: Sequence[str] | None = None) -> di
     """Return the computed lights, or the sun in a texel and the maps of a folder.
 
     folder  with *.exr, or a data set
-    names   beginnings of the names of those that are requested; None: all
+    names   of those that are requested, of a folder their beginnings; None: all
     """
     if folder is None:
         computed = computed_lights()

@@ -50,15 +50,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"threads", "light", "tolerances": {tolerance: its counts, medians and rows}}."""
     from learn.experiments.layer import chart_cases
     from manifests import materials as catalogue
-    from manifests.errors import InputError, closest
 
-    lights = chart_cases.computed_lights()
-    if arguments.light not in lights:
-        raise InputError(
-            "--light", "a computed light", f"'{arguments.light}'", closest(arguments.light, lights)
-        )
+    light = chart_cases.lights(names=[arguments.light])[arguments.light]
     materials = list(catalogue.load_catalogue(catalogue.BUILT_IN[0]).items())[:: arguments.every]
-    light = lights[arguments.light]
     return {
         "threads": arguments.threads,
         "light": arguments.light,

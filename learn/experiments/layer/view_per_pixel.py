@@ -53,17 +53,12 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"light", "times": [row], "cases": [row]}."""
     from learn.experiments.layer import chart_cases
     from manifests import materials as catalogue
-    from manifests.errors import InputError, closest
     from manifests.progress import tqdm
 
-    lights = chart_cases.computed_lights()
-    if arguments.light not in lights:
-        raise InputError(
-            "--light", "a computed light", f"'{arguments.light}'", closest(arguments.light, lights)
-        )
+    light = chart_cases.lights(names=[arguments.light])[arguments.light]
     materials = list(catalogue.load_catalogue(catalogue.BUILT_IN[0]).items())
     times = [
-        {"shape": shape, "material": name} | _times(material.label, lights[arguments.light], depth)
+        {"shape": shape, "material": name} | _times(material.label, light, depth)
         for name, material in tqdm(materials[:: arguments.every], desc="times", unit="material")
         for shape, depth in DEPTHS.items()
     ]

@@ -200,6 +200,7 @@ def rows(
     """Yield the figures of each picture of a batch of `objective_training.tests`."""
     import torch
 
+    from learn.data.batch import shape_and_material
     from learn.experiments.training.light_figures import light_figures
     from learn.metrics import light_probes
     from learn.metrics.radiometry import irradiance_error
@@ -215,7 +216,7 @@ def rows(
         "target_l2": torch.from_numpy(edits),
     }
     for i, name in enumerate(batch.names):
-        shape, *_, material = name.split(" ")
+        shape, material = shape_and_material(name)
         spheres = light_probes.compare(light[i], batch.light[i], batch.elevation)
         own = {key: float(value[i]) for key, value in of_batch.items()}
         own |= {key: spheres[key] for key in ERRORS if key in spheres}

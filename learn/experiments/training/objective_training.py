@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import torch
 
-from learn.data.batch import ExampleBatch
+from learn.data.batch import ExampleBatch, shape_and_material
 from learn.data.data_split import DataSplit
 from learn.data.settings import Losses, Run
 from learn.experiments.training import variants
@@ -182,7 +182,7 @@ def rows(
         ),
     }
     for i, name in enumerate(batch.names):
-        shape, *_, material = name.split(" ")
+        shape, material = shape_and_material(name)
         own = {key: float(value[i]) for key, value in figures.items()}
         yield {"shape": shape, "material": material} | own
 

@@ -158,13 +158,14 @@ def row_of(
     """
     import torch
 
+    from learn.data.batch import shape_and_material
     from learn.training.validation import means
 
     angles: dict[str, float] = {}
     for size, source in sources.items():
         batch = source[number]
         mask = batch.segments > 0
-        shape, _, _, material = batch.names[0].split(" ")
+        shape, material = shape_and_material(batch.names[0])
         facing = batch.n[:, 2].clamp(-1, 1).arccos().rad2deg()
         angles.setdefault(FACING, float(means(facing, mask)[0]))
         for name, network in networks[size].items():

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import torch
 
-from learn.data.batch import ExampleBatch
+from learn.data.batch import ExampleBatch, shape_and_material
 from learn.data.data_split import DataSplit
 from learn.data.relit import RelitDataset
 from learn.data.settings import Data, Run
@@ -130,7 +130,7 @@ def rows(training: loop.Training, network: Coded, batch: ExampleBatch) -> Iterat
     mine = validation.render_batch(n, label, batch.light, batch)
     truth = batch.picture.movedim(1, -1).numpy()
     for i, name in enumerate(batch.names):
-        shape, *_, material = name.split(" ")
+        shape, material = shape_and_material(name)
         own = {key: float(value[i]) for key, value in figures.items()}
         yield (
             {"shape": shape, "material": material}
