@@ -17,7 +17,8 @@ import numpy as np
 from numba import types
 
 from learn.engines.compilation import inlined
-from learn.engines.vector import FLOAT_POINTER
+from learn.engines.triples import Triple
+from learn.engines.vector import FLOAT_POINTER, single
 
 FORWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 7)
 BACKWARD = types.void(*[types.int64] * 3, *[FLOAT_POINTER] * 12)
@@ -47,6 +48,33 @@ def middle_slopes(
     )
 
 
+@inlined
+def from_frame(a: float, b: float, depth: float, frame: np.ndarray) -> Triple:
+    """The vector whose components along the frame's three axes are a, b and depth."""
+    return (
+        a * frame[0] + b * frame[3] + depth * frame[6],
+        a * frame[1] + b * frame[4] + depth * frame[7],
+        a * frame[2] + b * frame[5] + depth * frame[8],
+    )
+
+
+@inlined
+def into_frame(x: float, y: float, z: float, frame: np.ndarray) -> Triple:
+    """The components of a vector along the frame's three axes."""
+    return (
+        x * frame[0] + y * frame[1] + z * frame[2],
+        x * frame[3] + y * frame[4] + z * frame[5],
+        x * frame[6] + y * frame[7] + z * frame[8],
+    )
+
+
+@inlined
+def across(scale: float, g: Triple, q_x: float, q_y: float, q_z: float) -> Triple:
+    """What of g stands across a place q, scaled."""
+    along = g[0] * q_x + g[1] * q_y + g[2] * q_z
+    return scale * (g[0] - along * q_x), scale * (g[1] - along * q_y), scale * (g[2] - along * q_z)
+
+
 def forward(
     first: int,
     last: int,
@@ -74,9 +102,8 @@ def forward(
         for _ in range(steps):
             a, b = middle(q_x, q_y, q_z, fit, 0), middle(q_x, q_y, q_z, fit, 1)
             shrink = 1 / math.sqrt(1 + a * a + b * b)
-            u_x = m_x + shrink * (a * frame[0] + b * frame[3] + frame[6])
-            u_y = m_y + shrink * (a * frame[1] + b * frame[4] + frame[7])
-            u_z = m_z + shrink * (a * frame[2] + b * frame[5] + frame[8])
+            o_x, o_y, o_z = from_frame(a, b, single(1.0), frame)
+            u_x, u_y, u_z = m_x + shrink * o_x, m_y + shrink * o_y, m_z + shrink * o_z
             norm = math.sqrt(u_x * u_x + u_y * u_y + u_z * u_z)
             t_x, t_y, t_z = u_x / norm, u_y / norm, u_z / norm
             change = abs(t_x - q_x) + abs(t_y - q_y) + abs(t_z - q_z)
@@ -116,38 +143,30 @@ def backward(
         v_x, v_y, v_z = view[3 * p], view[3 * p + 1], view[3 * p + 2]
         q_x, q_y, q_z = place[3 * p], place[3 * p + 1], place[3 * p + 2]
         # the offsets: slopes of the view less V's
-        depth = max(v_x * frame[6] + v_y * frame[7] + v_z * frame[8], limits[OWN])
-        a = (v_x * frame[0] + v_y * frame[1] + v_z * frame[2]) / depth
-        b = (v_x * frame[3] + v_y * frame[4] + v_z * frame[5]) / depth
+        a, b, depth = into_frame(v_x, v_y, v_z, frame)
+        depth = max(depth, limits[OWN])
+        a, b = a / depth, b / depth
         by_a, by_b = by_x[p] / limits[HALF], by_y[p] / limits[HALF + 1]
         c_x, c_y, c_z = middle_slopes(q_x, q_y, q_z, fit, by_a, by_b)
         g_x, g_y, g_z = by_place[3 * p] - c_x, by_place[3 * p + 1] - c_y, by_place[3 * p + 2] - c_z
         by_a, by_b = by_a / depth, by_b / depth
-        by_depth = -(by_a * a + by_b * b)
-        w_x = by_a * frame[0] + by_b * frame[3] + by_depth * frame[6]
-        w_y = by_a * frame[1] + by_b * frame[4] + by_depth * frame[7]
-        w_z = by_a * frame[2] + by_b * frame[5] + by_depth * frame[8]
+        w_x, w_y, w_z = from_frame(by_a, by_b, -(by_a * a + by_b * b), frame)
         if terms < 0:
             by_n[3 * p], by_n[3 * p + 1], by_n[3 * p + 2] = g_x, g_y, g_z
         else:
             scale = 1 / length[p]
-            along = g_x * q_x + g_y * q_y + g_z * q_z
-            u_x, u_y = scale * (g_x - along * q_x), scale * (g_y - along * q_y)
-            u_z = scale * (g_z - along * q_z)
+            u_x, u_y, u_z = across(scale, (g_x, g_y, g_z), q_x, q_y, q_z)
             a, b = middle(q_x, q_y, q_z, fit, 0), middle(q_x, q_y, q_z, fit, 1)
             shrink = 1 / math.sqrt(1 + a * a + b * b)
-            o_x = shrink * (a * frame[0] + b * frame[3] + frame[6])
-            o_y = shrink * (a * frame[1] + b * frame[4] + frame[7])
-            o_z = shrink * (a * frame[2] + b * frame[5] + frame[8])
+            o_x, o_y, o_z = from_frame(a, b, single(1.0), frame)
+            o_x, o_y, o_z = shrink * o_x, shrink * o_y, shrink * o_z
             for _ in range(terms):
                 radial = shrink * (u_x * o_x + u_y * o_y + u_z * o_z)
-                by_a = shrink * (u_x * frame[0] + u_y * frame[1] + u_z * frame[2] - radial * a)
-                by_b = shrink * (u_x * frame[3] + u_y * frame[4] + u_z * frame[5] - radial * b)
+                by_a, by_b, _ = into_frame(u_x, u_y, u_z, frame)
+                by_a, by_b = shrink * (by_a - radial * a), shrink * (by_b - radial * b)
                 c_x, c_y, c_z = middle_slopes(q_x, q_y, q_z, fit, by_a, by_b)
-                c_x, c_y, c_z = g_x + c_x, g_y + c_y, g_z + c_z
-                along = c_x * q_x + c_y * q_y + c_z * q_z
-                u_x, u_y = scale * (c_x - along * q_x), scale * (c_y - along * q_y)
-                u_z = scale * (c_z - along * q_z)
+                by_both = g_x + c_x, g_y + c_y, g_z + c_z
+                u_x, u_y, u_z = across(scale, by_both, q_x, q_y, q_z)
             cosine = x * v_x + y * v_y + z * v_z
             share = 0.0
             if cosine > limits[LEAST]:
