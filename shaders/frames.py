@@ -109,9 +109,12 @@ def turned_to_viewer(n: np.ndarray, v: np.ndarray, back: bool = False) -> np.nda
     x, y, z = (v[..., i : i + 1] for i in range(3))
     if back:
         x, y = -x, -y
-    # v × z is (y, −x, 0), as long as the sine of the angle
-    first = np.concatenate([-x * n[..., 2:], -y * n[..., 2:], x * n[..., :1] + y * n[..., 1:2]], -1)
-    again = np.concatenate(
-        [-x * first[..., 2:], -y * first[..., 2:], x * first[..., :1] + y * first[..., 1:2]], -1
-    )
-    return n + first + again / (1.0 + z)
+
+    def cross(a: np.ndarray) -> np.ndarray:
+        """Return (v × z) × a; v × z is (y, −x, 0), as long as the sine of the angle."""
+        return np.concatenate(
+            [-x * a[..., 2:], -y * a[..., 2:], x * a[..., :1] + y * a[..., 1:2]], -1
+        )
+
+    first = cross(n)
+    return n + first + cross(first) / (1.0 + z)
