@@ -50,7 +50,10 @@ def middle_slopes(
 
 @inlined
 def from_frame(a: float, b: float, depth: float, frame: np.ndarray) -> Triple:
-    """The vector whose components along the frame's three axes are a, b and depth."""
+    """The vector whose components along the frame's three axes are a, b and depth.
+
+    depth  a `single` if a and b are: their sum is then one too
+    """
     return (
         a * frame[0] + b * frame[3] + depth * frame[6],
         a * frame[1] + b * frame[4] + depth * frame[7],
