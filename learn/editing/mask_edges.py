@@ -19,7 +19,7 @@ coverage  (H, W) in [0, 1]: the object's share of each pixel
 
 import numpy as np
 from scipy import sparse
-from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, label, maximum_filter
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
@@ -27,12 +27,15 @@ from shaders import tone
 
 SHARE = 0.008  # of the picture's longer side: how far an edge may be moved
 NARROWEST, WIDEST = 4, 16  # pixels
-THIN = 0.6  # of the half width of a thin part, or gap, that the band may take of it
+THIN = 0.5  # of the half width of a thin part, or gap, that the band may take of it
 NEAREST = 6  # certain pixels on either side with whose colours a pixel is compared
 NOISE = 0.03  # of display values in [0, 1]: a difference of colours that tells little
-CONTRAST = 0.05  # display values: across such a difference neighbours count e^-1/2 times as much
-EVIDENCE, GIVEN = 0.2, 0.01  # weights of the best mixture and of the given mask in the energy
-SOFT = 1.5  # pixels
+# across such a difference of display values neighbours count e^-1/2 times as much, or across one of
+# ROUGH times the usual difference in the band where that is more
+CONTRAST, ROUGH = 0.05, 1.5
+EVIDENCE, GIVEN = 0.1, 0.02  # weights of the best mixture and of the given mask in the energy
+UNSURE = 4.0  # times as much the colours of both sides must differ for a certainty of a half
+SOFT = 1.0  # pixels
 SOFTENING = 0.7  # pixels by which a hard edge is blurred, so that its steps do not show
 CHUNK = 1 << 15  # pixels compared at once
 
@@ -162,7 +165,12 @@ def _best_mixture(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return share (N,) and certainty (N,) of the mixture of F (N, K, 3) and B (N, J, 3) that is
     most like what is seen (N, 3).
+
+    It is certain as far as F and B differ more than each does in itself, and than the rest that the
+    mixture leaves.
     """
+    apart2 = ((F.mean(1) - B.mean(1)) ** 2).sum(-1)
+    spread2 = F.var(1).sum(-1) + B.var(1).sum(-1)
     F, B = F[:, :, None], B[:, None]
     step = F - B
     length2 = (step**2).sum(-1)
@@ -173,10 +181,9 @@ def _best_mixture(
     cost = (residual2 + noise**2 / 4) / (length2 + noise**2)
     flat = cost.reshape(len(seen), -1).argmin(1)
     pick = np.arange(len(seen)), flat
-    share, length2, residual2 = (
-        each.reshape(len(seen), -1)[pick] for each in (share, length2, residual2)
-    )
-    return share, length2 / (length2 + 4 * noise**2 + 4 * residual2)
+    share, residual2 = (each.reshape(len(seen), -1)[pick] for each in (share, residual2))
+    unsure2 = UNSURE * (noise**2 + spread2 + residual2)
+    return share, apart2 / (apart2 + unsure2)
 
 
 def _walked(
@@ -195,12 +202,14 @@ def _walked(
     diagonal = EVIDENCE * certainty + GIVEN
     right = EVIDENCE * certainty * share + GIVEN * inside[band]
     rows, columns, values = [], [], []
+    usual2 = np.median(((display[1:] - display[:-1]) ** 2).sum(-1)[band[1:]])
+    contrast2 = max(CONTRAST**2, ROUGH**2 * float(usual2))
     for first, second in (
         (np.s_[:, :-1], np.s_[:, 1:]),
         (np.s_[:-1], np.s_[1:]),
     ):
         difference2 = ((display[first] - display[second]) ** 2).sum(-1)
-        weight = np.exp(-difference2 / (2 * CONTRAST**2)) + 1e-3
+        weight = np.exp(-difference2 / (2 * contrast2)) + 1e-3
         for one, other in ((first, second), (second, first)):
             here, there = number[one], number[other]
             among = here >= 0
@@ -224,4 +233,13 @@ def _walked(
     )
     result = inside.copy()
     result[band] = spsolve(system, right) >= 0.5
-    return result
+    return _connected(result, inside & ~band, ~inside & ~band)
+
+
+def _connected(moved: np.ndarray, object_: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) without islands and holes that nothing certain (H, W) is part of."""
+    for certain, value in ((object_, True), (background, False)):
+        parts, _ = label(moved == value)
+        kept = np.unique(parts[certain])
+        moved = np.where((parts > 0) & ~np.isin(parts, kept), not value, moved)
+    return moved
