@@ -205,20 +205,15 @@ class Compositor:
     def background(self) -> np.ndarray:
         """Return radiance (side, side, 3) of what is behind the object's edge.
 
-        Where the object covers a pixel in part, the mixture of background and object beside it
-        differs from the photograph. The difference is divided between the two so that both change
-        least. In front of a transparent background, nothing is mixed.
+        In front of a transparent background, the photograph's colours are not mixed.
         """
         if self._background is None:
             photograph = self.decomposition.photograph
             cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
-            B = fill_from_near(cut, self.coverage < CLEAR)
             if photograph.alpha is None:
-                share = self.coverage[..., None]
-                object_ = fill_from_nearest(cut, self.coverage > 1 - CLEAR)
-                left = cut - share * object_ - (1 - share) * B
-                B = np.maximum(B + left * (1 - share) / (share**2 + (1 - share) ** 2), 0)
-            self._background = B.astype(np.float32)
+                self._background = background_behind(cut, self.coverage)
+            else:
+                self._background = fill_from_near(cut, self.coverage < CLEAR)
         return self._background
 
     def own_radiance(self) -> np.ndarray:
@@ -271,10 +266,28 @@ def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return values[tuple(index)]
 
 
+def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """Return radiance (H, W, 3) of what is behind an object's edge in a photograph.
+
+    Where the object covers a pixel in part, a mixture of the background and the object beside it
+    differs from the photograph. The difference is divided between the two so that the sum of their
+    squared changes is least.
+
+    radiance  (H, W, 3) linear
+    coverage  (H, W) in [0, 1]
+    """
+    share = coverage[..., None]
+    behind = fill_from_near(radiance, coverage < CLEAR)
+    object_ = fill_from_nearest(radiance, coverage > 1 - CLEAR)
+    left = radiance - share * object_ - (1 - share) * behind
+    corrected = behind + left * (1 - share) / (share**2 + (1 - share) ** 2)
+    return np.maximum(corrected, 0).astype(np.float32)
+
+
 def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Replace values (H, W, C) outside `where` (H, W) by the mean of near ones inside.
 
-    They are weighted by a Gaussian of BEHIND_WIDTH; where none is so near, the nearest counts.
+    They are weighted by a Gaussian of BEHIND_WIDTH. Where none is so near, the nearest is taken.
     """
     inside = where.astype(np.float32)
     weight = gaussian_filter(inside, BEHIND_WIDTH)[..., None]

@@ -83,7 +83,7 @@ def _fit(
 ) -> np.ndarray:
     """Return `fit` of a picture that shows the object and what is about it alone."""
     inside = coverage >= 0.5
-    band = _band(inside, width)
+    band = band_about(inside, width)
     if fixed is not None:
         band &= ~fixed
     object_, background = inside & ~band, ~inside & ~band
@@ -109,7 +109,7 @@ def signed_distance(inside: np.ndarray) -> np.ndarray:
     return np.where(inside, within - 0.5, 0.5 - without)
 
 
-def _band(inside: np.ndarray, width: int) -> np.ndarray:
+def band_about(inside: np.ndarray, width: int) -> np.ndarray:
     """Return pixels (H, W) bool about a mask's edge that the photograph may give to either side."""
     result = np.zeros_like(inside)
     for side in (inside, ~inside):

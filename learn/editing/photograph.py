@@ -253,14 +253,14 @@ def _assemble(
     if fit_mask and contents.is_transparency:
         rule, remedy = "a mask that is not the photograph's own transparency", "leave it out"
         raise InputError("--fit-mask", rule, "no other mask", remedy)
-    is_hard = bool((np.minimum(coverage, 1 - coverage) < GREY).all())
+    is_hard = is_black_and_white(coverage)
     fitted = None
     if fit_mask or (fit_mask is None and is_hard and not contents.is_transparency):
         fitted = _fitted(contents)
     if fitted is not None:
         coverage, labels = fitted
-    elif is_hard and not contents.is_transparency:
-        coverage = gaussian_filter(coverage.astype(np.float32), mask_edges.SOFTENING)
+    elif not contents.is_transparency:
+        coverage = soften(coverage)
     factors = _balance(balance, radiance, coverage, not contents.cut_out)
     framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
@@ -276,6 +276,18 @@ def _assemble(
         alpha=own,
         given=None if fitted is None else contents.labels,
     )
+
+
+def is_black_and_white(coverage: np.ndarray) -> bool:
+    """Return whether a mask (H, W) in [0, 1] has no grey."""
+    return bool((np.minimum(coverage, 1 - coverage) < GREY).all())
+
+
+def soften(coverage: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) in [0, 1] blurred so that its steps do not show, unless it has grey."""
+    if not is_black_and_white(coverage):
+        return coverage
+    return gaussian_filter(coverage.astype(np.float32), mask_edges.SOFTENING)
 
 
 def _fitted(contents: _Contents) -> tuple[np.ndarray, np.ndarray] | None:
