@@ -25,7 +25,8 @@ from scipy.spatial import cKDTree
 
 from shaders import tone
 
-SHARE = 0.008  # of the picture's longer side: how far an edge may be moved
+# how far an edge may be moved: shares of the longer sides of the picture and of the object's box
+SHARE, OF_OBJECT = 0.008, 0.02
 NARROWEST, WIDEST = 4, 16  # pixels
 THIN = 0.5  # of the half width of a thin part, or gap, that the band may take of it
 NEAREST = 6  # certain pixels on either side with whose colours a pixel is compared
@@ -34,6 +35,7 @@ NOISE = 0.03  # of display values in [0, 1]: a difference of colours that tells 
 # ROUGH times the usual difference in the band where that is more
 CONTRAST, ROUGH = 0.05, 1.5
 EVIDENCE, GIVEN = 0.1, 0.02  # weights of the best mixture and of the given mask in the energy
+SMOOTH = 0.15  # of the band's width: edges that are finer are smoothed
 UNSURE = 4.0  # times as much the colours of both sides must differ for a certainty of a half
 SOFT = 1.0  # pixels
 SOFTENING = 0.7  # pixels by which a hard edge is blurred, so that its steps do not show
@@ -50,7 +52,7 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
     inside = coverage >= 0.5
     if not inside.any() or inside.all():
         return coverage.astype(np.float32)
-    width = band_width(inside.shape)
+    width = band_width(inside)
     box = _around(inside, 3 * width)
     part = coverage[box].astype(np.float32)
     display = tone.display(radiance[box], 1.0).astype(np.float32) / 255
@@ -60,9 +62,11 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
     return result
 
 
-def band_width(size: tuple[int, ...]) -> int:
-    """Return how many pixels an edge may be moved in a picture of a size (H, W)."""
-    return int(np.clip(round(SHARE * max(size)), NARROWEST, WIDEST))
+def band_width(inside: np.ndarray) -> int:
+    """Return how many pixels an object's edge may be moved in a picture (H, W) bool."""
+    object_ = max(np.ptp(np.flatnonzero(inside.any(axis))) + 1 for axis in (0, 1))
+    width = round(min(SHARE * max(inside.shape), OF_OBJECT * object_))
+    return int(np.clip(width, NARROWEST, WIDEST))
 
 
 def _around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
@@ -90,7 +94,7 @@ def _fit(
     if not (band.any() and object_.any() and background.any()):
         return coverage
     share, certainty = mixtures(display, band, object_, background)
-    moved = _walked(display, inside, band, share, certainty)
+    moved = _walked(display, inside, band, share, certainty, width)
     depth = signed_distance(moved)
     soft = (np.abs(depth) <= SOFT) & band
     blurred = gaussian_filter(moved.astype(np.float32), SOFTENING)
@@ -192,6 +196,7 @@ def _walked(
     band: np.ndarray,
     share: np.ndarray,
     certainty: np.ndarray,
+    width: int,
 ) -> np.ndarray:
     """Return pixels (H, W) bool that the object covers by half, after the energy's minimum.
 
@@ -231,8 +236,9 @@ def _walked(
         ),
         (count, count),
     )
-    result = inside.copy()
-    result[band] = spsolve(system, right) >= 0.5
+    shares = inside.astype(np.float32)
+    shares[band] = spsolve(system, right)
+    result = np.where(band, gaussian_filter(shares, SMOOTH * width) >= 0.5, inside)
     return _connected(result, inside & ~band, ~inside & ~band)
 
 

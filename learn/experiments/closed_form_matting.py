@@ -23,7 +23,7 @@ def matted(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     coverage  (H, W) in [0, 1]: the given mask
     """
     inside = coverage >= 0.5
-    band = mask_edges.band_about(inside, mask_edges.band_width(inside.shape))
+    band = mask_edges.band_about(inside, mask_edges.band_width(inside))
     laplacian = _laplacian(tone.display(radiance, 1.0) / 255, maximum_filter(band, 3))
     free, given = band.ravel(), inside.ravel().astype(float)
     system = laplacian[free][:, free] + LEAST * sparse.eye(int(free.sum()))

@@ -56,7 +56,7 @@ def test_a_mask_beside_its_object_is_moved_onto_it(name):
     fitted = mask_edges.fit(picture(TRUE, 0.02), given)
     assert error(fitted) < 0.2 * error(gaussian_filter(given, mask_edges.SOFTENING))
     # and no farther from the given edge than the band
-    untouched = np.abs(mask_edges.signed_distance(given > 0.5)) > mask_edges.band_width(TRUE.shape)
+    untouched = np.abs(mask_edges.signed_distance(given > 0.5)) > mask_edges.band_width(given > 0.5)
     assert (fitted[untouched] == given[untouched]).all()
 
 
@@ -70,7 +70,7 @@ def test_where_object_and_background_look_alike_the_given_mask_stays():
 def test_where_the_true_edge_is_out_of_reach_the_given_one_stays_and_is_not_torn():
     given = disc(RADIUS - 12) >= 0.5
     fitted = mask_edges.fit(picture(TRUE, 0.1), given)
-    assert ((fitted >= 0.5) != given).sum() < 0.05 * given.sum()
+    assert ((fitted >= 0.5) != given).sum() < 0.08 * given.sum()
 
 
 def test_holes_thin_parts_and_gaps_survive():
@@ -93,6 +93,15 @@ def test_an_object_that_the_frame_cuts_off_ends_there():
     assert np.abs(fitted - true)[:, :3].sum() < 1
     # an object that fills the picture has no edge
     assert (mask_edges.fit(picture(true), np.ones_like(true)) == 1).all()
+
+
+def test_specks_of_the_other_colour_make_neither_holes_nor_islands():
+    """A knot of the wall's colour at the object's edge, and one of its own beside it."""
+    colours = TRUE.copy()
+    knot, stain = (disc(1.7, (0, across)) > 0.5 for across in (RADIUS - 2.5, RADIUS + 2.5))
+    colours[knot], colours[stain] = 0, 1
+    fitted = mask_edges.fit(picture(colours), (TRUE >= 0.5).astype(float)) >= 0.5
+    assert label(fitted)[1] == label(~fitted)[1] == 1
 
 
 def test_fixed_pixels_stay_as_they_are():
@@ -141,7 +150,8 @@ def test_an_edge_between_regions_stays_and_their_outer_edge_moves():
     fitted = photograph.from_arrays(shown(TRUE), None, regions, fit_mask=None)
     assert (fitted.regions[hard] == regions[hard]).all()
     assert error(fitted.mask) < 0.2 * error(hard)
-    assert (fitted.regions[(TRUE > 0.9) & (X < -8)] == 1).all()
+    for number, side in ((1, X < -8), (2, X > 8)):
+        assert (fitted.regions[(TRUE > 0.9) & side] == number).all()
     assert (fitted.given_regions == regions).all()
 
 
@@ -154,7 +164,7 @@ def test_transparency_is_left_alone_and_cannot_be_fitted():
 
 def test_a_region_of_a_few_pixels_is_not_fitted_away():
     """A speck of the background's colour: the whole mask stays as it was given."""
-    speck = (np.abs(Y + 40) < 3) & (np.abs(X + 40) < 3)
+    speck = (np.abs(Y + 40) < 2) & (np.abs(X + 40) < 2)
     regions = np.where(speck, 2, DAMAGED["narrow"]).astype(np.uint8)
     fitted = photograph.from_arrays(shown(TRUE), None, regions, fit_mask=None)
     assert (fitted.regions == 2).sum() >= photographs.LEAST_PIXELS
