@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
 
 from learn.data import framing
 from learn.data.devices import to_numpy
@@ -30,6 +30,7 @@ from learn.layer import predictions
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
 DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
+BEHIND_REACH = 3  # pixels on either side that say which values a background may have
 BEHIND_WIDTH = 1.0  # pixels: background behind an edge is the mean of what is so near, or nearest
 LARGEST_DETAIL = 1.5  # factor by which fine shading may brighten or darken a pixel
 
@@ -271,17 +272,21 @@ def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
 
     Where the object covers a pixel in part, a mixture of the background and the object beside it
     differs from the photograph. The difference is divided between the two so that the sum of their
-    squared changes is least.
+    squared changes is least, as far as the background stays within the values of near pixels that
+    the object does not touch: a mask that is too small must not bring the old colour back.
 
     radiance  (H, W, 3) linear
     coverage  (H, W) in [0, 1]
     """
-    share = coverage[..., None]
-    behind = fill_from_near(radiance, coverage < CLEAR)
+    share, clear = coverage[..., None], coverage < CLEAR
+    behind = fill_from_near(radiance, clear)
     object_ = fill_from_nearest(radiance, coverage > 1 - CLEAR)
     left = radiance - share * object_ - (1 - share) * behind
     corrected = behind + left * (1 - share) / (share**2 + (1 - share) ** 2)
-    return np.maximum(corrected, 0).astype(np.float32)
+    size = (2 * BEHIND_REACH + 1, 2 * BEHIND_REACH + 1, 1)
+    least = minimum_filter(np.where(clear[..., None], radiance, behind), size)
+    most = maximum_filter(np.where(clear[..., None], radiance, behind), size)
+    return np.clip(corrected, least, most).astype(np.float32)
 
 
 def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
