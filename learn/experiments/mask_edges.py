@@ -92,7 +92,7 @@ def row_of(case: Case) -> dict[str, Any]:
     radiance = tone.linear_from_srgb(photo.pixels / 255.0).astype(np.float32)
     materials = case.scene.materials
     target = materials[(materials.index(case.source) + 1) % len(materials)]
-    truth = room_photographs.frame_of(case, target) * np.float32(photo.exposure)
+    truth = photo.of(room_photographs.frame_of(case, target))
     object_ = fill_from_nearest(truth, coverage > 0.99)
     band = np.abs(mask_edges.signed_distance(coverage >= 0.5)) <= BAND
     masks, refused = {}, []
