@@ -30,7 +30,7 @@ SHARE, OF_OBJECT = 0.008, 0.02
 NARROWEST, WIDEST = 4, 16  # pixels
 THIN = 0.5  # of the half width of a thin part, or gap, that the band may take of it
 NEAREST = 6  # certain pixels on either side with whose colours a pixel is compared
-NOISE = 0.03  # of display values in [0, 1]: a difference of colours that tells little
+NOISE = 0.03  # of values in [0, 1]: a difference of colours that tells little
 # across such a difference of display values neighbours count e^-1/2 times as much, or across one of
 # ROUGH times the usual difference in the band where that is more
 CONTRAST, ROUGH = 0.05, 1.5
@@ -65,8 +65,8 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
 def band_width(inside: np.ndarray) -> int:
     """Return how many pixels an object's edge may be moved in a picture (H, W) bool."""
     object_ = max(np.ptp(np.flatnonzero(inside.any(axis))) + 1 for axis in (0, 1))
-    width = round(min(SHARE * max(inside.shape), OF_OBJECT * object_))
-    return int(np.clip(width, NARROWEST, WIDEST))
+    width = min(SHARE * max(inside.shape), OF_OBJECT * int(object_))
+    return int(np.clip(round(width), NARROWEST, WIDEST))
 
 
 def _around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
@@ -99,10 +99,9 @@ def _fit(
     soft = (np.abs(depth) <= SOFT) & band
     blurred = gaussian_filter(moved.astype(np.float32), SOFTENING)
     result = np.where(band, blurred, np.where(inside == moved, coverage, blurred))
-    near = [(depth > SOFT), (depth < -SOFT)]
-    if soft.any() and near[0].any() and near[1].any():
-        linear = np.minimum(radiance, 1)
-        share, certainty = mixtures(linear, soft, *near, noise=NOISE)
+    object_, background = depth > SOFT, depth < -SOFT
+    if soft.any() and object_.any() and background.any():
+        share, certainty = mixtures(np.minimum(radiance, 1), soft, object_, background)
         result[soft] = certainty * share + (1 - certainty) * blurred[soft]
     return result.astype(np.float32)
 
@@ -128,14 +127,12 @@ def mixtures(
     where: np.ndarray,
     object_: np.ndarray,
     background: np.ndarray,
-    noise: float = NOISE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how pixels are best mixed of the object's and the background's colours.
 
     colours              (H, W, 3)
     where                (H, W) bool: the N pixels
     object_, background  (H, W) bool: certain pixels; the nearest NEAREST of each are mixed
-    noise                difference of colours that tells nothing
     Returns              the object's share (N,) in [0, 1], and its certainty (N,) in [0, 1]
     """
     at = np.argwhere(where)
@@ -154,7 +151,7 @@ def mixtures(
             colours[tuple(near[_nearest(tree, at[part])].transpose(2, 0, 1))]
             for near, tree in zip(sides, trees, strict=True)
         )
-        share[part], certainty[part] = _best_mixture(seen[part], F, B, noise)
+        share[part], certainty[part] = _best_mixture(seen[part], F, B)
     return share, certainty
 
 
@@ -164,9 +161,7 @@ def _nearest(tree: cKDTree, at: np.ndarray) -> np.ndarray:
     return tree.query(at, count)[1].reshape(len(at), count)
 
 
-def _best_mixture(
-    seen: np.ndarray, F: np.ndarray, B: np.ndarray, noise: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return share (N,) and certainty (N,) of the mixture of F (N, K, 3) and B (N, J, 3) that is
     most like what is seen (N, 3).
 
@@ -182,11 +177,11 @@ def _best_mixture(
     share = np.clip((from_b * step).sum(-1) / (length2 + 1e-6), 0, 1)
     residual2 = ((from_b - share[..., None] * step) ** 2).sum(-1)
     # of two pairs that explain a pixel as well, the one whose colours differ more
-    cost = (residual2 + noise**2 / 4) / (length2 + noise**2)
+    cost = (residual2 + NOISE**2 / 4) / (length2 + NOISE**2)
     flat = cost.reshape(len(seen), -1).argmin(1)
     pick = np.arange(len(seen)), flat
     share, residual2 = (each.reshape(len(seen), -1)[pick] for each in (share, residual2))
-    unsure2 = UNSURE * (noise**2 + spread2 + residual2)
+    unsure2 = UNSURE * (NOISE**2 + spread2 + residual2)
     return share, apart2 / (apart2 + unsure2)
 
 

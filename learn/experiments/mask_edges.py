@@ -95,6 +95,7 @@ def row_of(case: Case) -> dict[str, Any]:
     truth = photo.of(room_photographs.frame_of(case, target))
     object_ = fill_from_nearest(truth, coverage > 0.99)
     band = np.abs(mask_edges.signed_distance(coverage >= 0.5)) <= BAND
+    whole = band | (coverage > 0)
     masks, refused = {}, []
     for name, damage in damaged_masks.DAMAGES.items():
         given = damage(coverage).astype(np.float32)
@@ -103,9 +104,9 @@ def row_of(case: Case) -> dict[str, Any]:
             continue
         masks[name] = {
             method: {
-                "coverage": float(np.abs(edge - coverage)[band].mean()),
-                "band": float(tone.display_l2(edited, truth, 1.0, band)),
-                "object": float(tone.display_l2(edited, truth, 1.0, band | (coverage > 0))),
+                "coverage": round(float(np.abs(edge - coverage)[band].mean()), 5),
+                "band": round(float(tone.display_l2(edited, truth, 1.0, band)), 2),
+                "object": round(float(tone.display_l2(edited, truth, 1.0, whole)), 2),
             }
             for method in METHODS
             for edge in [edge_of(method, radiance, given)]
