@@ -626,6 +626,9 @@ def test_masks_by_hand_are_fitted_and_written_as_they_were_given(
     assert ((opened.regions > 0) != (marked > 0)).sum() > 20
     names = download_files.write_masks(session, tmp_path, opened)
     assert names == (["mask.png"] if parts == 1 else ["regions.png"])
+    with Image.open(tmp_path / names[0]) as picture:
+        written = np.array(picture)
+    np.testing.assert_array_equal(written, 255 * marked if parts == 1 else marked)
     masks = [tmp_path / "mask.png"] if parts == 1 else []
     regions = tmp_path / "regions.png" if parts == 2 else None
     again = photograph.open_photograph(tmp_path / "sent.png", masks, regions, fit_mask=None)
