@@ -158,6 +158,7 @@ class Options(TypedDict, total=False):
     """The keyword arguments of `decompose`, all of which `edit` passes on."""
 
     regions: PictureSource | None
+    fit_mask: bool | None
     refine: bool
     refinement_method: str | None
     detail: float
@@ -172,6 +173,7 @@ def decompose(
     mask: PictureSource | None = None,
     *,
     regions: PictureSource | None = None,
+    fit_mask: bool | None = None,
     refine: bool = True,
     refinement_method: str | None = None,
     detail: float = KEPT,
@@ -187,6 +189,9 @@ def decompose(
     mask           a file that is white on the object, or an array (H, W): bool, uint8, or floats in
                    [0, 1]; None: the photograph's transparency
     regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
+    fit_mask       whether to move the mask's edge, by a few pixels at most, to where the
+                   photograph's colours say that the object ends; None: if the mask is black and
+                   white
     refine         whether to adjust the prediction until its rendering looks like the photograph
     refinement_method  how refinement renders: "auto" (also None) sums over the light map's texels;
                    "quadrature" integrates, which is more accurate for narrow highlights and slower
@@ -209,7 +214,7 @@ def decompose(
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
     chosen = _device(device)
-    opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure)
+    opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure, fit_mask)
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))
@@ -243,12 +248,18 @@ def _open_photograph(
     regions: PictureSource | None,
     balance: str | Sequence[float],
     exposure: float | None,
+    fit_mask: bool | None,
 ) -> Photograph:
     """Return the Photograph of files or of arrays."""
     if not any(isinstance(given, np.ndarray) for given in (photo, mask, regions)):
         masks = [] if mask is None else [Path(str(mask))]
         return photograph.open_photograph(
-            str(photo), masks, None if regions is None else Path(str(regions)), balance, exposure
+            str(photo),
+            masks,
+            None if regions is None else Path(str(regions)),
+            balance,
+            exposure,
+            fit_mask=fit_mask,
         )
     files_or_arrays = [
         given if given is None or isinstance(given, np.ndarray) else Path(str(given))
@@ -259,7 +270,7 @@ def _open_photograph(
         raise InputError("photo", "a file or an array", "None", "give the photograph")
     if isinstance(picture, Path):
         picture = photograph.resolve_example(picture, [], None)[0]
-    return photograph.from_arrays(picture, covered, parted, balance, exposure)
+    return photograph.from_arrays(picture, covered, parted, balance, exposure, fit_mask=fit_mask)
 
 
 def _device(given: str | torch.device) -> torch.device:

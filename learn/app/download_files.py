@@ -157,13 +157,13 @@ def write_masks(session: Session, folder: Path, opened: photograph.Photograph) -
         return []
     names = []
     if not opened.cut_out and (session.soft_mask is not None or opened.count == 1):
-        # as it was before the program softened it, which it does each time that it is read
-        given = opened.mask if session.soft_mask is None else session.soft_mask
+        # as it was before the program fitted or softened it, which it does whenever it is read
+        given = opened.given_regions > 0 if session.soft_mask is None else session.soft_mask
         coverage = np.rint(255 * given.astype(np.float32)).astype(np.uint8)
         files.write_image(folder / "mask.png", coverage, "PNG")
         names.append("mask.png")
     if opened.count > 1:
-        files.write_image(folder / "regions.png", opened.regions, "PNG")
+        files.write_image(folder / "regions.png", opened.given_regions, "PNG")
         names.append("regions.png")
     return names
 

@@ -145,7 +145,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
     )
     edit = edit_file.read(arguments.repeat)
     masks = [] if arguments.mask is None else [arguments.mask]
-    opened = photograph.open_photograph(arguments.photo, masks, arguments.regions)
+    opened = photograph.open_photograph(arguments.photo, masks, arguments.regions, fit_mask=None)
     if len(edit.regions) != opened.count:
         rule = f"{opened.count} regions, as the mask has"
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")

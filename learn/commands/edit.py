@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from learn.commands import editing_options, options
@@ -58,6 +59,15 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     parser.add_argument(
+        "--fit-mask",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "move the mask's edge, by a few pixels at most, to where the photograph's colours say"
+            " that the object ends (default: if the mask is black and white; grey edges and"
+            " transparency stay as they are)"
+        ),
+    )
+    parser.add_argument(
         "--material",
         nargs="+",
         action="extend",
@@ -104,7 +114,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
-    edit_options = editing_options.edit_options(arguments)
+    edit_options = replace(editing_options.edit_options(arguments), fit_mask=arguments.fit_mask)
     report = edit.run(
         arguments.photo,
         masks,

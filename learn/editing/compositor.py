@@ -5,7 +5,8 @@
 where O is the layer's picture of normals, light and target material, times the correction of
 learn.editing.brightness.
 
-- Background behind the object's soft edge: the nearest pixel that the object does not touch.
+- Background behind the object's soft edge: the mean of near pixels that the object does not touch,
+  corrected by what a mixture of it and of the object beside it leaves of the photograph.
 - Share of the object in a pixel's colour: its coverage, or 1 in front of a transparent background.
 - Normals: predicted at the network's size, extended beyond the mask by their nearest neighbours,
   upsampled bilinearly, and scaled to unit length. The layer renders them on a grid as fine as the
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
 
 from learn.data import framing
 from learn.data.devices import to_numpy
@@ -29,6 +30,8 @@ from learn.layer import predictions
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
 DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
+BEHIND_REACH = 3  # pixels on either side that say which values a background may have
+BEHIND_WIDTH = 1.0  # pixels: background behind an edge is the mean of what is so near, or nearest
 LARGEST_DETAIL = 1.5  # factor by which fine shading may brighten or darken a pixel
 
 
@@ -201,11 +204,17 @@ class Compositor:
         return self._share
 
     def background(self) -> np.ndarray:
-        """Return radiance (side, side, 3) with the object replaced by the nearest background."""
+        """Return radiance (side, side, 3) of what is behind the object's edge.
+
+        In front of a transparent background, the photograph's colours are not mixed.
+        """
         if self._background is None:
             photograph = self.decomposition.photograph
             cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
-            self._background = fill_from_nearest(cut, self.coverage < CLEAR)
+            if photograph.alpha is None:
+                self._background = background_behind(cut, self.coverage)
+            else:
+                self._background = fill_from_near(cut, self.coverage < CLEAR)
         return self._background
 
     def own_radiance(self) -> np.ndarray:
@@ -256,6 +265,43 @@ def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
         return values
     index = distance_transform_edt(~where, return_distances=False, return_indices=True)
     return values[tuple(index)]
+
+
+def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """Return radiance (H, W, 3) of what is behind an object's edge in a photograph.
+
+    Where the object covers a pixel in part, a mixture of the background and the object beside it
+    differs from the photograph. The difference is divided between the two so that the sum of their
+    squared changes is least, as far as the background stays within the values of near pixels that
+    the object does not touch: a mask that is too small must not bring the old colour back.
+
+    radiance  (H, W, 3) linear
+    coverage  (H, W) in [0, 1]
+    """
+    share, clear = coverage[..., None], coverage < CLEAR
+    behind = fill_from_near(radiance, clear)
+    object_ = fill_from_nearest(radiance, coverage > 1 - CLEAR)
+    left = radiance - share * object_ - (1 - share) * behind
+    corrected = behind + left * (1 - share) / (share**2 + (1 - share) ** 2)
+    size = (2 * BEHIND_REACH + 1, 2 * BEHIND_REACH + 1, 1)
+    least = minimum_filter(np.where(clear[..., None], radiance, behind), size)
+    most = maximum_filter(np.where(clear[..., None], radiance, behind), size)
+    return np.clip(corrected, least, most).astype(np.float32)
+
+
+def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Replace values (H, W, C) outside `where` (H, W) by the mean of near ones inside.
+
+    They are weighted by a Gaussian of BEHIND_WIDTH. Where none is so near, the nearest is taken.
+    """
+    inside = where.astype(np.float32)
+    weight = gaussian_filter(inside, BEHIND_WIDTH)[..., None]
+    weighted = [
+        gaussian_filter(values[..., k] * inside, BEHIND_WIDTH) for k in range(values.shape[-1])
+    ]
+    mean = np.stack(weighted, -1) / np.maximum(weight, 1e-6)
+    filled = np.where(weight > 0.02, mean, fill_from_nearest(values, where))
+    return np.where(where[..., None], values, filled)
 
 
 def dilate(mask: np.ndarray) -> np.ndarray:

@@ -34,6 +34,8 @@ class EditOptions:
                network; None: estimated
     balance    "none", "grey", or three factors by which colours are multiplied
     device     where the network, refinement and the layer run, as torch.device takes it
+    fit_mask   whether to fit the edge of the photograph's mask to its colours; None: if the mask is
+               black and white
     """
 
     weights: Path
@@ -43,6 +45,7 @@ class EditOptions:
     exposure: float | None = None
     balance: str | Sequence[float] = "none"
     device: str | torch.device = "cpu"
+    fit_mask: bool | None = None
 
     def as_metadata(self) -> dict[str, object]:
         """Return the options that edit.json and transfer.json record."""
@@ -122,6 +125,7 @@ def run(
         edit_options.exposure,
         record,
         targets=parts,
+        fit_mask=edit_options.fit_mask,
     )
     labels = requested_labels(opened, materials, network, metadata["size"], edit_options)
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:

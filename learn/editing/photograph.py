@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
-from learn.editing import region_masks
+from learn.editing import mask_edges, region_masks
 from manifests.errors import InputError, closest
 from manifests.schema import Record
+from shaders import tone
 from shaders.frames import ELEVATION
 from shaders.tone import LUMINANCE
 
 # a mask is black and white if its coverage is everywhere closer to 0 or 1 than this: half a step of
 # 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
 GREY = 1e-3
-SOFTENING = 0.7  # pixels by which a black and white mask is blurred, so that its steps do not show
 STRONGEST_BALANCE = 8.0
 CLEAR = 0.02  # coverage below which a pixel counts as background
 
@@ -40,6 +40,8 @@ class Photograph:
     cut_out          whether its background is transparent
     alpha            (H, W) in [0, 1]: the file's own opacity if a mask was given besides; else None
     linear           whether the file holds radiance (an EXR, a record) instead of display values
+    given            (H, W) the regions as given, if the mask's edge was then fitted to the
+                     picture (learn.editing.mask_edges); else None
     records, record  the data set and the record that it comes from; else None
     """
 
@@ -52,6 +54,7 @@ class Photograph:
     cut_out: bool = False
     linear: bool = False
     alpha: np.ndarray | None = None
+    given: np.ndarray | None = None
     records: Records | None = None
     record: Record | None = None
 
@@ -59,6 +62,11 @@ class Photograph:
     def mask(self) -> np.ndarray:
         """Pixels (H, W) bool that the object covers by at least half."""
         return self.regions > 0
+
+    @property
+    def given_regions(self) -> np.ndarray:
+        """Regions (H, W) as they were given, before the mask's edge was fitted."""
+        return self.regions if self.given is None else self.given
 
     @property
     def opacity(self) -> np.ndarray | None:
@@ -117,6 +125,7 @@ def open_photograph(
     record: str | None = None,
     remedy: str = photographs.MASK_REMEDY,
     targets: Sequence[str] = (),
+    fit_mask: bool | None = False,
 ) -> Photograph:
     """Return the Photograph at `path`: a picture, or a record of a dataset's folder.
 
@@ -126,6 +135,7 @@ def open_photograph(
     record   id of a data set's record, or its beginning; None: `open_record` chooses one
     remedy   what the error for a picture without a mask suggests
     targets  names of the target materials, which the chosen record should not show already
+    fit_mask whether to fit the mask's edge to the picture; None: if it is black and white
     Raises   InputError
     """
     path, regions = resolve_example(path, masks, regions)
@@ -136,6 +146,7 @@ def open_photograph(
             masks,
             regions,
             balance,
+            fit_mask,
         )
         return open_record(path, exposure, record, targets)
     if record is not None:
@@ -159,7 +170,7 @@ def open_photograph(
     is_transparency = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
     contents = _Contents(path, radiance, coverage, labels, alpha, cut_out, is_transparency, linear)
-    return _assemble(contents, balance, exposure)
+    return _assemble(contents, balance, exposure, fit_mask)
 
 
 def from_arrays(
@@ -169,6 +180,7 @@ def from_arrays(
     balance: str | Sequence[float] = "none",
     exposure: float | None = None,
     name: str = "photograph",
+    fit_mask: bool | None = False,
 ) -> Photograph:
     """Return the Photograph of arrays or files.
 
@@ -177,6 +189,7 @@ def from_arrays(
     mask     (H, W) bool, uint8 with 255 on the object, or floats in [0, 1]; None: the transparency
     regions  (H, W) whole numbers, one for each region, 0 in the background; None: one region
     name     for messages
+    fit_mask as `open_photograph` takes it
     Raises   InputError
     """
     if isinstance(picture, Path):
@@ -201,7 +214,7 @@ def from_arrays(
     contents = _Contents(
         Path(name), radiance, coverage, labels, alpha, cut_out, is_transparency, linear
     )
-    return _assemble(contents, balance, exposure)
+    return _assemble(contents, balance, exposure, fit_mask)
 
 
 class _Contents(NamedTuple):
@@ -227,33 +240,78 @@ class _Contents(NamedTuple):
 
 
 def _assemble(
-    contents: _Contents, balance: str | Sequence[float], exposure: float | None
+    contents: _Contents,
+    balance: str | Sequence[float],
+    exposure: float | None,
+    fit_mask: bool | None,
 ) -> Photograph:
     """Return the Photograph of what was read, after softening its mask and finding its balance.
 
-    Transparency of the picture's own is not softened.
+    Transparency of the picture's own is neither softened nor fitted.
     """
-    coverage, radiance = contents.coverage, contents.radiance
-    if not contents.is_transparency and (np.minimum(coverage, 1 - coverage) < GREY).all():
-        coverage = gaussian_filter(coverage.astype(np.float32), SOFTENING)
+    coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
+    if fit_mask and contents.is_transparency:
+        rule, remedy = "a mask that is not the photograph's own transparency", "leave it out"
+        raise InputError("--fit-mask", rule, "no other mask", remedy)
+    is_hard = is_black_and_white(coverage)
+    fitted = None
+    if fit_mask or (fit_mask is None and is_hard and not contents.is_transparency):
+        fitted = _fitted(contents)
+    if fitted is not None:
+        coverage, labels = fitted
+    elif not contents.is_transparency:
+        coverage = soften(coverage)
     factors = _balance(balance, radiance, coverage, not contents.cut_out)
-    framing.resolve_exposure(radiance * factors, contents.labels > 0, exposure, contents.path)
+    framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
     return Photograph(
         contents.path.stem,
         radiance,
         coverage,
-        contents.labels,
+        labels,
         factors,
         exposure,
         cut_out=contents.cut_out,
         linear=contents.linear,
         alpha=own,
+        given=None if fitted is None else contents.labels,
     )
 
 
-def _require_none(path, rule, masks, regions, balance):
+def is_black_and_white(coverage: np.ndarray) -> bool:
+    """Return whether a mask (H, W) in [0, 1] has no grey."""
+    return bool((np.minimum(coverage, 1 - coverage) < GREY).all())
+
+
+def soften(coverage: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) in [0, 1] blurred so that its steps do not show, unless it has grey."""
+    if not is_black_and_white(coverage):
+        return coverage
+    return gaussian_filter(coverage.astype(np.float32), mask_edges.SOFTENING)
+
+
+def _fitted(contents: _Contents) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return coverage and labels (H, W) whose edge is fitted to the picture.
+
+    None if a region, such as a thread, would lose so many pixels that the rest cannot be edited.
+    """
+    coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
+    everywhere = np.ones(labels.shape, bool)
+    shown = tone.auto_exposure(radiance, everywhere) if contents.linear else 1.0
+    fitted = mask_edges.fit(radiance * np.float32(shown), coverage, contents.alpha < 1)
+    before, after = coverage >= 0.5, fitted >= 0.5
+    near = distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
+    moved = np.where(after & ~before, labels[tuple(near)], labels * (after | ~before))
+    moved = moved.astype(labels.dtype)
+    counts = np.bincount(moved.ravel(), minlength=int(labels.max()) + 1)[1:]
+    if (counts < photographs.LEAST_PIXELS).any():
+        return None
+    return fitted, moved
+
+
+def _require_none(path, rule, masks, regions, balance, fit_mask):
     given = {
+        "--fit-mask": bool(fit_mask),
         "--mask": bool(masks),
         "--regions": regions is not None,
         "--white-balance": balance != "none",

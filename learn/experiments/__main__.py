@@ -42,6 +42,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "edit-brightness": "measure how bright edits are beside their truth",
         "photographed-edits": "measure edits of photographs, and how to expose them",
         "room-photographs": "measure edits of photographs of objects that stand in rooms",
+        "mask-edges": "measure what fitting a mask's edge to its photograph is worth",
         "exposure-line": "fit how photographs are exposed to several sets of them at once",
         "painted-photographs": "measure edits of objects in colours that no catalogue has",
         "outer-iterations": "measure what refinement gains by its last outer iteration",

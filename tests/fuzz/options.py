@@ -125,6 +125,7 @@ BASES = {
     "learn.experiments nearest-shapes": "--data {seeds}/nothing --geometry {seeds} --out {out}",
     "learn.experiments refinement-methods": "--data {seeds}/nothing --out {out}",
     "learn.experiments room-photographs": "--data {seeds}/nothing --out {out}",
+    "learn.experiments mask-edges": "--data {seeds}/nothing --out {out}",
     "learn.experiments exposure-line": "--fit a={seeds}/nothing --out {out}",
     "learn.experiments stereo-normals": "--pictures {seeds}/nothing --out {out}",
     "learn.experiments edit-summary": "--out {out}",

@@ -83,7 +83,7 @@ def download(root):
 def row(name, path, mask, network, size, settings):
     """A row of the sheet, and seconds: all steps but reading the weights."""
     start = time.perf_counter()
-    opened = photograph.open_photograph(path, [mask], None)
+    opened = photograph.open_photograph(path, [mask], None, fit_mask=None)
     result = decomposition.decompose(opened, network, size, settings)
     compositor = Compositor(result, detail=0.25)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))

@@ -601,8 +601,37 @@ def test_the_mask_that_is_written_is_the_one_that_was_given(
     )  # not decomposed any more
     opened = session.decomposed()[0].decomposition.photograph
     assert download_files.write_masks(session, tmp_path, opened) == ["mask.png"]
-    again = photograph.open_photograph(tmp_path / "sent.png", [tmp_path / "mask.png"])
+    again = photograph.open_photograph(
+        tmp_path / "sent.png", [tmp_path / "mask.png"], fit_mask=None
+    )
     np.testing.assert_array_equal(again.coverage, opened.coverage)
+    np.testing.assert_array_equal(again.regions, opened.regions)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_masks_by_hand_are_fitted_and_written_as_they_were_given(
+    sessions: Sessions, tmp_path: Path, parts: int
+) -> None:
+    """They are fitted again when they are read; what was fitted already would move farther."""
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    columns = np.arange(120)
+    small = binary_erosion(disk(), iterations=2)
+    session.opened().selection.paint(small, 1)
+    if parts == 2:
+        session.opened().selection.paint(small & (columns > 45), 2)
+    marked = session.opened().selection.labels()
+    decompose(session, refine=False)
+    opened = session.decomposed()[0].decomposition.photograph
+    assert ((opened.regions > 0) != (marked > 0)).sum() > 20
+    names = download_files.write_masks(session, tmp_path, opened)
+    assert names == (["mask.png"] if parts == 1 else ["regions.png"])
+    with Image.open(tmp_path / names[0]) as picture:
+        written = np.array(picture)
+    np.testing.assert_array_equal(written, 255 * marked if parts == 1 else marked)
+    masks = [tmp_path / "mask.png"] if parts == 1 else []
+    regions = tmp_path / "regions.png" if parts == 2 else None
+    again = photograph.open_photograph(tmp_path / "sent.png", masks, regions, fit_mask=None)
     np.testing.assert_array_equal(again.regions, opened.regions)
 
 

@@ -317,6 +317,21 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and all(e["unchanged"] > 100 for row in r["rows"] for e in row["edits"])
         ),
     ),
+    "mask-edges": (
+        "--data {room}/rooms",
+        lambda r: (
+            len(r["rows"]) == 1
+            and not r["rows"][0]["refused"]
+            # the exact coverage as given, and what fitting makes of masks that are far off
+            and r["rows"][0]["masks"]["exact coverage"]["as given"]["coverage"] == 0
+            and all(
+                r["rows"][0]["masks"][f"3 pixels too {how}"]["fitted"][key]
+                < 0.5 * r["rows"][0]["masks"][f"3 pixels too {how}"]["as given"][key]
+                for how in ("narrow", "wide")
+                for key in ("coverage", "band", "object")
+            )
+        ),
+    ),
     "exposure-line": (
         "--fit rooms={root}/room-photographs/report.json"
         " metals={root}/photographed-edits-other-metals/report.json"
@@ -618,6 +633,7 @@ REPORTS = {
     "room-photographs-varied-others-unrefined": "room-photographs",
     "room-photographs-varied-unrefined": "room-photographs",
     "exposure-line-varied": "exposure-line",
+    "mask-edges-varied": "mask-edges",
 }
 NOT_PUBLISHED = {
     "compare-weights",  # its reports are named by what they compare

@@ -73,6 +73,22 @@ def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
     )
     change = abs(one - other).mean(-1) / (one + other).mean(-1)
     assert change[mask].mean() > 4 * change[~mask].mean()
+    # a scene of before coverage was written gets the same
+    before = coverage_is_that_of_the_pictures(tmp_path / "a", mask)
+    (tmp_path / "a" / "coverage.png").unlink()
+    objects_in_rooms.add_coverage([dataclasses.replace(plan, place=1), plan], tmp_path / "a")
+    after = coverage_is_that_of_the_pictures(tmp_path / "a", mask)
+    assert abs(after - before).max() < 0.1  # samples are others
+
+
+def coverage_is_that_of_the_pictures(folder, mask):
+    """Assert that coverage.png is like the mask, and soft; return it (N, N) in [0, 1]."""
+    with Image.open(folder / "coverage.png") as picture:
+        coverage = np.array(picture) / 255
+    assert coverage.shape == mask.shape
+    assert ((coverage > 0.5) != mask).sum() <= 0.05 * mask.sum()
+    assert ((coverage > 0.1) & (coverage < 0.9)).sum() > 10  # soft along the edge
+    return coverage
 
 
 def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
@@ -134,9 +150,16 @@ def test_a_folder_of_other_options_is_refused(tmp_path, monkeypatch, capsys, opt
     (tmp_path / "0000").mkdir()
     (tmp_path / "0000" / "scene.json").write_text(json.dumps(scene))
     monkeypatch.setattr(objects_in_rooms, "rendered", lambda *_: pytest.fail("rendered"))
+    added = []
+    monkeypatch.setattr(objects_in_rooms, "add_coverage", lambda _, folder: added.append(folder))
     monkeypatch.setattr("sys.argv", ["rooms", "--scenes", "1", *options, "--out", str(tmp_path)])
     if wrong is None:
-        return objects_in_rooms.main()
+        objects_in_rooms.main()
+        assert added == [tmp_path / "0000"]
+        (tmp_path / "0000" / "coverage.png").write_text("")
+        objects_in_rooms.main()
+        assert len(added) == 1
+        return
     with pytest.raises(SystemExit, match="2"):
         objects_in_rooms.main()
     assert wrong in capsys.readouterr().err.splitlines()[-1]

@@ -16,16 +16,18 @@ def written(folder, size=64, scenes=1, lamp=(1.0, 1.0, 1.0)):
     lamp  colour of the light
     """
     y, x = (np.indices((size, size)) - (size - 1) / 2) / (size / 3)
-    inside = x * x + y * y < 1
-    n_up = np.where(inside, -y, 0.0)
+    coverage = np.clip((1 - np.hypot(x, y)) * size / 3 + 0.5, 0, 1)
+    inside = coverage >= 0.5
     for number in range(scenes):
         place = folder / f"{number:04d}"
         place.mkdir(parents=True)
         for name, albedo in ALBEDOS.items():
-            L = np.where(inside, albedo * (0.6 + 0.4 * n_up), 0.2 + 0.1 * number)
+            shaded = albedo * (0.6 + 0.4 * np.where(coverage > 0, -y, 0.0))
+            L = coverage * shaded + (1 - coverage) * (0.2 + 0.1 * number)
             channels = zip("RGB", lamp, strict=True)
             exr.write(place / f"{name}.exr", {c: (L * k).astype(np.float32) for c, k in channels})
         Image.fromarray((255 * inside).astype(np.uint8)).save(place / "mask.png")
+        Image.fromarray(np.rint(255 * coverage).astype(np.uint8)).save(place / "coverage.png")
         scene = {
             "shape": "sphere",
             "shape_hash": "5" * 64,

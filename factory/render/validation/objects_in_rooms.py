@@ -13,12 +13,13 @@ Surroundings are "plain", as factory.lights.interiors draws them, or "varied": w
 factory.lights.surroundings, on the table too, which may be polished, and with other things on it.
 
 Each scene is a folder NUMBER of DIR, which is complete once it has scene.json: the same command
-continues. Scenes of another seed, or of other shapes, surroundings, samples or another size, are
-refused.
+continues, and adds coverage.png to scenes of before 2026-11-29, which lack it. Scenes of another
+seed, or of other shapes, surroundings, samples or another size, are refused.
 
   MATERIAL.exr  radiance (SIZE, SIZE, 3) float32 of the frame with the object in that material;
                 light at the object's place has unit mean (luminance over the sphere)
   mask.png      255 on the object
+  coverage.png  255 times the share of each pixel that the object covers, from COVERING samples
   scene.json    shape and its hash, category, place ("room" or "sky"), seed of the place,
                 surroundings, materials, samples of each pixel, size in pixels, and the camera:
                 azimuth and elevation in degrees, distance in metres
@@ -61,6 +62,7 @@ from shaders.tone import LUMINANCE
 
 SIZE = 192  # pixels of a frame's side
 SAMPLES = 48
+COVERING = 256  # samples of each pixel by which coverage is measured
 FIELD_OF_VIEW = math.radians(40.0)
 FILLED = 2 / 3  # of the frame's side, by the sphere about the object
 RADII = (0.15, 0.3)  # metres, of that sphere
@@ -199,6 +201,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         apply(stage, (Setting("cycles.seed", number, "noise of its own"),))
         passes = render_result.render_passes(stage)
         frames[name] = passes["Combined"][..., :3]
+    coverage = _coverage(stage, thing)
     light = panorama.render(place, plan.place % 1000)  # which empties Blender's scene
     mean = float(envmap.mean_radiance(light) @ LUMINANCE)
     folder.mkdir(parents=True, exist_ok=True)
@@ -207,6 +210,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
         exr.write(folder / f"{name}.exr", {c: L[..., k] for k, c in enumerate("RGB")})
     mask = passes["IndexOB"][..., 0] > 0.5
     write_image(folder / "mask.png", 255 * mask.astype(np.uint8), "PNG")
+    write_image(folder / "coverage.png", coverage, "PNG")
     about = {
         "shape": shape_name(plan),
         "shape_hash": mesh.hash,
@@ -223,6 +227,44 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
     }
     write_json(folder / "scene.json", about)
     return True
+
+
+def add_coverage(plans: Sequence[Plan], folder: Path) -> None:
+    """Write coverage.png into the folder of a finished scene, as it is seen in its pictures.
+
+    plans  of all attempts
+    """
+    about = json.loads((folder / "scene.json").read_text("utf-8"))
+    plan = next(each for each in plans if each.place == about["seed"])
+    mesh = load_shape(plan.shape)
+    stage, _ = panorama.build(with_table(plan, mesh), FRAME)
+    size = len(next(iter(exr.read(folder / f"{plan.materials[0]}.exr").values())))
+    for path in ("render.resolution_x", "render.resolution_y"):
+        assign(stage, path, size)
+    thing, _ = _placed(stage, mesh, plan.radius)
+    towards = _direction(math.radians(about["azimuth_deg"]), math.radians(about["elevation_deg"]))
+    _camera(stage).matrix_world = _looking(towards * about["distance"])
+    write_image(folder / "coverage.png", _coverage(stage, thing), "PNG")
+
+
+def _coverage(stage: bpy.types.Scene, thing: bpy.types.Object) -> np.ndarray:
+    """Return 255 times the share (N, N) of each pixel that shows an object, rounded, uint8.
+
+    All else hides what is behind it but shows nothing itself, so opacity is the object's coverage.
+    """
+    apply(
+        stage,
+        (
+            Setting("render.film_transparent", True, "only the object has opacity"),
+            Setting("cycles.samples", COVERING, "coverage in steps of 8 bits"),
+            Setting("cycles.use_denoising", False, "measured, not looked at"),
+            Setting("cycles.max_bounces", 0, "its light does not matter"),
+        ),
+    )
+    for other in stage.objects:
+        other.is_holdout = other is not thing
+    opacity = render_result.render_passes(stage)["Combined"][..., 3]
+    return np.rint(255 * np.clip(opacity, 0, 1)).astype(np.uint8)
 
 
 def shape_name(plan: Plan) -> str:
@@ -335,6 +377,8 @@ def main() -> None:
                 parser.error(str(problem))
     for folder, plans, is_done in zip(tqdm(folders, unit="scene"), attempts, done, strict=True):
         if is_done:
+            if not (folder / "coverage.png").exists():
+                add_coverage(plans, folder)
             continue
         for plan in plans:
             if rendered(plan, folder, options.size, options.samples):

@@ -128,7 +128,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
-    todo = [({"photograph": _name(case)}, case) for case in cases]
+    todo = [({"photograph": name_of(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
@@ -224,7 +224,7 @@ def row_of(
         "source": case.source,
     }
     targets = (_truth(case, other) for other in scene.materials if other != case.source)
-    name = _name(case)
+    name = name_of(case)
     return about | photographed_edits.figures_of(photo, name, targets, network, size, settings)
 
 
@@ -253,7 +253,7 @@ def write_sheet(
     for case in first[:: -(-len(first) // SHOWN)]:
         photo, truth = _photograph(case), _truth(case, case.scene.materials[1])
         try:
-            read = photograph.from_arrays(photo.pixels, photo.mask, name=_name(case))
+            read = photograph.from_arrays(photo.pixels, photo.mask, name=name_of(case))
             parts = decomposition.decompose(read, network, size, settings)
         except InputError:
             continue
@@ -275,7 +275,8 @@ def write_sheet(
         files.write_image(out / "sheet.jpg", shown, "JPEG")
 
 
-def _name(case: Case) -> str:
+def name_of(case: Case) -> str:
+    """Return what messages call a case's photograph; its exposure is drawn by it."""
     return f"{case.folder.name} {case.source}"
 
 
@@ -284,16 +285,16 @@ def _photograph(case: Case) -> Photographed:
     from learn.data import photographs
     from learn.experiments.photographs.photographing import exposed
 
-    frame = _frame(case, case.source)
+    frame = frame_of(case, case.source)
     mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
-    return exposed(frame, mask, _name(case), case.balances)
+    return exposed(frame, mask, name_of(case), case.balances)
 
 
 def _truth(case: Case, target: str) -> photographed_edits.Truth:
     from manifests.materials import find
 
     material = find(target)
-    frame = _frame(case, target)
+    frame = frame_of(case, target)
     return photographed_edits.Truth(target, material.family, _label(material), frame)
 
 
@@ -304,7 +305,7 @@ def _label(material: Material) -> np.ndarray:
     return material.label.reshape(-1).astype(np.float32)
 
 
-def _frame(case: Case, material: str) -> np.ndarray:
+def frame_of(case: Case, material: str) -> np.ndarray:
     """Return radiance (N, N, 3) float32 of a case's frame with the object in a material.
 
     Raises InputError where it is none of the built-in ones, whose names are no paths

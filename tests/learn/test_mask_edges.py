@@ -1,0 +1,216 @@
+"""Fitting a mask's edge to its photograph: what it mends, what it leaves, and when it is done."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter, label
+
+import brdfactory as bf
+from learn.__main__ import COMMANDS
+from learn.data import photographs
+from learn.editing import decomposition, mask_edges, photograph
+from learn.editing.compositor import background_behind, fill_from_nearest
+from learn.layer import predictions
+from manifests import exr
+from manifests.cli import main
+from manifests.errors import InputError
+from shaders import tone
+
+SIZE = 96
+Y, X = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2
+RADIUS = 28.0
+INK, WALL = np.array([0.5, 0.1, 0.05]), np.array([0.1, 0.2, 0.4])
+
+
+def disc(radius, centre=(0.0, 0.0)):
+    """Coverage (SIZE, SIZE) of a disc."""
+    return np.clip(radius - np.hypot(Y - centre[0], X - centre[1]) + 0.5, 0, 1)
+
+
+def picture(coverage, noise=0.0):
+    """Linear radiance (H, W, 3) float32 of a shaded object before a wall with a slope."""
+    rng = np.random.default_rng(0)
+    rows = np.linspace(-1, 1, coverage.shape[0])[:, None, None]
+    L = coverage[..., None] * INK * (1 + 0.3 * rows)
+    L = L + (1 - coverage[..., None]) * WALL * (1 - 0.3 * rows)
+    return (L * (1 + noise * rng.normal(size=L.shape))).astype(np.float32)
+
+
+TRUE = disc(RADIUS)
+DAMAGED = {
+    "narrow": disc(RADIUS - 2) >= 0.5,
+    "wide": disc(RADIUS + 2) >= 0.5,
+    "shifted": disc(RADIUS, (2, 0)) >= 0.5,
+}
+
+
+def error(coverage):
+    return float(np.abs(coverage - TRUE).sum())
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_mask_beside_its_object_is_moved_onto_it(name):
+    given = DAMAGED[name].astype(np.float32)
+    fitted = mask_edges.fit(picture(TRUE, 0.02), given)
+    assert error(fitted) < 0.2 * error(gaussian_filter(given, mask_edges.SOFTENING))
+    # and no farther from the given edge than the band
+    untouched = np.abs(mask_edges.signed_distance(given > 0.5)) > mask_edges.band_width(given > 0.5)
+    assert (fitted[untouched] == given[untouched]).all()
+
+
+def test_where_object_and_background_look_alike_the_given_mask_stays():
+    given = DAMAGED["shifted"]
+    grey = picture(np.ones_like(TRUE), 0.05)
+    fitted = mask_edges.fit(grey, given) >= 0.5
+    assert np.abs(mask_edges.signed_distance(given))[fitted != given].max() < 1.5
+
+
+def test_where_the_true_edge_is_out_of_reach_the_given_one_stays_and_is_not_torn():
+    given = disc(RADIUS - 12) >= 0.5
+    fitted = mask_edges.fit(picture(TRUE, 0.1), given)
+    assert ((fitted >= 0.5) != given).sum() < 0.06 * given.sum()
+
+
+def test_holes_thin_parts_and_gaps_survive():
+    """A ring with a thin handle, beside a second one, all of a mask that is a pixel too wide."""
+    ring = np.clip(disc(16, (0, -26)) - disc(3, (0, -26)), 0, 1)
+    handle = (np.abs(Y) <= 1) & (X > -11) & (X < 14)
+    neighbour = disc(10, (0, 28))
+    true = np.maximum.reduce([ring, handle.astype(float), neighbour])
+    given = mask_edges.signed_distance(true >= 0.5) > -1
+    fitted = mask_edges.fit(picture(true), given) >= 0.5
+    for before, after in ((true >= 0.5, fitted), (true < 0.5, ~fitted)):
+        assert label(before)[1] == label(after)[1] == 2
+    assert fitted[SIZE // 2 - 1 : SIZE // 2 + 1, 38:62].all()
+
+
+def test_an_object_that_the_frame_cuts_off_ends_there():
+    true = TRUE[:, SIZE // 2 :]
+    given = DAMAGED["narrow"][:, SIZE // 2 :]
+    fitted = mask_edges.fit(picture(true), given)
+    assert np.abs(fitted - true)[:, :3].sum() < 1
+    # an object that fills the picture has no edge
+    assert (mask_edges.fit(picture(true), np.ones_like(true)) == 1).all()
+
+
+def test_specks_of_the_other_colour_make_neither_holes_nor_islands():
+    """A knot of the wall's colour at the object's edge, and one of its own beside it."""
+    colours = TRUE.copy()
+    knot, stain = (disc(1.7, (0, across)) > 0.5 for across in (RADIUS - 2.5, RADIUS + 2.5))
+    colours[knot], colours[stain] = 0, 1
+    fitted = mask_edges.fit(picture(colours), (TRUE >= 0.5).astype(float)) >= 0.5
+    assert label(fitted)[1] == label(~fitted)[1] == 1
+
+
+def test_fixed_pixels_stay_as_they_are():
+    fixed = Y < 0
+    given = DAMAGED["narrow"].astype(np.float32)
+    fitted = mask_edges.fit(picture(TRUE), given, fixed)
+    assert ((fitted >= 0.5) == (given >= 0.5))[fixed].all()
+    assert error(fitted * ~fixed + TRUE * fixed) < 0.2 * error(given * ~fixed + TRUE * fixed)
+
+
+def test_the_background_behind_an_edge_keeps_its_texture():
+    """Stripes across the edge, which the nearest pixel outside would smear over it."""
+    stripes = np.where(X.astype(int) % 4 < 2, 0.1, 0.5)[..., None] * np.ones(3)
+    seen = TRUE[..., None] * INK + (1 - TRUE[..., None]) * stripes
+    soft = (TRUE > 0.02) & (TRUE < 0.7)
+    off = [
+        np.abs(behind - stripes)[soft].mean()
+        for behind in (background_behind(seen, TRUE), fill_from_nearest(seen, TRUE < 0.02))
+    ]
+    assert off[0] < 0.7 * off[1]
+
+
+def shown(coverage):
+    return np.rint(tone.display(picture(coverage), 1.0)).astype(np.uint8)
+
+
+def opened(mask, **options):
+    return photograph.from_arrays(shown(TRUE), mask, **options)
+
+
+def test_masks_without_grey_are_fitted_unless_asked_otherwise():
+    hard, grey = DAMAGED["narrow"], disc(RADIUS - 2).astype(np.float32)
+    assert opened(hard).given is None  # functions of other commands leave masks as they are
+    fitted = opened(hard, fit_mask=None)
+    assert (fitted.given == hard).all() and (fitted.given_regions == hard).all()
+    assert error(fitted.mask) < 0.2 * error(hard)
+    kept = opened(hard, fit_mask=False)
+    assert kept.given is None and (kept.mask == hard).all()
+    assert (opened(grey, fit_mask=None).coverage == grey).all()
+    assert error(opened(grey, fit_mask=True).coverage) < 0.3 * error(grey)
+
+
+def test_an_edge_between_regions_stays_and_their_outer_edge_moves():
+    hard = DAMAGED["narrow"]
+    regions = np.where(hard, np.where(X < 0, 1, 2), 0).astype(np.uint8)
+    fitted = photograph.from_arrays(shown(TRUE), None, regions, fit_mask=None)
+    assert (fitted.regions[hard] == regions[hard]).all()
+    assert error(fitted.mask) < 0.2 * error(hard)
+    for number, side in ((1, X < -8), (2, X > 8)):
+        assert (fitted.regions[(TRUE > 0.9) & side] == number).all()
+    assert (fitted.given_regions == regions).all()
+
+
+def test_transparency_is_left_alone_and_cannot_be_fitted():
+    cut_out = np.dstack([shown(TRUE), 255 * DAMAGED["narrow"].astype(np.uint8)])
+    assert photograph.from_arrays(cut_out, fit_mask=None).given is None
+    with pytest.raises(InputError, match="transparency"):
+        photograph.from_arrays(cut_out, fit_mask=True)
+
+
+def test_a_region_of_a_few_pixels_is_not_fitted_away():
+    """A speck of the background's colour: the whole mask stays as it was given."""
+    speck = (np.abs(Y + 40) < 2) & (np.abs(X + 40) < 2)
+    regions = np.where(speck, 2, DAMAGED["narrow"]).astype(np.uint8)
+    fitted = photograph.from_arrays(shown(TRUE), None, regions, fit_mask=None)
+    assert (fitted.regions == 2).sum() >= photographs.LEAST_PIXELS
+
+
+def test_files_in_units_of_their_own_are_fitted_too(tmp_path):
+    L = 5000 * picture(TRUE)
+    exr.write(tmp_path / "a.exr", {c: L[..., k] for k, c in enumerate("RGB")})
+    fitted = photograph.from_arrays(
+        tmp_path / "a.exr", DAMAGED["wide"], fit_mask=None, exposure=1e-3
+    )
+    assert error(fitted.mask) < 0.2 * error(DAMAGED["wide"])
+
+
+class Read(Exception):
+    """Raised in the place of a decomposition, with the photograph that it was given."""
+
+
+@pytest.mark.parametrize(("choice", "is_fitted"), [({}, True), ({"fit_mask": False}, False)])
+def test_python_passes_the_choice_on(monkeypatch, choice, is_fitted):
+    def decompose(read, *_):
+        raise Read(read)
+
+    monkeypatch.setattr(decomposition, "decompose", decompose)
+    with pytest.raises(Read) as raised:
+        bf.edit(shown(TRUE), DAMAGED["narrow"], refine=False, **choice)
+    assert (raised.value.args[0].given is not None) == is_fitted
+
+
+@pytest.mark.parametrize(
+    ("option", "choice", "is_fitted"), [("", None, True), ("--no-fit-mask", False, False)]
+)
+def test_the_command_passes_the_choice_on_and_records_it(
+    tmp_path, capsys, monkeypatch, option, choice, is_fitted
+):
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
+    Image.fromarray(shown(TRUE)).save(tmp_path / "a.png")
+    Image.fromarray(255 * DAMAGED["narrow"].astype(np.uint8)).save(tmp_path / "m.png")
+    words = f"edit {tmp_path}/a.png --mask {tmp_path}/m.png --material white-acrylic --no-refine"
+    words += f" --out {tmp_path}/out {option}"
+    assert main("learn", "", COMMANDS, words.split()) == 0
+    report = json.loads((tmp_path / "out" / "edit.json").read_text())
+    assert (report["fit_mask"], report["mask_fitted"]) == (choice, is_fitted)
+    capsys.readouterr()
+
+
+def test_a_data_set_has_no_mask_to_fit(tmp_path):
+    with pytest.raises(InputError, match="--fit-mask: expected a photograph"):
+        photograph.open_photograph(tmp_path, fit_mask=True)
