@@ -84,7 +84,7 @@ class ObjectTab:
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of an object (PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR), drop"
+            "Choose a photograph of an object (JPEG, HEIC, PNG, WebP, AVIF, TIFF, BMP, GIF or EXR), drop"
             " or paste it here, or try the example. Then click on the object, or choose *Draw* and"
             " draw a line around it.",
             elem_id="status",

@@ -29,7 +29,7 @@ from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
-from learn.data import photographs
+from learn.data import photographs, picture_decoding
 from learn.editing import brightness, decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
@@ -1090,13 +1090,31 @@ def test_a_soft_masks_object_is_what_is_at_least_half_covered(
     np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
 
 
-def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:
+def test_a_large_photograph_is_refused_by_its_header(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_decoding, "MOST_DECODED", 1_000_000)
     path = tmp_path / "large.png"
-    Image.new("L", (6000, 5000)).save(path)
+    Image.new("RGB", (600, 500)).save(path)
     # pixels that are cut off would be noticed if they were decoded
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match="at most 25 megapixels"):
+    with pytest.raises(InputError, match=r"at most 0\.25 megapixels"):
         sessions.of("one").load(path)
+
+
+def test_a_photograph_of_many_megapixels_is_made_smaller(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 3_000)
+    session = sessions.of("one")
+    path = photo_in(tmp_path)  # 120 × 80
+    said = session.load(path)
+    height, width = session.opened().selection.size
+    assert (height, width) == (40, 60) and "the edit has 60 × 40 pixels. Now click" in said
+    whole = Image.fromarray(np.uint8(255 * disk()))
+    whole.save(tmp_path / "whole.png")
+    session.give_mask(tmp_path / "whole.png")
+    assert session.opened().to_edit().radiance.shape == (40, 60, 3)
 
 
 def test_the_command_refuses_what_it_cannot_do(
