@@ -19,6 +19,7 @@ CSS = """
 label:has(input[type=radio]:focus-visible) {
   outline: 3px solid var(--color-accent); outline-offset: 2px}
 #marking button {cursor: crosshair}
+#marking button:focus-visible {outline-offset: -3px}
 #marking {position: relative}
 #marking:not(:has(img))::after {content: 'Drop a photograph here'; position: absolute; inset: 0;
   display: grid; place-items: end center; padding-bottom: 25%; pointer-events: none;
