@@ -26,19 +26,20 @@ def mark_place(session: Session, number: int, place: str) -> str:
     """Mark what is under the cross that keys move, and return what was marked where.
 
     number  of the region that clicks mark
-    place   JSON: shares of the picture's width and height, and whether to add it to the object.
-            Background is then marked as region 1: other keys say that something is background
+    place   JSON: shares of the picture's width and height in a list, and whether to add it to the
+            object. With number 0 it is added to region 1: other keys say what is background
     Raises  InputError
     """
     opened = session.opened()
     try:
-        across, down, adds = json.loads(place)
-        inside = 0 <= float(across) <= 1 and 0 <= float(down) <= 1
+        shares, adds = json.loads(place)
+        across, down = map(float, shares)
+        inside = 0 <= across <= 1 and 0 <= down <= 1
     except (TypeError, ValueError):
         inside = False
     if not inside:
         remedy = "move the cross with the arrow keys"
-        raise InputError("the cross", "a place in the picture", place[:80], remedy)
+        raise InputError("the cross", "a place in the picture", str(place)[:80], remedy)
     width, height = overlay.size_of(opened.selection, opened.scale)
     region = max(1, number) if adds else BACKGROUND
     column, row = min(across * width, width - 1), min(down * height, height - 1)

@@ -150,7 +150,7 @@ SCRIPT = """
     if (undoes) return find('#undo').click();
     showCross();
     if (adds || removes) {
-      globalThis.brdfactoryPlace = JSON.stringify([...at, adds]);
+      globalThis.brdfactoryPlace = JSON.stringify([at, adds]);
       return find('#point').click();
     }
     move[event.key].forEach((step, k) => {

@@ -20,6 +20,7 @@ from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
+from learn.app.marking_view import mark_place
 from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
@@ -1100,6 +1101,30 @@ def test_a_large_photograph_is_refused_by_its_header(
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(InputError, match=r"at most 0\.25 megapixels"):
         sessions.of("one").load(path)
+
+
+def test_the_place_of_the_cross_is_marked_as_a_click_is(sessions: Sessions, tmp_path: Path) -> None:
+    by_keys, by_mouse = sessions.of("one"), sessions.of("two")
+    for session in (by_keys, by_mouse):
+        session.load(photo_in(tmp_path))  # 120 × 80, shown 800 pixels wide
+    assert "the object, 40% from the left and 50% from" in mark_place(
+        by_keys, 0, "[[0.4, 0.5], true]"
+    )
+    assert "part 2" in mark_place(by_keys, 2, "[[0.6, 0.5], true]")
+    assert "not the object" in mark_place(by_keys, 2, "[[1, 1], false]")
+    for column, row, region in ((320, 266.6, 1), (480, 266.6, 2), (799, 532, 0)):
+        by_mouse.opened().click(column, row, region)
+    assert by_keys.opened().selection.marks == by_mouse.opened().selection.marks
+
+
+@pytest.mark.parametrize(
+    "place", ["", "null", "[[0.5], true]", "[[1.1, 0], true]", "[[NaN, 0], true]", "{}", None]
+)
+def test_a_cross_that_is_nowhere_marks_nothing(sessions: Sessions, tmp_path: Path, place) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match="a place in the picture"):
+        mark_place(session, 1, place)
 
 
 def test_a_photograph_of_many_megapixels_is_made_smaller(
