@@ -13,7 +13,7 @@ from manifests.errors import InputError
 
 # of a file, which is read as a whole; 48 megapixels take about 10 MB
 MOST_BYTES = 256 << 20
-INSTALL = 'pip install -c constraints.txt ".[heic]", to read it'
+INSTALL = "pip install '.[heic]' in a checkout, to read it"
 
 
 def open_image(path: str | Path) -> Image.Image:
