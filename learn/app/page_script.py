@@ -172,7 +172,8 @@ SCRIPT = """
     ['#marking button:has(img)', 'ariaLabel',
       'The photograph. A click on it marks the object. CROSS_KEYS'],
     // screen readers then pass the arrow keys on
-    ['#marking button:has(img)', 'role', 'application'],
+    ['#marking:has(img)', 'role', 'application'],
+    ['#marking:has(img)', 'ariaLabel', 'The photograph to mark the object in'],
     ['#editor img', 'alt', 'The photograph and its edit, divided by a line'],
     ['#brush canvas', 'ariaLabel', 'The photograph, to draw on'],
   ];

@@ -751,6 +751,7 @@ def test_the_object_is_marked_by_the_keyboard_alone(served, photo, tmp_path):
         assert window.run(f"return {has_focus}")
         walk.wait_for("#cross-line", "Cross at 50% from the left, 50% from the top. Arrow keys")
         assert window.run("return document.querySelector('#cross-line').ariaLive") == "polite"
+        assert window.run("return document.querySelector('#marking').role") == "application"
         # the cup's point is at 39 % and 73 % of the picture
         window.press(shift + left, *4 * [right, down], *5 * [left], *2 * [shift + down], *3 * [up])
         window.press(*2 * [down])
