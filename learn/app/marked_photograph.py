@@ -31,6 +31,7 @@ class MarkedPhotograph:
     has_mask      whether the coverage is a file's
     is_brightened whether the selection shows a very dark photograph brighter than it is
     example_mask  (H, W) uint8 labels that come with the program's example, else None
+    reduction     a sentence about a file that was made smaller when it was read, else None
     """
 
     path: Path
@@ -40,6 +41,7 @@ class MarkedPhotograph:
     has_mask: bool = False
     example_mask: np.ndarray | None = None
     is_brightened: bool = False
+    reduction: str | None = None
 
     def give_mask(self, sent: Path) -> None:
         """Take a mask's file: grey, or one value for each region. Raises InputError."""

@@ -1,10 +1,13 @@
 """What tab 1 of the page shows of what is marked, and what was drawn there."""
 
+import json
 from typing import Any
 
 import numpy as np
 
+from learn.app import overlay
 from learn.app.session import NEXT, Session
+from learn.app.superpixels import BACKGROUND
 from manifests.errors import InputError
 
 OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
@@ -17,6 +20,32 @@ def strokes_of(drawn: dict | None) -> list[np.ndarray]:
     if not any(covered.any() for covered in strokes):
         raise InputError("the brush", "something drawn", "nothing", "draw on the picture first")
     return strokes
+
+
+def mark_place(session: Session, number: int, place: str) -> str:
+    """Mark what is under the cross that keys move, and return what was marked where.
+
+    number  of the region that clicks mark
+    place   JSON: shares of the picture's width and height in a list, and whether to add it to the
+            object. With number 0 it is added to region 1: other keys say what is background
+    Raises  InputError
+    """
+    opened = session.opened()
+    try:
+        shares, adds = json.loads(place)
+        across, down = map(float, shares)
+        inside = 0 <= across <= 1 and 0 <= down <= 1
+    except (TypeError, ValueError):
+        inside = False
+    if not inside:
+        remedy = "move the cross with the arrow keys"
+        raise InputError("the cross", "a place in the picture", str(place)[:80], remedy)
+    width, height = overlay.size_of(opened.selection, opened.scale)
+    region = max(1, number) if adds else BACKGROUND
+    column, row = min(across * width, width - 1), min(down * height, height - 1)
+    opened.click(column, row, region)
+    what = {BACKGROUND: "not the object", 1: "the object"}.get(region, f"part {region}")
+    return f"Marked as {what}, {across:.0%} from the left and {down:.0%} from the top."
 
 
 def canvas_of(session: Session) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.edit_view import first_values
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
-from learn.app.marking_view import canvas_of, covered_text, strokes_of
+from learn.app.marking_view import canvas_of, covered_text, mark_place, strokes_of
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
@@ -84,9 +84,9 @@ class ObjectTab:
 
     def _lay_out_picture(self) -> None:
         self.status = gr.Markdown(
-            "Choose a photograph of an object (PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR), drop"
-            " or paste it here, or try the example. Then click on the object, or choose *Draw* and"
-            " draw a line around it.",
+            "Choose a photograph of an object (JPEG, HEIC, PNG, WebP, AVIF, TIFF, BMP, GIF or EXR),"
+            " drop or paste it here, or try the example. Then click on the object, or choose *Draw*"
+            " and draw a line around it.",
             elem_id="status",
         )
         with gr.Tabs(elem_id="picture"):
@@ -99,6 +99,10 @@ class ObjectTab:
                     elem_id="marking",
                     type="filepath",
                 )
+                # what the page's script says of the cross that arrow keys move
+                gr.HTML('<p id="cross-line" aria-live="polite"></p>')
+                self.place = gr.Textbox(elem_id="place", show_label=False)
+                self.point = gr.Button("Mark what is under the cross", elem_id="point")
             with gr.Tab("Draw", id="draw") as self.drawing:
                 gr.Markdown(
                     "Draw a line all around the object, or paint over a part of it; then press the"
@@ -132,6 +136,14 @@ class ObjectTab:
         self.mask.upload(self.take_mask, self.mask, self.marks, **waiting)
         self.regions_file.upload(self.take_regions, self.regions_file, self.marks, **waiting)
         self.marking.select(self.click, self.marked, self.marks, trigger_mode="multiple", **QUIET)
+        self.point.click(
+            self.mark_place,
+            [self.marked, self.place],
+            self.marks,
+            js="number => [number, globalThis.brdfactoryPlace]",
+            trigger_mode="multiple",
+            **QUIET,
+        )
         drawn = [self.marked, self.brush]
         self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
         self.use_line.click(self.line, drawn, self.on_canvas, **QUIET)
@@ -204,6 +216,13 @@ class ObjectTab:
         column, row = event.index
         session.opened().click(float(column), float(row), int(number))
         return self._marks_of(session, covered_text(session))
+
+    @one_line
+    def mark_place(self, number: int, place: str, request: gr.Request) -> tuple[Any, ...]:
+        """Mark the place of the cross as region `number`, or as background."""
+        session = self.session_of(request)
+        said = mark_place(session, int(number), place)
+        return self._marks_of(session, f"{said} {covered_text(session)}")
 
     @one_line
     def stroke(self, number: int, drawn: dict | None, request: gr.Request) -> tuple[Any, ...]:

@@ -16,15 +16,13 @@ from learn.app import work_file
 from learn.app.marked_photograph import MarkedPhotograph
 from learn.app.selection import Selection
 from learn.data import photographs
+from learn.data.picture_decoding import MOST_PIXELS
 from learn.editing import photograph
 from learn.figures import montage
 from manifests import files
 from manifests.errors import InputError
 from shaders import tone
 
-# of a photograph: cameras and telephones of 24 megapixels make up to 24.5 million. A user's session
-# then takes up to 2 GB while it renders
-MOST_PIXELS = 25_000_000
 ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
 DARK = 48  # of 255: the green of a picture that is brightened to be marked
 EXAMPLE = "example:espresso-cup"
@@ -40,9 +38,9 @@ def open_file(sent: Path, folder: Path) -> MarkedPhotograph:
 
 def _read(sent: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return radiance (H, W, 3) and alpha (H, W) of a photograph. Raises InputError."""
-    radiance, alpha = photographs.read_pixels(sent, MOST_PIXELS)
+    radiance, alpha = photographs.read_pixels(sent)
     height, width = radiance.shape[:2]
-    if height * width > MOST_PIXELS:  # an EXR
+    if height * width > MOST_PIXELS:  # an EXR, which is not made smaller
         rule = f"at most {MOST_PIXELS / 1e6:g} megapixels"
         raise InputError(sent, rule, f"{width} × {height}", "make it smaller")
     photographs.require_finite(sent, radiance)
@@ -60,6 +58,7 @@ def _kept(
     files.write_bytes(path, sent.read_bytes())
     display, is_brightened = _display(path, radiance)
     result = MarkedPhotograph(path, name, Selection(display), is_brightened=is_brightened)
+    result.reduction = photographs.reduction(path, radiance.shape[:2])
     if (alpha < 0.5).any():
         result.coverage = alpha
         result.selection.given = (alpha >= 0.5).astype(np.uint8)

@@ -9,9 +9,14 @@ from learn.app.session import MOST_BYTES
 # - takes a photograph that is dropped on the page or pasted, where a browser would show the file in
 #   place of the page
 # - moves the line between the photograph and its edit with arrow keys
+# - moves a cross over the photograph with arrow keys, and marks where it is
 # - says aloud what changes; names pictures and what is drawn on
 # - remembers which tab is open, and whether the photograph is being analysed, for the page that is
 #   loaded again
+CROSS_KEYS = (
+    "Arrow keys move a cross, with Shift in larger steps. Enter adds what is under it to the"
+    " object, Backspace takes it away, Control Z takes the last step back."
+)
 SCRIPT = """
 () => {
   const find = selector => document.querySelector(selector);
@@ -85,6 +90,77 @@ SCRIPT = """
     setTimeout(() => say(handle), 100);
   });
 
+  // A cross that arrow keys move over the photograph takes the place of a mouse. Its place is a
+  // share of the picture's width and height, since the picture changes its size with the window.
+  const at = [0.5, 0.5];
+  let speaking;
+  const isPicture = e => e instanceof Element && e.matches('#marking button:has(img)');
+  const shownRect = image => {  // of the picture inside its element, which may be wider or higher
+    const r = image.getBoundingClientRect();
+    const scale = Math.min(r.width / image.naturalWidth, r.height / image.naturalHeight);
+    const [width, height] = [scale * image.naturalWidth, scale * image.naturalHeight];
+    return [r.left + (r.width - width) / 2, r.top + (r.height - height) / 2, width, height];
+  };
+  const drawCross = () => {
+    const image = find('#marking img'), cross = find('#cross');
+    if (!image?.naturalWidth || !cross) return;
+    const [left, top, width, height] = shownRect(image);
+    const around = find('#marking').getBoundingClientRect();
+    cross.style.left = `${left - around.left + at[0] * width}px`;
+    cross.style.top = `${top - around.top + at[1] * height}px`;
+  };
+  const showCross = () => {
+    if (!find('#cross')) {
+      const cross = document.createElement('div');
+      cross.id = 'cross';
+      cross.ariaHidden = 'true';
+      find('#marking').append(cross);
+    }
+    drawCross();
+    find('#cross').hidden = false;
+  };
+  const placeText = () => {
+    const [x, y] = at.map(share => Math.round(100 * share));
+    return `Cross at ${x}% from the left, ${y}% from the top.`;
+  };
+  const sayPlace = text => {  // when the keys rest: each word would be read aloud
+    clearTimeout(speaking);
+    speaking = setTimeout(() => {
+      const line = find('#cross-line');
+      if (line) line.textContent = text;
+    }, 250);
+  };
+  addEventListener('focusin', event => {
+    if (!isPicture(event.target) || !event.target.matches(':focus-visible')) return;
+    showCross();
+    sayPlace(`${placeText()} CROSS_KEYS`);
+  });
+  addEventListener('focusout', event => {
+    if (isPicture(event.target) && find('#cross')) find('#cross').hidden = true;
+  });
+  addEventListener('resize', drawCross);
+  addEventListener('keydown', event => {
+    if (!isPicture(event.target) || event.altKey || event.metaKey) return;
+    const move = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
+    const adds = ['Enter', ' ', '+'].includes(event.key);
+    const removes = ['Backspace', 'Delete', '-'].includes(event.key);
+    const undoes = event.ctrlKey && event.key === 'z';
+    if (!undoes && (event.ctrlKey || !(adds || removes || move[event.key]))) return;
+    event.preventDefault();
+    if (undoes) return find('#undo').click();
+    showCross();
+    if (adds || removes) {
+      globalThis.brdfactoryPlace = JSON.stringify([at, adds]);
+      return find('#point').click();
+    }
+    move[event.key].forEach((step, k) => {
+      at[k] = Math.min(1, Math.max(0, at[k] + step * (event.shiftKey ? 0.1 : 0.01)));
+    });
+    drawCross();
+    find('#cross').scrollIntoView({block: 'nearest', inline: 'nearest'});
+    sayPlace(placeText());
+  });
+
   addEventListener('pagehide', () => {
     const busy = find('#stop')?.checkVisibility() ? 'yes' : 'no';
     try { sessionStorage.setItem('brdfactory-busy', busy); } catch {}
@@ -93,7 +169,11 @@ SCRIPT = """
   const live = '#status, #shown, #progress, #improving, #made, #count';
   const names = [
     ['#marking img', 'alt', 'The photograph. A click on it marks the object.'],
-    ['#marking button:has(img)', 'ariaLabel', 'The photograph. A click on it marks the object.'],
+    ['#marking button:has(img)', 'ariaLabel',
+      'The photograph. A click on it marks the object. CROSS_KEYS'],
+    // screen readers then pass the arrow keys on
+    ['#marking:has(img)', 'role', 'application'],
+    ['#marking:has(img)', 'ariaLabel', 'The photograph to mark the object in'],
     ['#editor img', 'alt', 'The photograph and its edit, divided by a line'],
     ['#brush canvas', 'ariaLabel', 'The photograph, to draw on'],
   ];
@@ -126,6 +206,7 @@ SCRIPT = """
 }
 """
 for name, text in (
+    ("CROSS_KEYS", CROSS_KEYS),
     ("WORK", WORK_BUTTON),
     ("PHOTO", PHOTO_BUTTON),
     ("MEGABYTES", str(MOST_BYTES >> 20)),

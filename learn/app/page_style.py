@@ -19,6 +19,7 @@ CSS = """
 label:has(input[type=radio]:focus-visible) {
   outline: 3px solid var(--color-accent); outline-offset: 2px}
 #marking button {cursor: crosshair}
+#marking button:focus-visible {outline-offset: -3px}
 #marking {position: relative}
 #marking:not(:has(img))::after {content: 'Drop a photograph here'; position: absolute; inset: 0;
   display: grid; place-items: end center; padding-bottom: 25%; pointer-events: none;
@@ -34,7 +35,16 @@ label:has(input[type=radio]:focus-visible) {
 #materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
-#stayed, .form:has(> #key) {display: none}
+#stayed, #point, .form:has(> :is(#key, #place)) {display: none}
+/* where arrow keys move: white within black, so that it is seen on any photograph */
+#cross {position: absolute; width: 41px; height: 41px; translate: -50% -50%; z-index: 5;
+  pointer-events: none; forced-color-adjust: none;
+  background: linear-gradient(#fff, #fff) center / 35px 2px no-repeat,
+    linear-gradient(#fff, #fff) center / 2px 35px no-repeat,
+    linear-gradient(#000, #000) center / 41px 6px no-repeat,
+    linear-gradient(#000, #000) center / 6px 41px no-repeat}
+#cross[hidden] {display: none}
+#cross-line {min-height: 1.5em; margin: 0}
 /* a message says what did not work; Gradio's own sign would cover the open photograph */
 [data-testid=status-tracker]:has(.error) {display: none !important}
 #kept .tiles {display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr));

@@ -105,15 +105,22 @@ class Session:
         """
         opened = opening.open_file(sent, self.folder)
         self._take(opened)
+        said = ""
+        if opened.reduction is not None:
+            said = f"{opened.reduction[0].upper()}{opened.reduction[1:]}. "
         if opened.coverage is not None:
-            return "The object is what is not transparent. Clicks can divide it into parts."
+            return said + "The object is what is not transparent. Clicks can divide it into parts."
         dark = (
             "The photograph is very dark, and shown brighter here than it is; a brighter one shows"
             " materials better. "
         )
-        return (dark if opened.is_brightened else "") + (
-            "Now click on the object, once on each of its surfaces. Or choose *Draw* and draw a"
-            " line around it."
+        return (
+            said
+            + (dark if opened.is_brightened else "")
+            + (
+                "Now click on the object, once on each of its surfaces. Or choose *Draw* and draw a"
+                " line around it."
+            )
         )
 
     def load_example(self) -> str:

@@ -1,4 +1,4 @@
-"""What a file is from which no picture can be read, and what to do about it.
+"""Tells by its first bytes that a file is HEIC, or what it is if no picture can be read from it.
 
 A file is recognised by its first bytes. Its ending counts only for raw files of cameras, most of
 which begin as TIFF files do.
@@ -11,7 +11,7 @@ HEAD = 512  # bytes
 RAW_ENDINGS = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
 UNKNOWN = ("another format, or a damaged file", "save it as PNG, JPEG or EXR")
 TO_JPEG = "save it as JPEG with the program that shows it"
-HEIC_REMEDY = (
+HEIC_REMEDY = (  # where the package that reads it is not installed
     f"{TO_JPEG}; an iPhone takes JPEG itself after Settings, Camera, Formats, Most Compatible"
 )
 
@@ -24,11 +24,10 @@ def _begins(*signs: bytes, at: int = 0) -> Callable[[bytes], bool]:
 KINDS: tuple[tuple[Callable[[bytes], bool], str, str], ...] = (
     (lambda head: not head, "an empty file", "copy or send it again: nothing of it arrived"),
     (
-        _begins(*(b"ftyp" + kind for kind in (b"hei", b"hev", b"mif1", b"msf1")), at=4),
-        "HEIC",
-        HEIC_REMEDY,
+        lambda head: b"avif" in brands_of(head),
+        "AVIF, which the installed Pillow cannot read",
+        TO_JPEG,
     ),
-    (_begins(b"ftypavi", at=4), "AVIF, which the installed Pillow cannot read", TO_JPEG),
     (_begins(b"ftyp", at=4), "a video", "save one of its pictures as PNG or JPEG"),
     (_begins(b"%PDF"), "a PDF", "save the picture in it as PNG or JPEG, or take a screenshot"),
     (_begins(b"%!PS"), "a drawing (PostScript)", "export it as PNG"),
@@ -39,6 +38,21 @@ KINDS: tuple[tuple[Callable[[bytes], bool], str, str], ...] = (
     (lambda head: b"<svg" in head, "a drawing (SVG)", "export it as PNG"),
     (lambda head: _is_text(head), "a text", "choose a picture, such as a PNG or JPEG"),
 )
+
+
+def brands_of(head: bytes) -> set[bytes]:
+    """Return the brands, four letters each, that the first box of an MP4, HEIC or AVIF names."""
+    if head[4:8] != b"ftyp":
+        return set()
+    end = min(len(head), int.from_bytes(head[:4], "big"))
+    return {head[8:12], *(head[at : at + 4] for at in range(16, end, 4))}
+
+
+def is_heic(head: bytes) -> bool:
+    """Return whether a file that begins so is HEIC; AVIF shares some of its brands."""
+    brands = brands_of(head)
+    of_kind = {brand for brand in brands if brand[:3] in (b"hei", b"hev")}
+    return bool(of_kind | brands & {b"mif1", b"msf1"}) and not brands & {b"avif", b"avis"}
 
 
 def _is_text(head: bytes) -> bool:

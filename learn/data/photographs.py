@@ -1,8 +1,9 @@
 """Pictures from a user, of any size, with a mask: OpenEXR, or as learn.data.picture_decoding reads.
 
-radiance  (H, W, 3) float32 linear Rec.709; files of 8 and 16 bits are converted from sRGB
-mask      (H, W) bool, from a file of the same size (brighter than half) or from the picture's own
-          alpha
+radiance  (H, W, 3) float32 linear Rec.709; files of 8 and 16 bits are converted from sRGB, and
+          those of more than 25 megapixels made smaller
+mask      (H, W) bool, from a file of the picture's size, as its own file has it or made smaller
+          (brighter than half), or from the picture's own alpha
 
 Accepted radiance: finite values up to LARGEST_RADIANCE, negative ones counting as 0. What networks
 are shown of it, and which brightness they can read, is in learn.data.framing.
@@ -13,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.data.picture_decoding import decode
-from manifests import exr
+from learn.data.picture_decoding import decode, decode_labels, reduction_of
+from manifests import exr, notices
 from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
 from shaders import tone
@@ -65,6 +66,8 @@ def read_soft(
     """
     path = Path(path)
     radiance, alpha = read_pixels(path)
+    if line := reduction(path, radiance.shape[:2]):
+        notices.notice(f"{path}: {line}")
     if mask_path is not None:
         coverage = read_mask(mask_path, radiance.shape[:2])
     elif (alpha < 0.5).any():
@@ -75,6 +78,14 @@ def read_soft(
         raise InputError(path, "a mask, or transparency around the object", "neither", remedy)
     require_object(mask_path or path, coverage)
     return radiance, coverage, alpha
+
+
+def reduction(path: Path, size: tuple[int, ...]) -> str | None:
+    """Return a sentence about a picture that has the size (H, W) now because it was made smaller.
+
+    None if it was not. Raises InputError.
+    """
+    return None if holds_radiance(path) else reduction_of(path, size)
 
 
 def require_object(where: str | Path, coverage: np.ndarray) -> None:
@@ -110,7 +121,7 @@ def read_labels(path: str | Path, size: tuple[int, ...]) -> np.ndarray:
         raise InputError(
             path, "a picture of whole numbers, one for each region", "an EXR", "save it as PNG"
         )
-    values = decode(path, _label_values)
+    values = decode_labels(path, _label_values)
     _require_size(path, values.shape[:2], size, "regions")
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
@@ -152,19 +163,18 @@ def _require_size(path, found, expected, what):
         raise InputError(path, rule, f"{found[1]} × {found[0]}", "resize it")
 
 
-def read_pixels(path: Path, most_pixels: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def read_pixels(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return radiance (H, W, 3) and alpha (H, W) in [0, 1], upright as the orientation says.
 
-    most_pixels  of a picture, None: MOST_PIXELS; a larger one is refused by its header, before
-                 it is decoded
-    Raises       InputError
+    A file of display values is converted to sRGB and made smaller (learn.data.picture_decoding);
+    an EXR is not. Raises InputError.
     """
     if holds_radiance(path):
         radiance, alpha = read_exr(path)
         # an EXR's colours are multiplied by its alpha; where that is 0, they are light of their own
         straight = radiance / np.where(alpha > 0, alpha, 1)[..., None]
         return np.minimum(straight, LARGEST_RADIANCE), alpha
-    values = decode(path, _display_values, most_pixels)
+    values = decode(path, _display_values)
     if values.ndim == 2:
         low, high = values.min(), values.max()
         if low < 0 or high > 65535:

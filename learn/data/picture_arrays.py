@@ -12,9 +12,10 @@ from learn.data.photographs import (
     MOST_REGIONS,
     require_object,
 )
-from learn.data.picture_decoding import MOST_PIXELS
 from manifests.errors import InputError
 from shaders import tone
+
+MOST_PIXELS = 64_000_000
 
 
 def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray, bool]:

@@ -1,7 +1,12 @@
-"""Picture files of 8 and 16 bits, decoded by Pillow: refused by their headers, and upright.
+"""Picture files of 8 and 16 bits, decoded: refused by their headers, upright, in sRGB, reduced.
 
-Of 16-bit colour Pillow reads the upper eight bits; of 16-bit grey all. The file's orientation is
-applied; colour profiles are not read.
+Pillow decodes them, and learn.data.heic those of iPhones. Of 16-bit colour Pillow reads the upper
+eight bits; of 16-bit grey all. The file's orientation is applied, and its colour profile
+(learn.data.colour_profiles).
+
+A picture of more than MOST_PIXELS is made smaller by the smallest whole factor that fits: each side
+has the quotient of pixels, rounded up. A mask is read in the same way, so one of the full size and
+one of the reduced size both fit the picture. MOST_DECODED bounds what is decoded before that.
 """
 
 import functools
@@ -13,9 +18,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image, JpegImagePlugin, UnidentifiedImageError
 
-from learn.data.file_kinds import kind_of
+from learn.data import colour_profiles, heic
+from learn.data.file_kinds import HEAD, is_heic, kind_of
 from manifests.errors import InputError
 from manifests.inputs import require_file
 
@@ -23,10 +29,21 @@ from manifests.inputs import require_file
 # hold several sizes (ICO, ICNS), are read line by line in Python (plain PPM), or that no camera and
 # no painting program writes by default.
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF")
-FORMATS_TEXT = "PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF or EXR"
-MOST_PIXELS = 64_000_000
+FORMATS_TEXT = "PNG, JPEG, HEIC, WebP, AVIF, TIFF, BMP, GIF or EXR"
+# Of a picture after it was made smaller; cameras and phones of 24 megapixels make up to 24.5
+# million. An edit takes up to 200 bytes for each pixel.
+MOST_PIXELS = 25_000_000
+MOST_DECODED = 640_000_000  # bytes that a picture takes while it is decoded
+# Phones make JPEGs of up to 200 megapixels; one of a single pass is decoded at its reduced size
+MOST_JPEG_PIXELS = 210_000_000
 MOST_SIDE = 65_535  # as JPEG; Pillow keeps a list of a picture's rows
-MOST_BYTES = 1 << 30  # of a file: MOST_PIXELS of four 32-bit channels
+MOST_BYTES = 1 << 30  # of a file: many pixels of four 32-bit channels
+# Bytes for a pixel in the memory of Pillow, which keeps three channels as four
+PIXEL_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16L": 2, "I;16B": 2}
+OTHER_PIXEL_BYTES = 4
+# Beside it: the coefficients of a progressive JPEG, and the planes that HEIC and AVIF decode to
+PROGRESSIVE_BYTES, PLANES_BYTES = 6, 8
+DRAFTS = (8, 4, 2)  # divisors by which JPEG is decoded smaller
 # What Pillow's parsers raise on damaged files, besides OSError
 DAMAGED = (
     SyntaxError,
@@ -53,24 +70,62 @@ TURNS = {
 TILE_WIDTH, TILE_LENGTH = 322, 323  # tags of a TIFF
 
 
-def decode(
-    path: str | Path,
-    values_of: Callable[[Image.Image], np.ndarray],
-    most_pixels: int | None = None,
-) -> np.ndarray:
-    """Return what `values_of` takes from the Pillow image of a file, which is whole and upright.
+def decode(path: str | Path, values_of: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+    """Return what `values_of` takes from the Pillow image of a file.
 
-    most_pixels  of a picture, None: MOST_PIXELS; a larger one is refused by its header
-    Raises       InputError
+    The image is whole, upright, in sRGB, and reduced to MOST_PIXELS. Raises InputError.
     """
+
+    def values(opened: Image.Image) -> np.ndarray:
+        converted = colour_profiles.to_srgb(_reduced(opened, Image.Resampling.BOX))
+        return values_of(_upright(converted, opened))
+
+    return _opened(path, values)
+
+
+def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+    """Return what `values_of` takes from the Pillow image of a file whose values are labels.
+
+    As `decode`, but values are neither mixed nor converted. Raises InputError.
+    """
+
+    def values(opened: Image.Image) -> np.ndarray:
+        return values_of(_upright(_reduced(opened, Image.Resampling.NEAREST), opened))
+
+    return _opened(path, values)
+
+
+def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
+    """Return a sentence about a picture's file that was made smaller when it was read, else None.
+
+    size    (H, W) that it has now
+    Raises  InputError
+    """
+
+    def sentence(opened: Image.Image) -> str | None:
+        full, divisor = opened.size, _divisor(opened.size)
+        if divisor == 1:
+            return None
+        if _quotients(full, divisor) != (size[1], size[0]):  # it was turned
+            full = full[::-1]
+        return (
+            f"the photograph has {full[0]} × {full[1]} pixels, more than"
+            f" {MOST_PIXELS / 1e6:g} megapixels, and is read at 1/{divisor} of its width and"
+            f" height: the edit has {size[1]} × {size[0]} pixels"
+        )
+
+    return _opened(path, sentence)
+
+
+def _opened(path, function):
+    """What a function returns for the Pillow image of a file, of which only the header was read."""
     require_file(path, "a picture", "check the name", MOST_BYTES)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
-            with Image.open(path, formats=formats()) as opened:
-                _require_readable(path, opened, most_pixels or MOST_PIXELS)
-                opened.seek(0)  # of an animation, the first frame
-                return values_of(_upright(opened))
+            with _open(path) as opened:
+                _require_readable(path, opened)
+                return function(opened)
     except InputError:
         raise
     except UnidentifiedImageError:
@@ -82,6 +137,30 @@ def decode(
         raise InputError(path, f"a whole picture ({FORMATS_TEXT})", result, remedy) from None
 
 
+def _open(path):
+    """The Pillow image of a file, of which only the header is read; of an animation, the first
+    frame.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEAD)
+    if is_heic(head):
+        return heic.open_image(path)
+    if head.startswith(b"\xff\xd8\xff"):
+        # Image.open refuses 179 megapixels whatever they take, unless a setting of the whole
+        # process is changed
+        file = open(path, "rb")  # noqa: SIM115  the image closes it
+        try:
+            opened = JpegImagePlugin.jpeg_factory(file, str(path))
+        except BaseException:
+            file.close()
+            raise
+        opened._exclusive_fp = True
+        return opened
+    opened = Image.open(path, formats=formats())
+    opened.seek(0)
+    return opened
+
+
 @functools.cache
 def formats() -> list[str]:
     """Return those of FORMATS that the Pillow in use has: older ones have no AVIF."""
@@ -89,18 +168,19 @@ def formats() -> list[str]:
     return [name for name in FORMATS if name in Image.OPEN]
 
 
-def _require_readable(path, picture, most_pixels):
+def _require_readable(path, picture):
     """Raises InputError for a Pillow image, of which only the header was read, that is too large or
     holds no display values.
     """
     tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
+    most_pixels = _most_pixels(picture)
     for what, width, height in (
         ("", *picture.size),
         ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH)),
     ):
         sides = [side for side in (width, height) if isinstance(side, int)]
         if math.prod(sides) > most_pixels or max(sides, default=0) > MOST_SIDE:
-            rule = f"at most {most_pixels / 1e6:g} megapixels, and {MOST_SIDE} a side"
+            rule = f"at most {most_pixels / 1e6:.3g} megapixels, and {MOST_SIDE} a side"
             remedy = "make it smaller"
             if sides == [width, height] and not what:
                 share = min((most_pixels / math.prod(sides)) ** 0.5, MOST_SIDE / max(sides))
@@ -111,11 +191,58 @@ def _require_readable(path, picture, most_pixels):
         raise InputError(path, "8 or 16 bit values", "floating point", "save it as EXR")
 
 
-def _upright(picture):
-    """The picture as its orientation says; one whose orientation cannot be read stays as it is."""
+def _most_pixels(picture):
+    """How many pixels a Pillow image may have, by what decoding it takes."""
+    each = PIXEL_BYTES.get(picture.mode, OTHER_PIXEL_BYTES)
+    if picture.format in ("JPEG", "MPO"):
+        if not picture.info.get("progressive"):
+            return MOST_JPEG_PIXELS
+        each = PROGRESSIVE_BYTES + 1  # the picture itself is decoded at its reduced size
+    elif picture.format in ("HEIF", "AVIF"):
+        each += PLANES_BYTES
+    return MOST_DECODED // each
+
+
+def _divisor(size):
+    """The smallest whole number by which both sides are divided for MOST_PIXELS."""
+    divisor = max(1, math.isqrt(math.prod(size) // MOST_PIXELS))
+    while math.prod(_quotients(size, divisor)) > MOST_PIXELS:
+        divisor += 1
+    return divisor
+
+
+def _quotients(size, divisor):
+    return tuple(math.ceil(side / divisor) for side in size)
+
+
+def _reduced(picture, resampling):
+    """The picture, loaded, with MOST_PIXELS at most."""
+    divisor = _divisor(picture.size)
+    size = _quotients(picture.size, divisor)
+    if divisor > 1 and picture.format in ("JPEG", "MPO"):
+        draft = next((each for each in DRAFTS if each <= divisor), 1)
+        # sides that Pillow divides to find the divisor of its decoder
+        picture.draft(picture.mode, tuple(max(1, side // draft) for side in picture.size))
     picture.load()
+    if picture.size == size or divisor == 1:
+        return picture
+    info = picture.info
+    if resampling != Image.Resampling.NEAREST:
+        if picture.mode in ("P", "1", "PA"):  # palettes and two values are not mixed
+            picture = picture.convert("L" if picture.mode == "1" else "RGBA")
+        elif picture.mode.startswith("I;16"):
+            picture = picture.convert("I")
+    small = picture.resize(size, resampling)
+    small.info = info  # with the colour profile
+    return small
+
+
+def _upright(picture, opened):
+    """A picture as the orientation says that the opened file has; one whose orientation cannot be
+    read stays as it is.
+    """
     try:
-        orientation = picture.getexif().get(ExifTags.Base.Orientation)
+        orientation = opened.getexif().get(ExifTags.Base.Orientation)
     except (OSError, *DAMAGED):  # a sound picture beside damaged metadata
         return picture
     turn = TURNS.get(orientation) if isinstance(orientation, int) else None

@@ -20,6 +20,7 @@ from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
+from learn.app.marking_view import mark_place
 from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
@@ -29,7 +30,7 @@ from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
-from learn.data import photographs
+from learn.data import photographs, picture_decoding
 from learn.editing import brightness, decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
@@ -1119,13 +1120,55 @@ def test_a_soft_masks_object_is_what_is_at_least_half_covered(
     np.testing.assert_array_equal(session.opened().selection.labels() > 0, half)
 
 
-def test_a_large_photograph_is_refused_by_its_header(sessions: Sessions, tmp_path: Path) -> None:
+def test_a_large_photograph_is_refused_by_its_header(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_decoding, "MOST_DECODED", 1_000_000)
     path = tmp_path / "large.png"
-    Image.new("L", (6000, 5000)).save(path)
+    Image.new("RGB", (600, 500)).save(path)
     # pixels that are cut off would be noticed if they were decoded
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match="at most 25 megapixels"):
+    with pytest.raises(InputError, match=r"at most 0\.25 megapixels"):
         sessions.of("one").load(path)
+
+
+def test_the_place_of_the_cross_is_marked_as_a_click_is(sessions: Sessions, tmp_path: Path) -> None:
+    by_keys, by_mouse = sessions.of("one"), sessions.of("two")
+    for session in (by_keys, by_mouse):
+        session.load(photo_in(tmp_path))  # 120 × 80, shown 800 pixels wide
+    assert "the object, 40% from the left and 50% from" in mark_place(
+        by_keys, 0, "[[0.4, 0.5], true]"
+    )
+    assert "part 2" in mark_place(by_keys, 2, "[[0.6, 0.5], true]")
+    assert "not the object" in mark_place(by_keys, 2, "[[1, 1], false]")
+    for column, row, region in ((320, 266.6, 1), (480, 266.6, 2), (799, 532, 0)):
+        by_mouse.opened().click(column, row, region)
+    assert by_keys.opened().selection.marks == by_mouse.opened().selection.marks
+
+
+@pytest.mark.parametrize(
+    "place", ["", "null", "[[0.5], true]", "[[1.1, 0], true]", "[[NaN, 0], true]", "{}", None]
+)
+def test_a_cross_that_is_nowhere_marks_nothing(sessions: Sessions, tmp_path: Path, place) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match="a place in the picture"):
+        mark_place(session, 1, place)
+
+
+def test_a_photograph_of_many_megapixels_is_made_smaller(
+    sessions: Sessions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 3_000)
+    session = sessions.of("one")
+    path = photo_in(tmp_path)  # 120 × 80
+    said = session.load(path)
+    height, width = session.opened().selection.size
+    assert (height, width) == (40, 60) and "the edit has 60 × 40 pixels. Now click" in said
+    whole = Image.fromarray(np.uint8(255 * disk()))
+    whole.save(tmp_path / "whole.png")
+    session.give_mask(tmp_path / "whole.png")
+    assert session.opened().to_edit().radiance.shape == (40, 60, 3)
 
 
 def test_the_command_refuses_what_it_cannot_do(

@@ -720,6 +720,66 @@ def test_a_dropped_photograph_is_edited_by_the_keyboard_and_quick_choices_are_no
         walk.wait_for("#shown", f"Exact view. {names[-1]}")
 
 
+def test_the_object_is_marked_by_the_keyboard_alone(served, photo, tmp_path):
+    tab, shift, control, enter, backspace = "\ue004", "\ue008", "\ue009", "\ue007", "\ue003"
+    left, up, right, down = "\ue012", "\ue013", "\ue014", "\ue015"
+    has_focus = "document.activeElement.matches('#marking button:has(img)')"
+    # where the cross is in the picture, as shares of its width and height
+    crossed = (
+        "const i = document.querySelector('#marking img'), r = i.getBoundingClientRect();"
+        "const s = Math.min(r.width / i.naturalWidth, r.height / i.naturalHeight);"
+        "const c = document.querySelector('#cross').getBoundingClientRect();"
+        "return [0.5 + (c.left + c.width / 2 - r.left - r.width / 2) / (s * i.naturalWidth),"
+        " 0.5 + (c.top + c.height / 2 - r.top - r.height / 2) / (s * i.naturalHeight)]"
+    )
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        walk.point(CUP)
+        by_mouse = walk.text("#status")
+        walk.take_back()
+        assert window.run(
+            "return document.querySelector('#cross')?.checkVisibility() ?? false"
+        ) is (False)
+
+        window.run("document.querySelector('#marked input').focus()")
+        for _ in range(20):
+            window.press(tab)
+            if window.run(f"return {has_focus}"):
+                break
+        assert window.run(f"return {has_focus}")
+        walk.wait_for("#cross-line", "Cross at 50% from the left, 50% from the top. Arrow keys")
+        assert window.run("return document.querySelector('#cross-line').ariaLive") == "polite"
+        assert window.run("return document.querySelector('#marking').role") == "application"
+        # the cup's point is at 39 % and 73 % of the picture
+        window.press(shift + left, *4 * [right, down], *5 * [left], *2 * [shift + down], *3 * [up])
+        window.press(*2 * [down])
+        walk.wait_for("#cross-line", "Cross at 39% from the left, 73% from the top.")
+        np.testing.assert_allclose(window.run(crossed), [0.39, 0.73], atol=0.003)
+        window.press(enter)
+        walk.wait_for("#status", "Marked as the object, 39% from the left and 73% from the top.")
+        marked = walk.text("#status")
+        assert marked.endswith(by_mouse) and "covers" in by_mouse
+        assert window.run(f"return {has_focus}")  # the picture is another one by now
+        walk.shot("marked by keys")
+
+        window.press(*3 * [shift + right])
+        window.press(backspace)
+        walk.wait_for(
+            "#status", "Marked as not the object, 69% from the left and 73% from the top."
+        )
+        window.press(control + "z")
+        window.wait("!document.querySelector('#status').innerText.includes('Marked')")
+        window.press(*20 * [shift + up])
+        walk.wait_for("#cross-line", "69% from the left, 0% from the top")
+        window.press("-")  # at the very edge
+        walk.wait_for("#status", "69% from the left and 0% from the top")
+        assert walk.errors() == []
+        window.press(tab)
+        assert not window.run("return document.querySelector('#cross').checkVisibility()")
+
+
 def test_nothing_outside_this_computer_is_asked_for(served):
     with Browser() as window:
         window.visit(served)

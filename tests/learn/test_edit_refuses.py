@@ -389,7 +389,7 @@ def test_a_photograph_turned_by_its_camera_is_set_upright(files):
 
 
 def test_too_many_pixels_are_refused_before_they_are_read(files, monkeypatch):
-    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 1000)
+    monkeypatch.setattr(picture_decoding, "MOST_DECODED", 1000)
     with pytest.raises(InputError, match="megapixels"):
         photograph.open_photograph(files / "photo.png", [files / "mask.png"])
 

@@ -123,6 +123,17 @@ class Browser:
         down, up = ({"type": f"pointer{what}", "button": 0} for what in ("Down", "Up"))
         self._act([moves[0], down, *moves[1:], up])
 
+    def press(self, *keys: str) -> None:
+        """Press keys, by their codes of WebDriver, one after the other where the focus is.
+
+        Keys that one word holds are pressed at the same time.
+        """
+        for word in keys:
+            steps = [{"type": "keyDown", "value": key} for key in word]
+            steps += [{"type": "keyUp", "value": key} for key in reversed(word)]
+            board = {"type": "key", "id": "keyboard", "actions": steps}
+            self._call("POST", "/actions", {"actions": [board]})
+
     def _act(self, steps: list[dict]) -> None:
         mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}}
         self._call("POST", "/actions", {"actions": [mouse | {"actions": steps}]})

@@ -1,0 +1,311 @@
+"""Photographs as phones make them: HEIC, Display P3, turned by metadata, and of many megapixels."""
+
+import io
+import re
+import sys
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learn.data import photographs, picture_decoding
+from learn.editing import photograph
+from manifests.errors import InputError
+from shaders import tone
+from tests.support import icc
+
+RED, GREEN, GREY = (200, 60, 50), (40, 160, 60), (90, 90, 90)
+P3_RED = (217, 42, 39)  # RED of Display P3 in sRGB, by its matrix
+SIZE = (40, 60)  # as the sensor has it; upright it is 60 high
+
+
+def corners():
+    """(H, W, 3) uint8 with red above left, green above right, and grey below."""
+    values = np.full((*SIZE, 3), GREY, np.uint8)
+    values[:20, :30], values[:20, 30:] = RED, GREEN
+    return values
+
+
+def turned():
+    """Metadata that say that a picture is to be turned clockwise by 90°."""
+    exif = Image.Exif()
+    exif[274] = 6
+    return exif
+
+
+def display(path):
+    return 255 * tone.srgb(photographs.read_pixels(path)[0])
+
+
+def write_heic(path, values=None, mode="RGB", **options):
+    heif = pytest.importorskip("pillow_heif", reason="pillow-heif is not installed (extra heic)")
+    values = corners() if values is None else values
+    size = values.shape[1::-1]
+    heif.encode(mode, size, values.tobytes(), path, quality=95, chroma=444, **options)
+    return path
+
+
+def require_upright_corners(shown, first=RED, tolerance=4):
+    """Grey on the left; red above and green below on the right: turned clockwise by 90°."""
+    assert shown.shape == (60, 40, 3)
+    for place, expected in ((np.s_[10, 30], first), (np.s_[50, 30], GREEN), (np.s_[30, 8], GREY)):
+        np.testing.assert_allclose(shown[place], expected, atol=tolerance)
+
+
+# ------------------------------------------------------------------------------------------------
+# HEIC
+
+
+def test_a_heic_is_read_upright(tmp_path):
+    path = write_heic(tmp_path / "IMG_1.HEIC", exif=turned().tobytes())
+    require_upright_corners(display(path))
+
+
+def test_a_heic_of_ten_bits_is_read(tmp_path):
+    deep = corners().astype(np.uint16) * 257
+    path = write_heic(tmp_path / "deep.heic", deep, "RGB;16", exif=turned().tobytes())
+    require_upright_corners(display(path))
+
+
+def test_a_heic_is_told_by_its_contents(tmp_path):
+    path = write_heic(tmp_path / "photo.jpg")
+    assert photographs.read_pixels(path)[0].shape == (*SIZE, 3)
+
+
+@pytest.mark.parametrize("how", [{"icc_profile": icc.profile()}, {"color_primaries": 12}])
+def test_display_p3_of_a_heic_is_converted(tmp_path, how):
+    values = np.full((*SIZE, 3), RED, np.uint8)
+    if "color_primaries" in how:
+        how |= {"transfer_characteristics": 13, "matrix_coefficients": 6}
+    shown = display(write_heic(tmp_path / "photo.heic", values, **how))
+    np.testing.assert_allclose(shown[20, 30], P3_RED, atol=4)
+
+
+def test_a_heic_without_the_package_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    path = tmp_path / "IMG_0001.HEIC"
+    path.write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
+    remedy = r"\(pip install .*\[heic\].*, to read it; or save it as JPEG .* Most Compatible\)"
+    with pytest.raises(InputError, match=f"package pillow-heif.*found none {remedy}"):
+        photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+def test_a_heic_that_is_cut_off_is_refused_in_a_line(tmp_path, share):
+    path = write_heic(
+        tmp_path / "photo.heic", np.random.default_rng(0).integers(0, 255, (*SIZE, 3), np.uint8)
+    )
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"expected a whole picture .*HEIC.*it is damaged"):
+        photographs.read_pixels(path)
+
+
+def test_a_heic_of_too_many_pixels_is_refused_by_its_header(tmp_path, monkeypatch):
+    path = write_heic(tmp_path / "photo.heic")
+    from pillow_heif import HeifImageFile
+
+    def decoded(self):
+        raise AssertionError("it was decoded")
+
+    monkeypatch.setattr(HeifImageFile, "load", decoded)
+    monkeypatch.setattr(picture_decoding, "MOST_DECODED", 20_000)
+    with pytest.raises(InputError, match=r"megapixels.*found 60 × 40"):
+        photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize(
+    ("brands", "expected"),
+    [
+        (b"heic\0\0\0\0mif1heic", "pillow-heif"),
+        (b"mif1\0\0\0\0mif1heic", "pillow-heif"),
+        (b"avif\0\0\0\0avifmif1", "damaged|AVIF"),
+        (b"mif1\0\0\0\0mif1avif", "damaged|AVIF"),
+        (b"isom\0\0\0\0isommp41", "a video"),
+    ],
+)
+def test_brands_tell_heic_from_avif_and_video(tmp_path, monkeypatch, brands, expected):
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    path = tmp_path / "photo.bin"
+    path.write_bytes((8 + len(brands)).to_bytes(4, "big") + b"ftyp" + brands + bytes(100))
+    with pytest.raises(InputError, match=expected):
+        photographs.read_pixels(path)
+
+
+# ------------------------------------------------------------------------------------------------
+# colour profiles
+
+
+@pytest.mark.parametrize("format_", ["PNG", "JPEG", "WEBP", "TIFF"])
+def test_display_p3_is_converted_to_srgb(tmp_path, format_):
+    path = tmp_path / "photo.bin"
+    options = {"PNG": {}, "TIFF": {}}.get(format_, {"quality": 95})
+    picture = Image.new("RGB", (16, 16), RED)
+    picture.save(path, format_, icc_profile=icc.profile(), **options)
+    np.testing.assert_allclose(display(path)[8, 8], P3_RED, atol=3)
+
+
+def test_a_profile_of_srgb_changes_nothing(tmp_path):
+    values = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), np.uint8)
+    for name, more in (("with.png", {"icc_profile": icc.profile(icc.SRGB)}), ("without.png", {})):
+        Image.fromarray(values).save(tmp_path / name, **more)
+    np.testing.assert_array_equal(display(tmp_path / "with.png"), display(tmp_path / "without.png"))
+
+
+def test_transparency_stays_when_a_profile_is_converted(tmp_path):
+    values = np.full((*SIZE, 4), (*RED, 255), np.uint8)
+    values[:10, :, 3] = 70
+    path = tmp_path / "cut.png"
+    Image.fromarray(values).save(path, icc_profile=icc.profile())
+    radiance, alpha = photographs.read_pixels(path)
+    np.testing.assert_allclose(255 * tone.srgb(radiance[20, 30]), P3_RED, atol=2)
+    np.testing.assert_allclose(255 * alpha, values[..., 3])
+
+
+def test_a_turned_jpeg_in_display_p3_is_upright(tmp_path):
+    path = tmp_path / "photo.jpg"
+    Image.fromarray(corners()).save(
+        path, exif=turned(), icc_profile=icc.profile(), quality=95, subsampling=0
+    )
+    shown = display(path)
+    assert shown.shape == (60, 40, 3)
+    np.testing.assert_allclose(shown[10, 30], P3_RED, atol=4)
+
+
+@pytest.mark.parametrize("profile", [b"none", icc.profile()[:200], icc.profile()[:-30], bytes(300)])
+def test_a_damaged_profile_leaves_the_picture_as_it_is(tmp_path, profile):
+    path = tmp_path / "photo.png"
+    Image.new("RGB", (16, 16), RED).save(path, icc_profile=profile)
+    assert np.abs(display(path)[8, 8] - RED).max() < 1 or profile == icc.profile()[:-30]
+
+
+def test_regions_are_neither_converted_nor_mixed(tmp_path, monkeypatch):
+    """Both greens are the same one in sRGB, and a mixture would be a region of its own."""
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 600)
+    values = np.zeros((*SIZE, 3), np.uint8)
+    values[:21, :31], values[:21, 31:] = (0, 255, 0), (30, 255, 0)
+    path = tmp_path / "regions.png"
+    Image.fromarray(values).save(path, icc_profile=icc.profile())
+    labels = photographs.read_labels(path, (20, 30))
+    assert sorted(np.unique(labels)) == [0, 1, 2]
+
+
+# ------------------------------------------------------------------------------------------------
+# many megapixels
+
+
+@pytest.fixture
+def few_pixels(monkeypatch):
+    """Pictures of more than 600 pixels are made smaller: those of SIZE to a half."""
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 600)
+
+
+@pytest.mark.parametrize("format_", ["JPEG", "PNG", "WEBP", "TIFF"])
+@pytest.mark.parametrize(("size", "smaller"), [((40, 60), (20, 30)), ((61, 39), (21, 13))])
+def test_a_large_picture_is_read_at_the_smallest_whole_part_that_fits(
+    tmp_path, few_pixels, format_, size, smaller
+):
+    y, x = np.mgrid[: size[0], : size[1]]
+    values = np.stack([4 * y, 4 * x, 0 * x + 100], -1).astype(np.uint8)
+    path = tmp_path / "photo.bin"
+    options = {"PNG": {}, "TIFF": {}}.get(format_, {"quality": 95})
+    Image.fromarray(values).save(path, format_, **options)
+    shown = display(path)
+    assert shown.shape[:2] == smaller
+    divisor = -(-size[0] // smaller[0])
+    y, x = np.mgrid[: smaller[0], : smaller[1]]
+    expected = np.stack([divisor * (y + 0.5) - 0.5, divisor * (x + 0.5) - 0.5], -1) * 4
+    assert np.abs(shown[1:-1, 1:-1, :2] - expected[1:-1, 1:-1]).mean() < 3.5
+
+
+def test_masks_of_the_full_and_of_the_reduced_size_fit(tmp_path, few_pixels, capsys):
+    Image.fromarray(corners()).save(tmp_path / "photo.jpg", exif=turned(), quality=95)
+    full = np.zeros((60, 40), np.uint8)
+    full[:30, 20:] = 255  # red, upright
+    Image.fromarray(full).save(tmp_path / "full.png")
+    Image.fromarray(full[::2, ::2]).save(tmp_path / "reduced.png")
+    full[30:, 20:] = 128  # green
+    Image.fromarray(full // 128).save(tmp_path / "regions.png")
+    for mask in ("full.png", "reduced.png"):
+        opened = photograph.open_photograph(tmp_path / "photo.jpg", [tmp_path / mask])
+        assert opened.radiance.shape == (30, 20, 3)
+        shown = 255 * tone.srgb(opened.radiance[opened.mask])
+        np.testing.assert_allclose(np.median(shown, 0), RED, atol=6)
+    line = "the photograph has 40 × 60 pixels, more than 0.0006 megapixels"
+    said = capsys.readouterr().err
+    assert said.count(line) == 2 and "the edit has 20 × 30 pixels" in said
+    parted = photograph.open_photograph(tmp_path / "photo.jpg", [], tmp_path / "regions.png")
+    assert parted.count == 1 and parted.regions.sum() == 10 * 30
+    Image.fromarray(full[:50]).save(tmp_path / "other.png")
+    with pytest.raises(InputError, match="a mask of the picture's size 20 × 30"):
+        photograph.open_photograph(tmp_path / "photo.jpg", [tmp_path / "other.png"])
+
+
+def test_palettes_and_masks_of_one_bit_are_made_smaller(tmp_path, few_pixels):
+    picture = Image.fromarray(corners())
+    picture.quantize(3).save(tmp_path / "palette.png")
+    np.testing.assert_allclose(display(tmp_path / "palette.png")[5, 5], RED, atol=2)
+    half = np.zeros(SIZE, bool)
+    half[:, 31:] = True  # the column 15 of the reduced one is half covered
+    Image.fromarray(half).save(tmp_path / "bits.png")
+    coverage = photographs.read_mask(tmp_path / "bits.png", (20, 30))
+    np.testing.assert_allclose(coverage[3, [14, 15, 16]], [0, 0.5, 1], atol=0.01)
+    deep = np.full(SIZE, 30_000, np.uint16)
+    Image.fromarray(deep).save(tmp_path / "deep.png")
+    np.testing.assert_allclose(display(tmp_path / "deep.png"), 30_000 / 257, rtol=1e-4)
+
+
+def with_size(data, width, height):
+    """A JPEG of which the header says another size."""
+    at = re.search(rb"\xff[\xc0\xc2]", data).start() + 5
+    return data[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + data[at + 4 :]
+
+
+def test_a_large_jpeg_is_decoded_at_its_reduced_size(tmp_path, few_pixels, monkeypatch):
+    path, decoded = tmp_path / "photo.jpg", []
+    Image.new("RGB", (256, 192), RED).save(path)
+    resize = Image.Image.resize
+
+    def noted(self, *rest):
+        decoded.append(self.size)
+        return resize(self, *rest)
+
+    monkeypatch.setattr(Image.Image, "resize", noted)
+    assert display(path).shape == (192 // 10 + 1, 256 // 10 + 1, 3)
+    assert decoded == [(32, 24)]  # an eighth, from which a tenth is made
+
+
+@pytest.mark.parametrize("side", [13_000, 60_000])
+def test_a_png_that_promises_too_much_is_refused_by_its_header(tmp_path, side):
+    path = tmp_path / "photo.png"
+    Image.new("RGB", (8, 8)).save(path)
+    data = path.read_bytes()
+    header = data[12:16] + 2 * side.to_bytes(4, "big") + data[24:29]
+    whole = data[:12] + header + zlib.crc32(header).to_bytes(4, "big") + data[33:]
+    path.write_bytes(whole)
+    with pytest.raises(InputError, match=r"at most 160 megapixels|exceeds limit"):
+        photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize(
+    ("sides", "progressive", "is_read"),
+    [
+        ((16_320, 12_240), False, True),
+        ((18_000, 12_240), False, False),
+        ((8_000, 6_000), True, True),
+        ((16_320, 12_240), True, False),
+    ],
+)
+def test_a_jpeg_is_bounded_by_what_decoding_takes(tmp_path, sides, progressive, is_read):
+    """The header's size is changed, so that nothing large has to be written."""
+    out = io.BytesIO()
+    Image.new("RGB", (64, 48), RED).save(out, "JPEG", progressive=progressive)
+    (tmp_path / "photo.jpg").write_bytes(with_size(out.getvalue(), *sides))
+    with picture_decoding._open(tmp_path / "photo.jpg") as opened:
+        assert opened.size == sides
+        if is_read:
+            picture_decoding._require_readable("photo.jpg", opened)
+            return
+        with pytest.raises(InputError, match=r"megapixels, and 65535 a side, found 1\d"):
+            picture_decoding._require_readable("photo.jpg", opened)
