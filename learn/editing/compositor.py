@@ -25,6 +25,8 @@ from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
+from learn.refinement.energy import count_mirrored, own_colour_weights
+from shaders import tone
 
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
@@ -217,7 +219,8 @@ class Compositor:
     def fine_shading(self) -> np.ndarray:
         """Return factors (side, side, 3): shading of the photograph that is finer than the normals.
 
-        They are the fine part of the photograph divided by its re-rendering.
+        They are the fine part of the photograph divided by its re-rendering, but for prints, which
+        are colour and no shading.
         """
         if self._fine_shading is None:
             again = self.own_radiance()
@@ -227,7 +230,7 @@ class Compositor:
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
             log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
             width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
-            weight = (self.coverage > 1 - CLEAR).astype(np.float32)
+            weight = (self.coverage > 1 - CLEAR) * self._unprinted(seen)
             share = np.maximum(gaussian_filter(weight, width), 1e-3)
             fine = [
                 (log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight
@@ -237,6 +240,25 @@ class Compositor:
                 np.clip(np.stack(fine, -1), -np.log(LARGEST_DETAIL), np.log(LARGEST_DETAIL))
             )
         return self._fine_shading
+
+    def _unprinted(self, seen: np.ndarray) -> np.ndarray:
+        """Return weights (side, side), 1 where the object shows its own colour and 0 in a print.
+
+        They are 0 beyond the object too.
+
+        seen  (side, side, 3) linear radiance of the photograph
+        """
+        photograph, inside = self.decomposition.photograph, self.regions > 0
+        regions = torch.from_numpy(self.regions[inside].astype(np.int64))
+        image = torch.from_numpy(seen[inside] * tone.auto_exposure(seen, inside)).float()
+        clipped = None
+        if photograph.clipped is not None:
+            white = framing.cut_square(photograph.clipped, self.decomposition.framed.box)
+            clipped = torch.from_numpy(white[inside].max(-1)).float()
+        weights = count_mirrored(own_colour_weights(image, regions, clipped), regions, self.own)
+        result = np.zeros(inside.shape, np.float32)
+        result[inside] = to_numpy(weights)
+        return result
 
 
 def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:

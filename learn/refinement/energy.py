@@ -17,13 +17,14 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `explained_weights`, the less
-the more matte the predicted material is.
+front, which one material cannot explain: its misfit counts less by `explained_weights`, the
+less the more matte the predicted material is.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,9 @@ from shaders import tone
 
 FAINT = 0.05  # of a light's mean: ratios of what is darker count little
 DARK = 0.02  # of white: colours of what is darker count little
+# Share of a pixel that is not of its region's colour at which it is a print, and how sharply:
+# a label must count next to nothing, because its misfit is large, and dust nearly whole
+FOREIGN, STEEPNESS = 0.27, 8
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -92,8 +96,9 @@ def explained_weights(
 
     A surface of one material shows its own colour, more or less shaded, and in highlights that of
     the light, which is taken to be white (Shafer 1985). What no sum of both explains is a print, or
-    something in front. A print in black or white is not recognised, and a side that is lit in
-    another colour is taken for a print.
+    something in front. So is what is more white than of the own colour, such as a label, but not
+    where the file clips it, as highlights are. A print that differs in brightness alone is not
+    recognised, and a side that is lit in another colour is taken for a print.
 
     image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
     half      share of a pixel that neither explains at which its weight is a half: the setting
@@ -101,18 +106,61 @@ def explained_weights(
     clipped   (P,) shares that are clipped, whose colour is not known: they weigh 1
     """
     clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
-    share = torch.zeros_like(image[:, 0])
+    share = _by_region(_unexplained_share, image, segments, clipped)
+    weights = 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
+    return torch.minimum(weights, own_colour_weights(image, segments, clipped))
+
+
+def own_colour_weights(
+    image: torch.Tensor, segments: torch.Tensor, clipped: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Return weights (P,) of pixels: about 1 in their region's colour, 0 in clearly another one.
+
+    image, segments, clipped  as `explained_weights` takes them
+    """
+    clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
+    share = _by_region(_foreign_share, image, segments, clipped)
+    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / FOREIGN) ** STEEPNESS))
+
+
+def count_mirrored(
+    weights: torch.Tensor, segments: torch.Tensor, labels: np.ndarray
+) -> torch.Tensor:
+    """Return weights (P,) in which what materials mirror counts whole, whatever its colour.
+
+    It has the colours of what is around.
+
+    segments  (P,) numbers 1 … S of regions; labels (S, 108) of their materials
+    """
+    mirrored = torch.tensor([0.0, *map(narrow_share, labels)]).to(weights)[segments]
+    return mirrored + (1 - mirrored) * weights
+
+
+def _by_region(
+    share: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+    image: torch.Tensor,
+    segments: torch.Tensor,
+    clipped: torch.Tensor,
+) -> torch.Tensor:
+    """Return a share (P,) of pixels (P, 3) that depends on the own colour of their region."""
+    result = torch.zeros_like(image[:, 0])
     for region in segments.unique():
         of = segments == region
         sure = of & (clipped == 0)
-        share[of] = _unexplained_share(image[of], _own_colour(image[sure if sure.any() else of]))
-    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
+        result[of] = share(image[of], _own_colour(image[sure if sure.any() else of]))
+    return result
 
 
 def _own_colour(image: torch.Tensor) -> torch.Tensor:
     """Return the median direction (3,), of unit length, of pixels (P, 3) of one region."""
     length = image.norm(dim=-1, keepdim=True).clamp(min=DARK)
     return F.normalize((image / length).median(0).values, dim=0)
+
+
+def _foreign_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+    """Return the share (P,) of pixels (P, 3) that is not of a colour (3,)."""
+    shaded = (image @ own)[:, None] * own
+    return (image - shaded).norm(dim=-1) / (image.norm(dim=-1) + DARK)
 
 
 def _unexplained_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
@@ -158,10 +206,8 @@ class Energy:
                 settings.unexplained_share_at_half_weight,
                 clipped,
             )
-            # what is mirrored has the colours of what is around
-            narrow = [narrow_share(to_numpy(label)) for label in start.label[0].detach()]
-            mirrored = torch.tensor([0.0, *narrow]).to(weights)[regions]
-            self.weights = mirrored + (1 - mirrored) * weights
+            labels = to_numpy(start.label[0].detach())
+            self.weights = count_mirrored(weights, regions, labels)
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)

@@ -149,6 +149,22 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
+def test_fine_shading_leaves_a_print_out_and_keeps_what_is_beside_it():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
+    printed = radiance * stripes
+    own = printed[48, 60]
+    printed[44:52, 40:48] = own.mean() * np.where(np.arange(8) % 2 == 0, 0.5, 4.0)[:, None, None]
+    painter = Compositor(
+        decomposition.decompose(
+            opened(printed, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
+        )
+    )
+    log = np.abs(np.log(painter.fine_shading()))
+    assert log[44:52, 40:48].max() < 0.02 < 0.1 < log[44:52, 54:62].mean()
+
+
 @pytest.mark.parametrize(("times", "grid"), [(1, 256), (8, 567), (16, 1024)])
 def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     label = label_of("blue-rubber")

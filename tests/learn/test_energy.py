@@ -17,7 +17,14 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import DARK, FAINT, Energy, explained_weights
+from learn.refinement.energy import (
+    DARK,
+    FAINT,
+    Energy,
+    count_mirrored,
+    explained_weights,
+    own_colour_weights,
+)
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -103,16 +110,39 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     strange = F.normalize(torch.linalg.cross(red, torch.ones(3)), dim=0)
     off = red + half * (red.norm() + DARK) / (1 - half**2) ** 0.5 * strange
     share = half * (red.norm() + DARK) / (1 - half**2) ** 0.5 / (off.norm() + DARK)
-    image = torch.stack([red, red, 0.3 * red, red + 0.4, off, blue, blue, blue, red])
+    image = torch.stack([red, red, 0.3 * red, red + 0.15, off, blue, blue, blue, red])
     regions = torch.tensor([1, 1, 1, 1, 1, 2, 2, 2, 2])
     weights = explained_weights(image, regions, half).numpy()
-    assert weights[:4] == pytest.approx(1) and weights[5:8] == pytest.approx(1)
+    assert weights[:4] == pytest.approx(1, abs=0.01) and weights[5:8] == pytest.approx(1)
     assert weights[4] == pytest.approx(float(1 / (1 + (share / half) ** 2)), rel=1e-4)
     assert weights[4] == pytest.approx(0.5, abs=0.01) and weights[8] < 0.05
     alike = explained_weights(image, torch.ones(9, dtype=torch.long), half).numpy()
     assert (alike[5:8] < 0.05).all() and alike[8] > 0.5  # of one region, about red
     grey = explained_weights(torch.full((5, 3), 0.4) + 0.01 * torch.eye(5, 3), torch.ones(5), half)
     assert (grey > 0.95).all()
+
+
+def test_a_white_label_counts_next_to_nothing_unless_it_is_clipped_and_a_dusty_pixel_whole():
+    terracotta = torch.tensor([0.36, 0.16, 0.09])
+    label, dusty = torch.full((3,), 0.7), terracotta + 0.04
+    image = torch.stack([*[terracotta] * 4, dusty, label, label])
+    clipped = torch.tensor([0.0] * 6 + [1.0])
+    half = PHOTOGRAPHS.unexplained_share_at_half_weight
+    for weights in (
+        explained_weights(image, torch.ones(7), half, clipped),
+        own_colour_weights(image, torch.ones(7), clipped),
+    ):
+        assert weights[:5].numpy() == pytest.approx(1, abs=0.01)
+        assert weights[5] < 0.03 and weights[6] == 1
+    assert own_colour_weights(image, torch.ones(7))[6] < 0.03
+
+
+def test_what_a_material_mirrors_counts_whole_whatever_its_colour():
+    matte, mirror = np.zeros((3, 3, 2, 6)), np.zeros((3, 3, 2, 6))
+    matte[:, :, 1], mirror[:, :, 1] = math.log(0.5), math.log(3000)
+    labels = np.stack([matte.reshape(108), mirror.reshape(108)]).astype(np.float32)
+    weights = count_mirrored(torch.tensor([0.2, 0.2, 1.0]), torch.tensor([1, 2, 1]), labels).numpy()
+    assert 0.2 <= weights[0] < 0.3 and weights[1] > 0.95 and weights[2] == 1
 
 
 def test_clipped_pixels_are_no_print_and_say_nothing_of_the_objects_colour():
