@@ -17,8 +17,8 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `explained_weights`, the
-less the more matte the predicted material is.
+front, which one material cannot explain: its misfit counts less by `explained_weights` and
+`label_weights`, the less the more matte the predicted material is.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.ndimage import maximum_filter
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
@@ -42,9 +43,10 @@ from shaders import tone
 
 FAINT = 0.05  # of a light's mean: ratios of what is darker count little
 DARK = 0.02  # of white: colours of what is darker count little
-# Share of a pixel that is not of its region's colour at which it is a print, and how sharply:
+# share of a pixel that is not of its region's colour at which it is half a label, and how sharply:
 # a label must count next to nothing, because its misfit is large, and dust nearly whole
 FOREIGN, STEEPNESS = 0.27, 8
+LABEL_RADIUS = 2  # network pixels, of label_weights
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -96,9 +98,8 @@ def explained_weights(
 
     A surface of one material shows its own colour, more or less shaded, and in highlights that of
     the light, which is taken to be white (Shafer 1985). What no sum of both explains is a print, or
-    something in front. So is what is more white than of the own colour, such as a label, but not
-    where the file clips it, as highlights are. A print that differs in brightness alone is not
-    recognised, and a side that is lit in another colour is taken for a print.
+    something in front. A print in black or white is not recognised, and a side that is lit in
+    another colour is taken for a print.
 
     image     (P, 3) with white at about 1; segments (P,): regions, whose colour is their median's
     half      share of a pixel that neither explains at which its weight is a half: the setting
@@ -107,20 +108,38 @@ def explained_weights(
     """
     clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
     share = _by_region(_unexplained_share, image, segments, clipped)
-    weights = 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
-    return torch.minimum(weights, own_colour_weights(image, segments, clipped))
+    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
 
 
-def own_colour_weights(
-    image: torch.Tensor, segments: torch.Tensor, clipped: torch.Tensor | None = None
+def label_weights(
+    image: torch.Tensor, segments: torch.Tensor, clipped: torch.Tensor | None, radius: int
 ) -> torch.Tensor:
-    """Return weights (P,) of pixels: about 1 in their region's colour, 0 in clearly another one.
+    """Return weights (H, W), 0 where an object carries a label, 1 elsewhere and in its background.
 
-    image, segments, clipped  as `explained_weights` takes them
+    A label has clearly another colour than its region, which may be white. It includes its edge,
+    and what lies between parts of it, such as letters in black or in the object's own colour. A
+    highlight is white too: it is told from a label by pixels that the file clips.
+
+    image     (H, W, 3) with white at about 1; segments (H, W): numbers of regions, 0 beyond them
+    clipped   (H, W) shares that are clipped; None: nothing is
+    radius    of highlights' edges and of what lies between parts of a label, in pixels
     """
-    clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
-    share = _by_region(_foreign_share, image, segments, clipped)
-    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / FOREIGN) ** STEEPNESS))
+    inside = segments > 0
+    clipped = torch.zeros_like(image[..., 0]) if clipped is None else clipped
+    pixels = image[inside], segments[inside], clipped[inside]
+    share = torch.zeros_like(image[..., 0])
+    share[inside] = _by_region(_foreign_share, *pixels)
+    near = _largest_near(clipped, radius)
+    foreign = (1 - near) * (1 - 1 / (1 + (share / FOREIGN) ** STEEPNESS))
+    wide = _largest_near(foreign, radius + -(-radius // 2))
+    closed = 1 - _largest_near(1 - wide, radius)
+    return 1 - (1 - near) * closed
+
+
+def _largest_near(values: torch.Tensor, radius: int) -> torch.Tensor:
+    """Return the largest of values (H, W) within a square of 2 · radius + 1 about each pixel."""
+    largest = maximum_filter(to_numpy(values), 2 * radius + 1, mode="nearest")
+    return torch.from_numpy(largest).to(values.device)
 
 
 def count_mirrored(
@@ -206,8 +225,11 @@ class Energy:
                 settings.unexplained_share_at_half_weight,
                 clipped,
             )
-            labels = to_numpy(start.label[0].detach())
-            self.weights = count_mirrored(weights, regions, labels)
+            whole = None if batch.clipped is None else batch.clipped[0].amax(0)
+            picture = batch.image[0].movedim(0, -1) * exposure
+            labels = label_weights(picture, self.segments[0] * inside, whole, LABEL_RADIUS)
+            weights = torch.minimum(weights, labels[inside])
+            self.weights = count_mirrored(weights, regions, to_numpy(start.label[0].detach()))
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)

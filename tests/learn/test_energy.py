@@ -20,10 +20,11 @@ from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
 from learn.refinement.energy import (
     DARK,
     FAINT,
+    LABEL_RADIUS,
     Energy,
     count_mirrored,
     explained_weights,
-    own_colour_weights,
+    label_weights,
 )
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
@@ -110,10 +111,10 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     strange = F.normalize(torch.linalg.cross(red, torch.ones(3)), dim=0)
     off = red + half * (red.norm() + DARK) / (1 - half**2) ** 0.5 * strange
     share = half * (red.norm() + DARK) / (1 - half**2) ** 0.5 / (off.norm() + DARK)
-    image = torch.stack([red, red, 0.3 * red, red + 0.15, off, blue, blue, blue, red])
+    image = torch.stack([red, red, 0.3 * red, red + 0.4, off, blue, blue, blue, red])
     regions = torch.tensor([1, 1, 1, 1, 1, 2, 2, 2, 2])
     weights = explained_weights(image, regions, half).numpy()
-    assert weights[:4] == pytest.approx(1, abs=0.01) and weights[5:8] == pytest.approx(1)
+    assert weights[:4] == pytest.approx(1) and weights[5:8] == pytest.approx(1)
     assert weights[4] == pytest.approx(float(1 / (1 + (share / half) ** 2)), rel=1e-4)
     assert weights[4] == pytest.approx(0.5, abs=0.01) and weights[8] < 0.05
     alike = explained_weights(image, torch.ones(9, dtype=torch.long), half).numpy()
@@ -122,19 +123,56 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     assert (grey > 0.95).all()
 
 
-def test_a_white_label_counts_next_to_nothing_unless_it_is_clipped_and_a_dusty_pixel_whole():
-    terracotta = torch.tensor([0.36, 0.16, 0.09])
-    label, dusty = torch.full((3,), 0.7), terracotta + 0.04
-    image = torch.stack([*[terracotta] * 4, dusty, label, label])
-    clipped = torch.tensor([0.0] * 6 + [1.0])
-    half = PHOTOGRAPHS.unexplained_share_at_half_weight
-    for weights in (
-        explained_weights(image, torch.ones(7), half, clipped),
-        own_colour_weights(image, torch.ones(7), clipped),
-    ):
-        assert weights[:5].numpy() == pytest.approx(1, abs=0.01)
-        assert weights[5] < 0.03 and weights[6] == 1
-    assert own_colour_weights(image, torch.ones(7))[6] < 0.03
+def labelled(size=24):
+    """A terracotta square with a white label that has black bars: image, segments, place."""
+    image = torch.tensor([0.36, 0.16, 0.09]).repeat(size, size, 1)
+    image[3:6, 3:6] += 0.04  # dust
+    place = (slice(10, 20), slice(10, 20))
+    image[place] = 0.7
+    image[12:18, 12:18:2] = 0.01
+    return image, torch.ones(size, size, dtype=torch.long), place
+
+
+def test_a_label_counts_nothing_with_its_letters_and_its_edge_and_dust_counts_whole():
+    image, segments, place = labelled()
+    weights = label_weights(image, segments, None, 2)
+    assert weights[place].max() < 0.02 and weights[9, 9:21].max() < 0.02
+    away = torch.ones_like(segments, dtype=torch.bool)
+    away[9:21, 9:21] = False
+    assert weights[away].min() > 0.98
+
+
+def test_a_white_patch_is_a_highlight_where_the_file_clips_it():
+    image, segments, _ = labelled()
+    image[10:20, 10:20] = 0.7
+    clipped = torch.zeros(image.shape[:2])
+    clipped[12:18, 12:18] = 1  # its edge is not white in the file
+    assert label_weights(image, segments, clipped, 2).min() > 0.98
+    assert label_weights(image, segments, None, 2).min() < 0.02
+
+
+def test_a_label_of_one_region_is_not_judged_by_anothers_colour():
+    image, segments, place = labelled()
+    segments[place] = 2
+    image[place] = torch.tensor([0.1, 0.3, 0.7])
+    assert label_weights(image, segments, None, 2).min() > 0.98
+    assert label_weights(image, segments.clamp(max=1), None, 2)[place].max() < 0.02
+
+
+def test_a_label_counts_less_in_the_misfit_of_refinement(monkeypatch):
+    batch, start = flat()
+    image = batch.image.clone()
+    image[0] = torch.tensor([0.4, 0.2, 0.1])[:, None, None]
+    image[0, :, 2:4] = 0.9
+    monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
+    label = torch.zeros(1, 1, 3, 3, 2, 6, dtype=torch.float64)
+    label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(0.5)
+    start = replace(start, label=label.reshape(1, 1, 108))
+    energy = Energy(replace(batch, image=image), start, PHOTOGRAPHS)
+    on = torch.zeros(batch.mask.shape[-2:], dtype=torch.bool)
+    on[2:4] = True
+    assert energy.weights[on.flatten()[energy.inside]].max() < 0.15
+    assert energy.weights[~on.flatten()[energy.inside]].max() > 0.9
 
 
 def test_what_a_material_mirrors_counts_whole_whatever_its_colour():
@@ -161,7 +199,8 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
 ):
     lamplight, daylight = torch.tensor([0.5, 0.42, 0.33]), torch.tensor([0.3, 0.36, 0.45])
     image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
-    weights = explained_weights(image, torch.ones(100), 0.1)
+    labels = label_weights(image.reshape(10, 10, 3), torch.ones(10, 10), None, LABEL_RADIUS)
+    weights = torch.minimum(explained_weights(image, torch.ones(100), 0.1), labels.flatten())
     report = (root / "docs" / "refinement.md").read_text(encoding="utf-8")
     assert (
         f"grey object in lamplight and daylight, it has a weight of {float(weights[-1]):.2f}."
