@@ -149,13 +149,13 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
-def test_fine_shading_leaves_a_print_out_and_keeps_what_is_beside_it():
+def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
     printed = radiance * stripes
-    own = printed[48, 60]
-    printed[44:52, 40:48] = own.mean() * np.where(np.arange(8) % 2 == 0, 0.5, 4.0)[:, None, None]
+    red = printed[48, 60].mean() * np.array([1, 0.1, 0.1], np.float32)
+    printed[44:52, 40:48] = red * np.where(np.arange(8) % 2 == 0, 0.3, 1.2)[:, None, None]
     painter = Compositor(
         decomposition.decompose(
             opened(printed, inside.astype(np.int64), 2.0), Knowing(label), NETWORK

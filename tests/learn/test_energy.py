@@ -226,6 +226,9 @@ def test_a_print_counts_less_in_the_misfit_the_more_matte_the_material_is(
     label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(gamma)
     start = replace(start, label=label.reshape(1, 1, 108))
     monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
+    # its row is a label too, whatever the half
+    no_label = "learn.refinement.energy.label_weights"
+    monkeypatch.setattr(no_label, lambda picture, *_: torch.ones(picture.shape[:2]))
 
     def misfit(half):
         settings = replace(RefinementSettings(), unexplained_share_at_half_weight=half)
