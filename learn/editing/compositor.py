@@ -247,10 +247,10 @@ class Compositor:
         seen  (side, side, 3) linear radiance of the photograph
         """
         photograph, inside = self.decomposition.photograph, self.regions > 0
-        clipped = photograph.clipped
-        if clipped is not None:
-            clipped = framing.cut_square(clipped, self.decomposition.framed.box).max(-1)
-            clipped = torch.from_numpy(clipped.astype(np.float32))
+        white, clipped = photograph.clipped, None
+        if white is not None:
+            share = framing.cut_square(white, self.decomposition.framed.box).max(-1)
+            clipped = torch.from_numpy(share.astype(np.float32))
         regions = torch.from_numpy(self.regions.astype(np.int64))
         image = torch.from_numpy(np.float32(seen * tone.auto_exposure(seen, inside)))
         radius = LABEL_RADIUS * self.side / len(self.decomposition.framed.mask)
