@@ -26,6 +26,8 @@ from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
+from learn.refinement.energy import LABEL_RADIUS, count_mirrored, label_weights
+from shaders import tone
 
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
@@ -226,7 +228,8 @@ class Compositor:
     def fine_shading(self) -> np.ndarray:
         """Return factors (side, side, 3): shading of the photograph that is finer than the normals.
 
-        They are the fine part of the photograph divided by its re-rendering.
+        They are the fine part of the photograph divided by its re-rendering, but for labels, whose
+        marks are no shading.
         """
         if self._fine_shading is None:
             again = self.own_radiance()
@@ -236,7 +239,7 @@ class Compositor:
             floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
             log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
             width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
-            weight = (self.coverage > 1 - CLEAR).astype(np.float32)
+            weight = (self.coverage > 1 - CLEAR) * self._unlabelled(seen)
             share = np.maximum(gaussian_filter(weight, width), 1e-3)
             fine = [
                 (log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight
@@ -246,6 +249,25 @@ class Compositor:
                 np.clip(np.stack(fine, -1), -np.log(LARGEST_DETAIL), np.log(LARGEST_DETAIL))
             )
         return self._fine_shading
+
+    def _unlabelled(self, seen: np.ndarray) -> np.ndarray:
+        """Return weights (side, side) of refinement's `label_weights`, 0 beyond the object.
+
+        seen  (side, side, 3) linear radiance of the photograph
+        """
+        photograph, inside = self.decomposition.photograph, self.regions > 0
+        white, clipped = photograph.clipped, None
+        if white is not None:
+            share = framing.cut_square(white, self.decomposition.framed.box).max(-1)
+            clipped = torch.from_numpy(share.astype(np.float32))
+        regions = torch.from_numpy(self.regions.astype(np.int64))
+        image = torch.from_numpy(np.float32(seen * tone.auto_exposure(seen, inside)))
+        radius = LABEL_RADIUS * self.side / len(self.decomposition.framed.mask)
+        weights = label_weights(image, regions, clipped, max(round(radius), 1))[inside]
+        predicted = to_numpy(self.decomposition.start.label[0])
+        result = np.zeros(inside.shape, np.float32)
+        result[inside] = to_numpy(count_mirrored(weights, regions[inside], predicted))
+        return result
 
 
 def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:

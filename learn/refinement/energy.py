@@ -17,18 +17,20 @@ curve is close to the display's, but a highlight beyond white still counts.
 Where the file shows white, I is a lower bound: a re-rendering that is brighter costs nothing there.
 Of a pixel that is clipped in part, this holds for that share of its cost.
 Where a picture has another colour than its object, it is likely to show a print or something in
-front, which one material cannot explain: its misfit counts less by `explained_weights`, the less
-the more matte the predicted material is.
+front, which one material cannot explain: its misfit counts less by `explained_weights` and
+`label_weights`, the less the more matte the predicted material is.
 Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texels would weigh the
           terms by the picture's size
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.ndimage import maximum_filter
 
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
@@ -41,6 +43,10 @@ from shaders import tone
 
 FAINT = 0.05  # of a light's mean: ratios of what is darker count little
 DARK = 0.02  # of white: colours of what is darker count little
+# share of a pixel that is not of its region's colour at which it is half a label, and how sharply:
+# a label must count next to nothing, because its misfit is large, and dust nearly whole
+FOREIGN, STEEPNESS = 0.27, 8
+LABEL_RADIUS = 2  # network pixels, of label_weights
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -101,18 +107,79 @@ def explained_weights(
     clipped   (P,) shares that are clipped, whose colour is not known: they weigh 1
     """
     clipped = torch.zeros_like(image[:, 0]) if clipped is None else clipped
-    share = torch.zeros_like(image[:, 0])
+    share = _by_region(_unexplained_share, image, segments, clipped)
+    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
+
+
+def label_weights(
+    image: torch.Tensor, segments: torch.Tensor, clipped: torch.Tensor | None, radius: int
+) -> torch.Tensor:
+    """Return weights (H, W), 0 where an object carries a label, 1 elsewhere and in its background.
+
+    A label has clearly another colour than its region, which may be white. It includes its edge,
+    and what lies between parts of it, such as letters in black or in the object's own colour. A
+    highlight is white too: it is told from a label by pixels that the file clips.
+
+    image     (H, W, 3) with white at about 1; segments (H, W): numbers of regions, 0 beyond them
+    clipped   (H, W) shares that are clipped; None: nothing is
+    radius    of highlights' edges and of what lies between parts of a label, in pixels
+    """
+    inside = segments > 0
+    clipped = torch.zeros_like(image[..., 0]) if clipped is None else clipped
+    pixels = image[inside], segments[inside], clipped[inside]
+    share = torch.zeros_like(image[..., 0])
+    share[inside] = _by_region(_foreign_share, *pixels)
+    near = _largest_near(clipped, radius)
+    foreign = (1 - near) * (1 - 1 / (1 + (share / FOREIGN) ** STEEPNESS))
+    wide = _largest_near(foreign, radius + -(-radius // 2))
+    closed = 1 - _largest_near(1 - wide, radius)
+    return 1 - (1 - near) * closed
+
+
+def _largest_near(values: torch.Tensor, radius: int) -> torch.Tensor:
+    """Return the largest of values (H, W) within a square of 2 · radius + 1 about each pixel."""
+    largest = maximum_filter(to_numpy(values), 2 * radius + 1, mode="nearest")
+    return torch.from_numpy(largest).to(values.device)
+
+
+def count_mirrored(
+    weights: torch.Tensor, segments: torch.Tensor, labels: np.ndarray
+) -> torch.Tensor:
+    """Return weights (P,) in which what materials mirror counts whole, whatever its colour.
+
+    It has the colours of what is around.
+
+    segments  (P,) numbers 1 … S of regions; labels (S, 108) of their materials
+    """
+    mirrored = torch.tensor([0.0, *map(narrow_share, labels)]).to(weights)[segments]
+    return mirrored + (1 - mirrored) * weights
+
+
+def _by_region(
+    share: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+    image: torch.Tensor,
+    segments: torch.Tensor,
+    clipped: torch.Tensor,
+) -> torch.Tensor:
+    """Return a share (P,) of pixels (P, 3) that depends on the own colour of their region."""
+    result = torch.zeros_like(image[:, 0])
     for region in segments.unique():
         of = segments == region
         sure = of & (clipped == 0)
-        share[of] = _unexplained_share(image[of], _own_colour(image[sure if sure.any() else of]))
-    return 1 - (1 - clipped) * (1 - 1 / (1 + (share / half) ** 2))
+        result[of] = share(image[of], _own_colour(image[sure if sure.any() else of]))
+    return result
 
 
 def _own_colour(image: torch.Tensor) -> torch.Tensor:
     """Return the median direction (3,), of unit length, of pixels (P, 3) of one region."""
     length = image.norm(dim=-1, keepdim=True).clamp(min=DARK)
     return F.normalize((image / length).median(0).values, dim=0)
+
+
+def _foreign_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+    """Return the share (P,) of pixels (P, 3) that is not of a colour (3,)."""
+    shaded = (image @ own)[:, None] * own
+    return (image - shaded).norm(dim=-1) / (image.norm(dim=-1) + DARK)
 
 
 def _unexplained_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
@@ -158,10 +225,11 @@ class Energy:
                 settings.unexplained_share_at_half_weight,
                 clipped,
             )
-            # what is mirrored has the colours of what is around
-            narrow = [narrow_share(to_numpy(label)) for label in start.label[0].detach()]
-            mirrored = torch.tensor([0.0, *narrow]).to(weights)[regions]
-            self.weights = mirrored + (1 - mirrored) * weights
+            whole = None if batch.clipped is None else batch.clipped[0].amax(0)
+            picture = batch.image[0].movedim(0, -1) * exposure
+            labels = label_weights(picture, self.segments[0] * inside, whole, LABEL_RADIUS)
+            weights = torch.minimum(weights, labels[inside])
+            self.weights = count_mirrored(weights, regions, to_numpy(start.label[0].detach()))
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)

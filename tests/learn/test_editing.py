@@ -149,6 +149,24 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
+def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
+    printed = radiance * stripes
+    red = printed[48, 60].mean() * np.array([1, 0.1, 0.1], np.float32)
+    printed[44:52, 40:48] = red * np.where(np.arange(8) % 2 == 0, 0.3, 1.2)[:, None, None]
+    painter = Compositor(
+        decomposition.decompose(
+            opened(printed, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
+        )
+    )
+    top, left, _ = painter.decomposition.framed.box
+    log = np.abs(np.log(painter.fine_shading()))
+    on, beside = (log[44 - top : 52 - top, k - left : k + 8 - left] for k in (40, 54))
+    assert on.max() < 0.02 < 0.1 < beside.mean()
+
+
 @pytest.mark.parametrize(("times", "grid"), [(1, 256), (8, 567), (16, 1024)])
 def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     label = label_of("blue-rubber")

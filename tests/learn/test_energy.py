@@ -17,7 +17,15 @@ from learn.layer import predictions, render
 from learn.networks.prediction import Prediction
 from learn.refinement import RefinementSettings, coordinates, descent, refine
 from learn.refinement.coordinates import LightCoordinates, NormalCoordinates
-from learn.refinement.energy import DARK, FAINT, Energy, explained_weights
+from learn.refinement.energy import (
+    DARK,
+    FAINT,
+    LABEL_RADIUS,
+    Energy,
+    count_mirrored,
+    explained_weights,
+    label_weights,
+)
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
 from shaders import envmap
@@ -115,6 +123,66 @@ def test_a_pixel_counts_less_the_less_its_regions_colour_and_white_explain_it():
     assert (grey > 0.95).all()
 
 
+def labelled(size=24):
+    """A terracotta square with a white label that has black bars: image, segments, place."""
+    image = torch.tensor([0.36, 0.16, 0.09]).repeat(size, size, 1)
+    image[3:6, 3:6] += 0.04  # dust
+    place = (slice(10, 20), slice(10, 20))
+    image[place] = 0.7
+    image[12:18, 12:18:2] = 0.01
+    return image, torch.ones(size, size, dtype=torch.long), place
+
+
+def test_a_label_counts_nothing_with_its_letters_and_its_edge_and_dust_counts_whole():
+    image, segments, place = labelled()
+    weights = label_weights(image, segments, None, 2)
+    assert weights[place].max() < 0.02 and weights[9, 9:21].max() < 0.02
+    away = torch.ones_like(segments, dtype=torch.bool)
+    away[9:21, 9:21] = False
+    assert weights[away].min() > 0.98
+
+
+def test_a_white_patch_is_a_highlight_where_the_file_clips_it():
+    image, segments, _ = labelled()
+    image[10:20, 10:20] = 0.7
+    clipped = torch.zeros(image.shape[:2])
+    clipped[12:18, 12:18] = 1  # its edge is not white in the file
+    assert label_weights(image, segments, clipped, 2).min() > 0.98
+    assert label_weights(image, segments, None, 2).min() < 0.02
+
+
+def test_a_label_of_one_region_is_not_judged_by_anothers_colour():
+    image, segments, place = labelled()
+    segments[place] = 2
+    image[place] = torch.tensor([0.1, 0.3, 0.7])
+    assert label_weights(image, segments, None, 2).min() > 0.98
+    assert label_weights(image, segments.clamp(max=1), None, 2)[place].max() < 0.02
+
+
+def test_a_label_counts_less_in_the_misfit_of_refinement(monkeypatch):
+    batch, start = flat()
+    image = batch.image.clone()
+    image[0] = torch.tensor([0.4, 0.2, 0.1])[:, None, None]
+    image[0, :, 2:4] = 0.9
+    monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
+    label = torch.zeros(1, 1, 3, 3, 2, 6, dtype=torch.float64)
+    label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(0.5)
+    start = replace(start, label=label.reshape(1, 1, 108))
+    energy = Energy(replace(batch, image=image), start, PHOTOGRAPHS)
+    on = torch.zeros(batch.mask.shape[-2:], dtype=torch.bool)
+    on[2:4] = True
+    assert energy.weights[on.flatten()[energy.inside]].max() < 0.15
+    assert energy.weights[~on.flatten()[energy.inside]].max() > 0.9
+
+
+def test_what_a_material_mirrors_counts_whole_whatever_its_colour():
+    matte, mirror = np.zeros((3, 3, 2, 6)), np.zeros((3, 3, 2, 6))
+    matte[:, :, 1], mirror[:, :, 1] = math.log(0.5), math.log(3000)
+    labels = np.stack([matte.reshape(108), mirror.reshape(108)]).astype(np.float32)
+    weights = count_mirrored(torch.tensor([0.2, 0.2, 1.0]), torch.tensor([1, 2, 1]), labels).numpy()
+    assert 0.2 <= weights[0] < 0.3 and weights[1] > 0.95 and weights[2] == 1
+
+
 def test_clipped_pixels_are_no_print_and_say_nothing_of_the_objects_colour():
     orange = torch.tensor([1.0, 0.45, 0.08])
     image = torch.stack([0.5 * orange, 0.6 * orange, *[(2 * orange).clamp(max=1)] * 5])
@@ -131,7 +199,8 @@ def test_the_side_of_a_grey_object_in_another_light_counts_as_little_as_the_docu
 ):
     lamplight, daylight = torch.tensor([0.5, 0.42, 0.33]), torch.tensor([0.3, 0.36, 0.45])
     image = torch.cat([lamplight.expand(60, 3), daylight.expand(40, 3)])
-    weights = explained_weights(image, torch.ones(100), 0.1)
+    labels = label_weights(image.reshape(10, 10, 3), torch.ones(10, 10), None, LABEL_RADIUS)
+    weights = torch.minimum(explained_weights(image, torch.ones(100), 0.1), labels.flatten())
     report = (root / "docs" / "refinement.md").read_text(encoding="utf-8")
     assert (
         f"grey object in lamplight and daylight, it has a weight of {float(weights[-1]):.2f}."
@@ -157,6 +226,9 @@ def test_a_print_counts_less_in_the_misfit_the_more_matte_the_material_is(
     label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(gamma)
     start = replace(start, label=label.reshape(1, 1, 108))
     monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
+    # its row is a label too, whatever the half
+    no_label = "learn.refinement.energy.label_weights"
+    monkeypatch.setattr(no_label, lambda picture, *_: torch.ones(picture.shape[:2]))
 
     def misfit(half):
         settings = replace(RefinementSettings(), unexplained_share_at_half_weight=half)

@@ -355,9 +355,9 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
     "painted-photographs": (
         "--data {room}/ladder --weights {room}/weights.safetensors --photographs 1",
         lambda r: (
-            len(r["rows"]) == 12
+            len(r["rows"]) == 16
             # paint changes what the object shows, and not what it is compared with
-            and len({tuple(row["cues"].values()) for row in r["rows"]}) == 3
+            and len({tuple(row["cues"].values()) for row in r["rows"]}) == 4
             and len({row["edits"][0]["target"] for row in r["rows"]}) == 1
         ),
     ),

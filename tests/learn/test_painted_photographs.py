@@ -8,7 +8,7 @@ import torch
 
 from learn.experiments.photographs import painted_photographs, painted_tables, painting
 from learn.experiments.photographs.painted_photographs import BEFORE, IN_USE, METHODS, PREDICTED
-from learn.experiments.photographs.painting import COLOUR, KINDS, NONE, PRINT
+from learn.experiments.photographs.painting import COLOUR, KINDS, LABEL, NONE, PRINT
 from learn.experiments.photographs.photographed_fit import SCALES
 
 SIZE = 48
@@ -82,6 +82,17 @@ def test_a_print_leaves_bare_pixels_and_darkens_others(ball, name):
     bare = (of > 0.999).all(-1).mean()
     assert 0.1 < bare < 0.99 and of.max() <= 1 + 1e-6
     assert of == pytest.approx(factors(PRINT, ball(MATTE), name))
+
+
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+@pytest.mark.parametrize("label", [MATTE, METAL])
+def test_a_label_is_without_colour_and_has_black_bars_on_an_object_of_one_colour(ball, name, label):
+    of, plain = factors(LABEL, ball(label), name), factors(COLOUR, ball(label), name)
+    coloured = np.isclose(of, plain, rtol=1e-3).all(-1)
+    grey = np.isclose(of, of[:, :1], rtol=1e-3).all(-1) & ~coloured
+    assert (coloured | grey).all() and 0.01 < grey.mean() < 0.3
+    brightness = of[grey].mean(-1)
+    assert {round(float(v), 2) for v in brightness} == {1.0, painting.BLACK}
 
 
 def report_of(l2):

@@ -3,7 +3,8 @@
 Dye multiplies what the widest lobe of a material reflects, which is its matte part, by at most 1 in
 each channel; highlights keep their colour, as those of lacquer do. A material without a matte part,
 as metals are, is tinted as a whole. The picture is then that of a material with lower lobes, but
-for what the object reflects into itself. Printed dye differs between points.
+for what the object reflects into itself. Printed dye differs between points. A label is what dye of
+one colour leaves undyed, but for black bars.
 """
 
 from __future__ import annotations
@@ -13,15 +14,18 @@ import zlib
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 
 from learn.data import patterns
 from learn.data.records import Sample
 from learn.layer import predictions
 
-NONE, COLOUR, PRINT = "as it was", "one colour", "a print"
-KINDS = (NONE, COLOUR, PRINT)
+NONE, COLOUR, PRINT, LABEL = "as it was", "one colour", "a print", "a colour with a label"
+KINDS = (NONE, COLOUR, PRINT, LABEL)
 SATURATION = (0.5, 0.95)  # of one colour: our choice; photographs' oranges and reds have this
 DISPLAY_GAMMA = 2.2
+LENGTHS, HEIGHTS = (0.24, 0.5), (0.12, 0.3)  # of a label; the object's area is 1
+BAR, BLACK = 0.06, 0.08  # pitch of the bars that are printed on it, and their dye
 
 
 def painted(kind: str, sample: Sample, name: str) -> np.ndarray:
@@ -33,7 +37,10 @@ def painted(kind: str, sample: Sample, name: str) -> np.ndarray:
     radiance = sample.image.numpy()
     if kind == NONE:
         return radiance
-    dye = dye_of(kind, sample.n.numpy(), name)
+    if kind == LABEL:
+        dye = dye_with_label(sample.label[0].numpy(), sample.n.numpy(), name)
+    else:
+        dye = dye_of(kind, sample.n.numpy(), name)
     return radiance * (1 + matte_share(sample) * (dye - 1))
 
 
@@ -77,6 +84,38 @@ def dye_of(kind: str, n: np.ndarray, name: str) -> np.ndarray:
         ink = _linear(rng.random(), rng.uniform(0, 1), rng.uniform(0.15, 1))
         factor += weight[..., None] * (ink - 1)
     return factor
+
+
+def dye_with_label(material: np.ndarray, n: np.ndarray, name: str) -> np.ndarray:
+    """Return the factors (H, W, 3) of a dye of one colour that spares a label with black bars.
+
+    The label is as bright as its material's darkest channel, and has no colour.
+
+    material  (108,) of the object; n and name as `dye_of` takes them
+    """
+    rng = np.random.default_rng(zlib.crc32(f"{LABEL} {name}".encode()))
+    inside = (n != 0).any(-1)
+    dye = np.array(dye_of(COLOUR, n, name))
+    if not inside.any():
+        return dye
+    rows, columns = np.nonzero(inside)
+    candidates = rng.integers(len(rows), size=8)
+    depth = distance_transform_edt(inside)[rows, columns]
+    middle = candidates[depth[candidates].argmax()]
+    size, angle = np.sqrt(inside.sum()), rng.uniform(0, np.pi)
+    y, x = np.mgrid[: len(n), : n.shape[1]]
+    right, down = (x - columns[middle]) / size, (y - rows[middle]) / size
+    along = np.cos(angle) * right + np.sin(angle) * down
+    across = np.cos(angle) * down - np.sin(angle) * right
+    length, height = rng.uniform(*LENGTHS) / 2, rng.uniform(*HEIGHTS) / 2
+    on = (abs(along) < length) & (abs(across) < height)
+    bars = (abs(along) < 0.6 * length) & (abs(across) < 0.6 * height)
+    bars &= np.floor(along / (BAR / 2)) % 2 == 0
+    whole, widest = (each[0] for each in patterns.albedos(material[None]))
+    albedo = widest if patterns.can_be_dyed(material) else whole
+    dye[on] = albedo.min() / albedo
+    dye[bars] *= BLACK
+    return dye
 
 
 def _linear(hue: float, saturation: float, value: float) -> np.ndarray:
