@@ -241,13 +241,17 @@ class Compositor:
             width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
             weight = (self.coverage > 1 - CLEAR) * self._unlabelled(seen)
             share = np.maximum(gaussian_filter(weight, width), 1e-3)
+            limit = np.log(LARGEST_DETAIL)
             fine = [
-                (log[..., k] - gaussian_filter(log[..., k] * weight, width) / share) * weight
+                np.clip(
+                    log[..., k] - gaussian_filter(log[..., k] * weight, width) / share,
+                    -limit,
+                    limit,
+                )
+                * weight
                 for k in range(3)
             ]
-            self._fine_shading = np.exp(
-                np.clip(np.stack(fine, -1), -np.log(LARGEST_DETAIL), np.log(LARGEST_DETAIL))
-            )
+            self._fine_shading = np.exp(np.stack(fine, -1))
         return self._fine_shading
 
     def _unlabelled(self, seen: np.ndarray) -> np.ndarray:
