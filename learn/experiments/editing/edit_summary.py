@@ -102,7 +102,7 @@ def _read(path: Path, reader: Callable[[Mapping[str, Any]], dict[str, Any]]) -> 
 
 def _photographs(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return "before" and "after" of a report of room-photographs or photographed-edits."""
-    from learn.experiments import photographed_fit
+    from learn.experiments.photographs import photographed_fit
     from learn.metrics import bootstrap
 
     edits = photographed_fit.edits_of(dict(report))
