@@ -162,6 +162,7 @@ def tables(report: runner.Report) -> str:
 
     rows = report["rows"]
     page = (
+        "# Edits with masks that are off, and with their edges fitted\n\n"
         f"{len(rows)} photographs, each with masks damaged in {len(_damages(report))} ways."
         f" The band is {BAND} pixels wide on either side of the true edge.\n"
     )
