@@ -2,10 +2,10 @@
 
 Photographs are those of `room-photographs`: Cycles' pictures of objects on tables, exposed, in 8
 bits. The share of each pixel that the object covers is known (coverage.png). It is damaged
-(learn.experiments.damaged_masks), and given as a mask. The object's true radiance in another
-material is then put behind this mask's edge as `edit` does it, so that nothing but the edge can be
-wrong, and compared with Cycles' picture of the object in that material. rows.jsonl keeps a line per
-photograph: the same command continues, and more --scenes add to it.
+(learn.experiments.photographs.damaged_masks), and given as a mask. The object's true radiance in
+another material is then put behind this mask's edge as `edit` does it, so that nothing but the edge
+can be wrong, and compared with Cycles' picture of the object in that material. rows.jsonl keeps a
+line per photograph: the same command continues, and more --scenes add to it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from matplotlib.figure import Figure
 
-    from learn.experiments.room_photographs import Case
+    from learn.experiments.photographs.room_photographs import Case
 
 BAND = 5  # pixels on either side of the true edge, in which errors are measured
 PLAIN, GIVEN = "as given, nearest background", "as given"
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows"}; rows as of `row_of`. Raises InputError: no scenes, or one lacks coverage."""
-    from learn.experiments import room_photographs
+    from learn.experiments.photographs import room_photographs
     from manifests import outputs
     from manifests.errors import InputError
     from manifests.store_paths import file_hash
@@ -82,8 +82,8 @@ def row_of(case: Case) -> dict[str, Any]:
     from learn.data.photographs import LEAST_PIXELS
     from learn.editing import mask_edges
     from learn.editing.compositor import fill_from_nearest
-    from learn.experiments import damaged_masks, room_photographs
-    from learn.experiments.photographing import exposed
+    from learn.experiments.photographs import damaged_masks, room_photographs
+    from learn.experiments.photographs.photographing import exposed
     from shaders import tone
 
     frame = room_photographs.frame_of(case, case.source)
@@ -127,7 +127,7 @@ def edge_of(method: str, radiance: np.ndarray, given: np.ndarray) -> np.ndarray:
 
     from learn.editing import mask_edges
     from learn.editing.photograph import soften
-    from learn.experiments.closed_form_matting import matted
+    from learn.experiments.photographs.closed_form_matting import matted
 
     methods: dict[str, Callable[..., np.ndarray]] = {FITTED: mask_edges.fit, MATTED: matted}
     return methods[method](radiance, given) if method in methods else soften(given)
@@ -197,7 +197,7 @@ def tables(report: runner.Report) -> str:
 
 
 def _damages(report: runner.Report) -> list[str]:
-    from learn.experiments.damaged_masks import DAMAGES
+    from learn.experiments.photographs.damaged_masks import DAMAGES
 
     return [name for name in DAMAGES if any(name in row["masks"] for row in report["rows"])]
 
