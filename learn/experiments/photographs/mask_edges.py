@@ -2,10 +2,10 @@
 
 Photographs are those of `room-photographs`: Cycles' pictures of objects on tables, exposed, in 8
 bits. The share of each pixel that the object covers is known (coverage.png). It is damaged
-(damaged_masks), and given as a mask. The object's true radiance in another
-material is then put behind this mask's edge as `edit` does it, so that nothing but the edge can be
-wrong, and compared with Cycles' picture of the object in that material. rows.jsonl keeps a line per
-photograph: the same command continues, and more --scenes add to it.
+(`damaged_masks` beside this file), and given as a mask. The object's true radiance in
+another material is then put behind this mask's edge as `edit` does it, so that nothing but the edge
+can be wrong, and compared with Cycles' picture of the object in that material. rows.jsonl keeps a
+line per photograph: the same command continues, and more --scenes add to it.
 """
 
 from __future__ import annotations
@@ -162,6 +162,7 @@ def tables(report: runner.Report) -> str:
 
     rows = report["rows"]
     page = (
+        "# Edits with masks that are off, and with their edges fitted\n\n"
         f"{len(rows)} photographs, each with masks damaged in {len(_damages(report))} ways."
         f" The band is {BAND} pixels wide on either side of the true edge.\n"
     )
