@@ -41,10 +41,12 @@ def to_srgb(picture: Image.Image) -> Image.Image:
             return picture
         if space == "RGB" and _is_srgb(profile):
             return picture
+        if mode == "RGB" and "transparency" in picture.info:  # a colour that is transparent
+            mode = "RGBA"
         if picture.mode != mode:
             picture = picture.convert(mode)
         transform = _transform(profile, mode, "RGBA" if mode == "RGBA" else "RGB")
-        return ImageCms.applyTransform(picture, transform)
+        return transform.apply(picture)
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
         return picture  # a sound picture beside a damaged profile
 
@@ -65,7 +67,7 @@ def _transform(profile, mode, result):
 
 def _is_srgb(profile):
     """Whether a profile leaves colours as they are."""
-    converted = ImageCms.applyTransform(Image.fromarray(PROBES), _transform(profile, "RGB", "RGB"))
+    converted = _transform(profile, "RGB", "RGB").apply(Image.fromarray(PROBES))
     difference = np.asarray(converted).astype(int) - PROBES
     return bool(abs(difference).max() <= LEAST_DIFFERENCE)
 

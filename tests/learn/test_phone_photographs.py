@@ -163,6 +163,13 @@ def test_transparency_stays_when_a_profile_is_converted(tmp_path):
     np.testing.assert_allclose(255 * alpha, values[..., 3])
 
 
+def test_a_transparent_colour_stays_transparent_when_a_profile_is_converted(tmp_path):
+    path = tmp_path / "cut.png"
+    Image.fromarray(corners()).save(path, icc_profile=icc.profile(), transparency=GREEN)
+    alpha = photographs.read_pixels(path)[1]
+    np.testing.assert_array_equal(alpha < 0.5, (corners() == GREEN).all(-1))
+
+
 def test_a_turned_jpeg_in_display_p3_is_upright(tmp_path):
     path = tmp_path / "photo.jpg"
     Image.fromarray(corners()).save(
