@@ -26,6 +26,7 @@ from learn.editing import brightness, reflectance_store
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
+from learn.networks.prediction import require_part
 from learn.refinement.energy import LABEL_RADIUS, count_mirrored, label_weights
 from shaders import tone
 
@@ -268,7 +269,7 @@ class Compositor:
         image = torch.from_numpy(np.float32(seen * tone.auto_exposure(seen, inside)))
         radius = LABEL_RADIUS * self.side / len(self.decomposition.framed.mask)
         weights = label_weights(image, regions, clipped, max(round(radius), 1))[inside]
-        predicted = to_numpy(self.decomposition.start.label[0])
+        predicted = to_numpy(require_part(self.decomposition.start.label)[0])
         result = np.zeros(inside.shape, np.float32)
         result[inside] = to_numpy(count_mirrored(weights, regions[inside], predicted))
         return result

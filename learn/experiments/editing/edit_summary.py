@@ -198,7 +198,8 @@ def _draw(axis: Axes, values: Mapping[str, Mapping[str, Any]]) -> None:
     """Draw {key of STATES: {name: [mean, low, high], or None}}, the first name on top."""
     names = list(dict.fromkeys(name for each in values.values() for name in each))
     for key, each in values.items():
-        label, colour = STATES[key]
+        words, colour = STATES[key]
+        label: str | None = words
         for name, interval in each.items():
             if interval is None:
                 continue
