@@ -150,12 +150,12 @@ def _open(path):
         # process is changed
         file = open(path, "rb")  # noqa: SIM115  the image closes it
         try:
-            opened = JpegImagePlugin.jpeg_factory(file, str(path))
+            jpeg = JpegImagePlugin.jpeg_factory(file, str(path))
         except BaseException:
             file.close()
             raise
-        opened._exclusive_fp = True
-        return opened
+        jpeg._exclusive_fp = True
+        return jpeg
     opened = Image.open(path, formats=formats())
     opened.seek(0)
     return opened
