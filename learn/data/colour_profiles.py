@@ -52,7 +52,7 @@ def to_srgb(picture: Image.Image) -> Image.Image:
 
 
 def _mode_for(mode, space):
-    """The mode in which a picture is converted from a profile's space; None: it is left as it is."""
+    """The mode in which a picture is converted from a profile's space; None: it stays as it is."""
     if space == "RGB" and not mode.startswith(("I", "F", "CMYK")):
         return "RGBA" if mode in ("RGBA", "LA", "PA", "P", "RGBa", "La") else "RGB"
     return mode if (space, mode) in {("GRAY", "L"), ("CMYK", "CMYK")} else None
