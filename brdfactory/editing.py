@@ -189,9 +189,9 @@ def decompose(
     mask           a file that is white on the object, or an array (H, W): bool, uint8, or floats in
                    [0, 1]; None: the photograph's transparency
     regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
-    fit_mask       whether to move the mask's edge, by a few pixels at most, to where the
-                   photograph's colours say that the object ends; None: if the mask is black and
-                   white
+    fit_mask       whether to move the mask's edge, by a few pixels at most, to where the object
+                   ends according to the photograph's colours; None: only if the mask is black
+                   and white
     refine         whether to adjust the prediction until its rendering looks like the photograph
     refinement_method  how refinement renders: "auto" (also None) sums over the light map's texels;
                    "quadrature" integrates, which is more accurate for narrow highlights and slower

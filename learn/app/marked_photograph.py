@@ -31,7 +31,7 @@ class MarkedPhotograph:
     has_mask      whether the coverage is a file's
     is_brightened whether the selection shows a very dark photograph brighter than it is
     example_mask  (H, W) uint8 labels that come with the program's example, else None
-    reduction     a sentence about a file that was made smaller when it was read, else None
+    reduction     a sentence that says that the file was made smaller when it was read, else None
     """
 
     path: Path

@@ -23,11 +23,11 @@ def strokes_of(drawn: dict | None) -> list[np.ndarray]:
 
 
 def mark_place(session: Session, number: int, place: str) -> str:
-    """Mark what is under the cross that keys move, and return what was marked where.
+    """Mark what is under the cross that keys move, and return a sentence that says what and where.
 
     number  of the region that clicks mark
-    place   JSON: shares of the picture's width and height in a list, and whether to add it to the
-            object. With number 0 it is added to region 1: other keys say what is background
+    place   JSON: [[shares of the picture's width and height], whether it is the object]. With
+            number 0, which marks background, the object is region 1
     Raises  InputError
     """
     opened = session.opened()

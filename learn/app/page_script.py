@@ -14,8 +14,8 @@ from learn.app.session import MOST_BYTES
 # - remembers which tab is open, and whether the photograph is being analysed, for the page that is
 #   loaded again
 CROSS_KEYS = (
-    "Arrow keys move a cross, with Shift in larger steps. Enter adds what is under it to the"
-    " object, Backspace takes it away, Control Z takes the last step back."
+    "Arrow keys move a cross, with Shift in larger steps. Enter marks what is under it as the"
+    " object, Backspace marks it as background, Control Z undoes the last step."
 )
 SCRIPT = """
 () => {
@@ -123,7 +123,7 @@ SCRIPT = """
     const [x, y] = at.map(share => Math.round(100 * share));
     return `Cross at ${x}% from the left, ${y}% from the top.`;
   };
-  const sayPlace = text => {  // when the keys rest: each word would be read aloud
+  const sayPlace = text => {  // only once the keys rest, or each step would be read aloud
     clearTimeout(speaking);
     speaking = setTimeout(() => {
       const line = find('#cross-line');

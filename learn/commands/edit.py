@@ -62,9 +62,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--fit-mask",
         action=argparse.BooleanOptionalAction,
         help=(
-            "move the mask's edge, by a few pixels at most, to where the photograph's colours say"
-            " that the object ends (default: if the mask is black and white; grey edges and"
-            " transparency stay as they are)"
+            "move the mask's edge, by a few pixels at most, to where the object ends according to"
+            " the photograph's colours, or leave it where it is (default: move it if the mask is"
+            " black and white; leave grey edges and transparency)"
         ),
     )
     parser.add_argument(

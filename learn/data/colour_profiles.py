@@ -1,7 +1,7 @@
 """Converts pictures with a colour profile, such as the Display P3 of phones, to sRGB.
 
-Programs that show pictures do the same. Without it, colours of wide profiles are read duller than
-they are. Profiles that cannot be read, and those of 16-bit greys, are left out.
+Programs that show pictures do the same. Without it, colours of profiles with a wide gamut would be
+read too dull. Profiles that cannot be read, and those of 16-bit greys, are ignored.
 """
 
 import io
@@ -11,10 +11,10 @@ from PIL import Image, ImageCms
 
 from shaders import tone
 
-# Greys, primary colours and mixtures, by which it is tried whether a profile is sRGB already
+# Greys, primary colours and mixtures: a profile that leaves them as they are is sRGB already
 PROBES = np.stack(np.meshgrid(*3 * [[0, 64, 128, 192, 255]]), -1).reshape(1, -1, 3).astype(np.uint8)
 LEAST_DIFFERENCE = 2  # of 255: profiles of sRGB differ by rounding
-MOST_BYTES = 16 << 20  # of a profile; printers' have up to some megabytes
+MOST_BYTES = 16 << 20  # of a profile; those of printers have some megabytes
 # H.273's number of Display P3, by which HEIC can name it in place of a profile
 P3_PRIMARIES = 12
 # linear sRGB from linear Display P3, both with D65 as their white
@@ -52,7 +52,7 @@ def to_srgb(picture: Image.Image) -> Image.Image:
 
 
 def _mode_for(mode, space):
-    """The mode in which a picture is converted from a profile's space, None: it is not."""
+    """The mode in which a picture is converted from a profile's space; None: it stays as it is."""
     if space == "RGB" and not mode.startswith(("I", "F", "CMYK")):
         return "RGBA" if mode in ("RGBA", "LA", "PA", "P", "RGBa", "La") else "RGB"
     return mode if (space, mode) in {("GRAY", "L"), ("CMYK", "CMYK")} else None

@@ -1,4 +1,4 @@
-"""Tells by its first bytes that a file is HEIC, or what it is if no picture can be read from it.
+"""Tells from a file's first bytes whether it is HEIC, and what it is if it is no readable picture.
 
 A file is recognised by its first bytes. Its ending counts only for raw files of cameras, most of
 which begin as TIFF files do.
@@ -49,7 +49,7 @@ def brands_of(head: bytes) -> set[bytes]:
 
 
 def is_heic(head: bytes) -> bool:
-    """Return whether a file that begins so is HEIC; AVIF shares some of its brands."""
+    """Return whether a file with these first bytes is HEIC; AVIF shares some of its brands."""
     brands = brands_of(head)
     of_kind = {brand for brand in brands if brand[:3] in (b"hei", b"hev")}
     return bool(of_kind | brands & {b"mif1", b"msf1"}) and not brands & {b"avif", b"avis"}

@@ -1,7 +1,7 @@
-"""HEIC, in which iPhones and other phones keep photographs, opened by the package pillow-heif.
+"""Opens HEIC, in which iPhones and other phones store photographs, with the package pillow-heif.
 
-The package is optional (extra `heic`) and is imported when such a file is met. Its image is upright
-and has eight bits; deeper ones are rounded.
+The package is optional (extra `heic`) and is imported only when such a file is opened. Its image is
+upright and has eight bits per channel; deeper ones are rounded.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ from PIL import Image
 from learn.data.file_kinds import HEIC_REMEDY
 from manifests.errors import InputError
 
-# of a file, which is read as a whole; 48 megapixels take about 10 MB
+# of a file, all of which is read into memory; one of 48 megapixels has about 10 MB
 MOST_BYTES = 256 << 20
 INSTALL = "pip install '.[heic]' in a checkout, to read it"
 
@@ -30,6 +30,6 @@ def open_image(path: str | Path) -> Image.Image:
     if (size := Path(path).stat().st_size) > MOST_BYTES:
         rule = f"a HEIC of at most {MOST_BYTES >> 20} MB"
         raise InputError(path, rule, f"{size >> 20} MB", HEIC_REMEDY)
-    # what a file may hold beside its picture, and what nothing here reads
+    # a file may hold these beside its picture, but they are not used
     options.THUMBNAILS = options.DEPTH_IMAGES = options.AUX_IMAGES = False
     return HeifImageFile(path)

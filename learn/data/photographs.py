@@ -1,9 +1,9 @@
 """Pictures from a user, of any size, with a mask: OpenEXR, or as learn.data.picture_decoding reads.
 
 radiance  (H, W, 3) float32 linear Rec.709; files of 8 and 16 bits are converted from sRGB, and
-          those of more than 25 megapixels made smaller
-mask      (H, W) bool, from a file of the picture's size, as its own file has it or made smaller
-          (brighter than half), or from the picture's own alpha
+          those of more than 25 megapixels are made smaller
+mask      (H, W) bool, from the picture's own alpha or from a file (brighter than half), whose size
+          is either that of the picture's file or (H, W)
 
 Accepted radiance: finite values up to LARGEST_RADIANCE, negative ones counting as 0. What networks
 are shown of it, and which brightness they can read, is in learn.data.framing.
@@ -81,9 +81,9 @@ def read_soft(
 
 
 def reduction(path: Path, size: tuple[int, ...]) -> str | None:
-    """Return a sentence about a picture that has the size (H, W) now because it was made smaller.
+    """Return a sentence that says that a file was made smaller to the size (H, W), else None.
 
-    None if it was not. Raises InputError.
+    Raises InputError.
     """
     return None if holds_radiance(path) else reduction_of(path, size)
 

@@ -4,9 +4,9 @@ Pillow decodes them, and learn.data.heic those of iPhones. Of 16-bit colour Pill
 eight bits; of 16-bit grey all. The file's orientation is applied, and its colour profile
 (learn.data.colour_profiles).
 
-A picture of more than MOST_PIXELS is made smaller by the smallest whole factor that fits: each side
-has the quotient of pixels, rounded up. A mask is read in the same way, so one of the full size and
-one of the reduced size both fit the picture. MOST_DECODED bounds what is decoded before that.
+A picture of more than MOST_PIXELS is made smaller: its sides are divided by the smallest whole
+number that makes it fit, and rounded up. Masks are read in the same way, so one of the full size
+and one of the reduced size both fit the picture. MOST_DECODED bounds the memory for decoding.
 """
 
 import functools
@@ -30,18 +30,18 @@ from manifests.inputs import require_file
 # no painting program writes by default.
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF", "TIFF", "BMP", "GIF")
 FORMATS_TEXT = "PNG, JPEG, HEIC, WebP, AVIF, TIFF, BMP, GIF or EXR"
-# Of a picture after it was made smaller; cameras and phones of 24 megapixels make up to 24.5
-# million. An edit takes up to 200 bytes for each pixel.
+# Of a picture after it was made smaller; cameras and phones of 24 megapixels have up to 24.5
+# million pixels. An edit takes up to 200 bytes per pixel.
 MOST_PIXELS = 25_000_000
-MOST_DECODED = 640_000_000  # bytes that a picture takes while it is decoded
+MOST_DECODED = 640_000_000  # bytes of memory for a picture while it is decoded
 # Phones make JPEGs of up to 200 megapixels; one of a single pass is decoded at its reduced size
 MOST_JPEG_PIXELS = 210_000_000
 MOST_SIDE = 65_535  # as JPEG; Pillow keeps a list of a picture's rows
 MOST_BYTES = 1 << 30  # of a file: many pixels of four 32-bit channels
-# Bytes for a pixel in the memory of Pillow, which keeps three channels as four
+# Bytes per pixel in the memory of Pillow, which stores three channels as four
 PIXEL_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16L": 2, "I;16B": 2}
 OTHER_PIXEL_BYTES = 4
-# Beside it: the coefficients of a progressive JPEG, and the planes that HEIC and AVIF decode to
+# In addition: the coefficients of a progressive JPEG, and the decoded planes of HEIC and AVIF
 PROGRESSIVE_BYTES, PLANES_BYTES = 6, 8
 DRAFTS = (8, 4, 2)  # divisors by which JPEG is decoded smaller
 # What Pillow's parsers raise on damaged files, besides OSError
@@ -96,7 +96,7 @@ def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarra
 
 
 def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
-    """Return a sentence about a picture's file that was made smaller when it was read, else None.
+    """Return a sentence that says that a file was made smaller when it was read, else None.
 
     size    (H, W) that it has now
     Raises  InputError
@@ -192,7 +192,7 @@ def _require_readable(path, picture):
 
 
 def _most_pixels(picture):
-    """How many pixels a Pillow image may have, by what decoding it takes."""
+    """How many pixels a Pillow image may have, from the memory that decoding takes."""
     each = PIXEL_BYTES.get(picture.mode, OTHER_PIXEL_BYTES)
     if picture.format in ("JPEG", "MPO"):
         if not picture.info.get("progressive"):
@@ -238,8 +238,8 @@ def _reduced(picture, resampling):
 
 
 def _upright(picture, opened):
-    """A picture as the orientation says that the opened file has; one whose orientation cannot be
-    read stays as it is.
+    """A picture turned upright by the orientation of the opened file; it stays as it is if the
+    orientation cannot be read.
     """
     try:
         orientation = opened.getexif().get(ExifTags.Base.Orientation)

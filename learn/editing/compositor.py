@@ -5,8 +5,8 @@
 where O is the layer's picture of normals, light and target material, times the correction of
 learn.editing.brightness.
 
-- Background behind the object's soft edge: the mean of near pixels that the object does not touch,
-  corrected by what a mixture of it and of the object beside it leaves of the photograph.
+- Background behind the object's soft edge: the mean of nearby pixels that the object does not
+  cover, corrected so that its mixture with the object's colour is closer to the photograph.
 - Share of the object in a pixel's colour: its coverage, or 1 in front of a transparent background.
 - Normals: predicted at the network's size, extended beyond the mask by their nearest neighbours,
   upsampled bilinearly, and scaled to unit length. The layer renders them on a grid as fine as the
@@ -33,8 +33,8 @@ from shaders import tone
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
 DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
-BEHIND_REACH = 3  # pixels on either side that say which values a background may have
-BEHIND_WIDTH = 1.0  # pixels: background behind an edge is the mean of what is so near, or nearest
+BEHIND_REACH = 3  # pixels on either side whose values limit those of a background
+BEHIND_WIDTH = 1.0  # pixels, of the Gaussian by which a background is the mean of nearby pixels
 LARGEST_DETAIL = 1.5  # factor by which fine shading may brighten or darken a pixel
 
 
@@ -209,7 +209,7 @@ class Compositor:
     def background(self) -> np.ndarray:
         """Return radiance (side, side, 3) of what is behind the object's edge.
 
-        In front of a transparent background, the photograph's colours are not mixed.
+        It is not corrected in front of a transparent background.
         """
         if self._background is None:
             photograph = self.decomposition.photograph
@@ -229,8 +229,8 @@ class Compositor:
     def fine_shading(self) -> np.ndarray:
         """Return factors (side, side, 3): shading of the photograph that is finer than the normals.
 
-        They are the fine part of the photograph divided by its re-rendering, but for labels, whose
-        marks are no shading.
+        They are the fine part of the photograph divided by its re-rendering, and 1 on printed
+        labels, because a print is not shading.
         """
         if self._fine_shading is None:
             again = self.own_radiance()
@@ -297,10 +297,10 @@ def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
 def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     """Return radiance (H, W, 3) of what is behind an object's edge in a photograph.
 
-    Where the object covers a pixel in part, a mixture of the background and the object beside it
+    In a pixel that the object covers in part, the mixture of nearby background and nearby object
     differs from the photograph. The difference is divided between the two so that the sum of their
-    squared changes is least, as far as the background stays within the values of near pixels that
-    the object does not touch: a mask that is too small must not bring the old colour back.
+    squared changes is least. The background is then limited to the range of nearby pixels that the
+    object does not cover, so that a mask that is too small does not bring the old colour back.
 
     radiance  (H, W, 3) linear
     coverage  (H, W) in [0, 1]
@@ -317,9 +317,9 @@ def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
 
 
 def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Replace values (H, W, C) outside `where` (H, W) by the mean of near ones inside.
+    """Replace values (H, W, C) outside `where` (H, W) by the mean of nearby ones inside.
 
-    They are weighted by a Gaussian of BEHIND_WIDTH. Where none is so near, the nearest is taken.
+    They are weighted by a Gaussian of BEHIND_WIDTH. Where none is near, the nearest one is used.
     """
     inside = where.astype(np.float32)
     weight = gaussian_filter(inside, BEHIND_WIDTH)[..., None]

@@ -34,7 +34,7 @@ class EditOptions:
                network; None: estimated
     balance    "none", "grey", or three factors by which colours are multiplied
     device     where the network, refinement and the layer run, as torch.device takes it
-    fit_mask   whether to fit the edge of the photograph's mask to its colours; None: if the mask is
+    fit_mask   whether to fit the mask's edge to the photograph's colours; None: only if the mask is
                black and white
     """
 

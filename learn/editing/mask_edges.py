@@ -1,18 +1,19 @@
 """Fits a mask's edge to its photograph.
 
-Masks that people draw or click, and those of programs that cut objects out, are often a few pixels
-too wide, too narrow or beside the object, and have hard steps. Within a narrow band about a mask's
-edge, the photograph's colours say better where the object ends:
+Masks that people draw or click, and those of programs that cut objects out, are often too wide, too
+narrow or shifted by a few pixels, and their edges are jagged. In a narrow band about a mask's edge,
+the photograph's colours are often a better guide to where the object ends:
 
-1. Pixels deeper in the object than the band, and those farther outside, stay what they are. The
-   band is narrower where the object, or a gap in it, is thin: its middle line stays.
-2. Each pixel of the band is compared with mixtures of colours of the nearest certain pixels on
-   either side. The best mixture's share is evidence, as far as the two colours differ.
-3. Neighbours of similar colour belong together: the minimum of a quadratic energy of the shares
-   along the band (Grady, "Random walks for image segmentation", PAMI 2006, with priors) says which
-   pixels the object covers by half. Where the colours tell nothing, the given mask decides.
-4. Within SOFT pixels of that edge, coverage is the share of the best mixture again, and where the
-   colours tell nothing, that of an edge SOFTENING wide.
+1. Pixels outside the band keep their side of the mask. The band is narrower where the object, or a
+   gap in it, is thin, so that its middle line also keeps its side.
+2. Each pixel of the band is compared with mixtures of the colours of the nearest pixels beyond the
+   band, object on one side and background on the other. The object's share in the best mixture is
+   evidence, which counts the more, the more the two colours differ.
+3. Neighbours of similar colour should have similar shares: the minimum of a quadratic energy over
+   the band (Grady, "Random walks for image segmentation", PAMI 2006, with priors) decides which
+   pixels are at least half covered. Where colours do not help, the given mask decides.
+4. Within SOFT pixels of the new edge, coverage is the share in the best mixture again. Where
+   colours do not help, it is that of an edge blurred by SOFTENING.
 
 coverage  (H, W) in [0, 1]: the object's share of each pixel
 """
@@ -25,20 +26,22 @@ from scipy.spatial import cKDTree
 
 from shaders import tone
 
-# how far an edge may be moved: shares of the longer sides of the picture and of the object's box
+# how far an edge may move, as shares of the longer sides of the picture and of the object's box
 SHARE, OF_OBJECT = 0.008, 0.02
 NARROWEST, WIDEST = 4, 16  # pixels
-THIN = 0.5  # of the half width of a thin part, or gap, that the band may take of it
-NEAREST = 6  # certain pixels on either side with whose colours a pixel is compared
-NOISE = 0.03  # of values in [0, 1]: a difference of colours that tells little
-# across such a difference of display values neighbours count e^-1/2 times as much, or across one of
-# ROUGH times the usual difference in the band where that is more
+THIN = 0.5  # largest part of the half width of a thin part, or of a gap, that the band may cover
+NEAREST = 6  # number of pixels beyond the band, on either side, that a pixel is compared with
+NOISE = 0.03  # of values in [0, 1]: colours that differ by this much hardly differ
+# at a difference of display values of CONTRAST, or of ROUGH times the median difference in the band
+# if that is more, two neighbours are tied with e^-1/2 times the weight
 CONTRAST, ROUGH = 0.05, 1.5
 EVIDENCE, GIVEN = 0.1, 0.02  # weights of the best mixture and of the given mask in the energy
-SMOOTH = 0.15  # of the band's width: edges that are finer are smoothed
-UNSURE = 4.0  # times as much the colours of both sides must differ for a certainty of a half
+SMOOTH = 0.15  # width of the Gaussian that smooths the shares, as a part of the band's width
+# the certainty is a half if the squared difference of the mean colours of both sides is so many
+# times the sum of noise, spread and misfit
+UNSURE = 4.0
 SOFT = 1.0  # pixels
-SOFTENING = 0.7  # pixels by which a hard edge is blurred, so that its steps do not show
+SOFTENING = 0.7  # pixels, of the Gaussian that blurs a hard edge so that its steps do not show
 CHUNK = 1 << 15  # pixels compared at once
 
 
@@ -85,7 +88,7 @@ def _fit(
     fixed: np.ndarray | None,
     width: int,
 ) -> np.ndarray:
-    """Return `fit` of a picture that shows the object and what is about it alone."""
+    """Return `fit` for a part of the picture, cut out around the object."""
     inside = coverage >= 0.5
     band = band_about(inside, width)
     if fixed is not None:
@@ -113,7 +116,7 @@ def signed_distance(inside: np.ndarray) -> np.ndarray:
 
 
 def band_about(inside: np.ndarray, width: int) -> np.ndarray:
-    """Return pixels (H, W) bool about a mask's edge that the photograph may give to either side."""
+    """Return the pixels (H, W) bool about a mask's edge whose side the photograph decides."""
     result = np.zeros_like(inside)
     for side in (inside, ~inside):
         depth = distance_transform_edt(side)
@@ -128,16 +131,16 @@ def mixtures(
     object_: np.ndarray,
     background: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how pixels are best mixed of the object's and the background's colours.
+    """Return the share of the object's colours in the best mixture for each pixel.
 
     colours              (H, W, 3)
     where                (H, W) bool: the N pixels
-    object_, background  (H, W) bool: certain pixels; the nearest NEAREST of each are mixed
+    object_, background  (H, W) bool: pixels known to be so, of which the NEAREST ones are mixed
     Returns              the object's share (N,) in [0, 1], and its certainty (N,) in [0, 1]
     """
     at = np.argwhere(where)
     seen = colours[where]
-    # only those at the edge of what is certain can be nearest
+    # only pixels next to `where` can be nearest
     sides = [np.argwhere(side & maximum_filter(where, 5)) for side in (object_, background)]
     sides = [
         near if len(near) else np.argwhere(side)
@@ -165,8 +168,8 @@ def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.nd
     """Return share (N,) and certainty (N,) of the mixture of F (N, K, 3) and B (N, J, 3) that is
     most like what is seen (N, 3).
 
-    It is certain as far as F and B differ more than each does in itself, and than the rest that the
-    mixture leaves.
+    The certainty grows with the difference between F and B, and falls with the spread within each
+    and with the misfit of the mixture.
     """
     apart2 = ((F.mean(1) - B.mean(1)) ** 2).sum(-1)
     spread2 = F.var(1).sum(-1) + B.var(1).sum(-1)
@@ -176,7 +179,7 @@ def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.nd
     from_b = seen[:, None, None] - B
     share = np.clip((from_b * step).sum(-1) / (length2 + 1e-6), 0, 1)
     residual2 = ((from_b - share[..., None] * step) ** 2).sum(-1)
-    # of two pairs that explain a pixel as well, the one whose colours differ more
+    # of two pairs that explain a pixel equally well, the one whose colours differ more is taken
     cost = (residual2 + NOISE**2 / 4) / (length2 + NOISE**2)
     flat = cost.reshape(len(seen), -1).argmin(1)
     pick = np.arange(len(seen)), flat
@@ -193,7 +196,7 @@ def _walked(
     certainty: np.ndarray,
     width: int,
 ) -> np.ndarray:
-    """Return pixels (H, W) bool that the object covers by half, after the energy's minimum.
+    """Return the pixels (H, W) bool that the object covers by half at the energy's minimum.
 
     share, certainty  (N,) of the band's pixels
     """
@@ -238,7 +241,7 @@ def _walked(
 
 
 def _connected(moved: np.ndarray, object_: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Return a mask (H, W) without islands and holes that nothing certain (H, W) is part of."""
+    """Return a mask (H, W) without islands and holes that contain no pixel known to be so."""
     for certain, value in ((object_, True), (background, False)):
         parts, _ = label(moved == value)
         kept = np.unique(parts[certain])

@@ -135,7 +135,7 @@ def open_photograph(
     record   id of a data set's record, or its beginning; None: `open_record` chooses one
     remedy   what the error for a picture without a mask suggests
     targets  names of the target materials, which the chosen record should not show already
-    fit_mask whether to fit the mask's edge to the picture; None: if it is black and white
+    fit_mask whether to fit the mask's edge to the picture; None: only if it is black and white
     Raises   InputError
     """
     path, regions = resolve_example(path, masks, regions)
@@ -247,7 +247,7 @@ def _assemble(
 ) -> Photograph:
     """Return the Photograph of what was read, after softening its mask and finding its balance.
 
-    Transparency of the picture's own is neither softened nor fitted.
+    The picture's own transparency is neither softened nor fitted.
     """
     coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
     if fit_mask and contents.is_transparency:
@@ -284,7 +284,7 @@ def is_black_and_white(coverage: np.ndarray) -> bool:
 
 
 def soften(coverage: np.ndarray) -> np.ndarray:
-    """Return a mask (H, W) in [0, 1] blurred so that its steps do not show, unless it has grey."""
+    """Return a mask (H, W) in [0, 1], blurred so that its steps do not show, unless it has grey."""
     if not is_black_and_white(coverage):
         return coverage
     return gaussian_filter(coverage.astype(np.float32), mask_edges.SOFTENING)
@@ -293,7 +293,7 @@ def soften(coverage: np.ndarray) -> np.ndarray:
 def _fitted(contents: _Contents) -> tuple[np.ndarray, np.ndarray] | None:
     """Return coverage and labels (H, W) whose edge is fitted to the picture.
 
-    None if a region, such as a thread, would lose so many pixels that the rest cannot be edited.
+    None if a region, such as a thread, would keep fewer than LEAST_PIXELS pixels.
     """
     coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
     everywhere = np.ones(labels.shape, bool)

@@ -1,8 +1,8 @@
-"""What second derivatives are of one lobe and channel, at sixteen lights.
+"""Second derivatives of one lobe and channel, at sixteen lights.
 
 The kernels for a distant viewer and for a view per pixel (learn.engines.distant_second,
-general_second) have these in common. Letters as in learn.engines.distant. I' is the radiance's
-change along a direction in which the inputs are changed, and so are the others with a stroke.
+general_second) share these. Letters are those of learn.engines.distant. I' is the change of the
+radiance if the inputs change along a given direction; the other letters with a prime likewise.
 
     S = Σ_pk g_pk I'_pk,   I'_k = Σ_i (F'_k μ + F_k μ') E_k + F_k μ E'_k,   μ = max(0, n·w),
     μ' = w·n' where μ > 0
@@ -26,7 +26,7 @@ from learn.engines.vector import Lanes, Mask, fma, load, maximum, select
 
 
 class Change(NamedTuple):
-    """What the sum over lobes needs to know of sixteen lights and of their change.
+    """What the sum over lobes needs: values of sixteen lights, and their changes.
 
     n_w, n_w_along  μ and μ'
     log2_c, log_c   log2 c, and ln c
@@ -41,7 +41,7 @@ class Change(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """How sixteen lights weigh in S, in one channel k.
+    """The weights of sixteen lights in S, in one channel k.
 
     energy, energy_along  E and E'
     u, v                  g E μ and g (E μ' + E' μ)

@@ -73,7 +73,7 @@ def into_frame(x: float, y: float, z: float, frame: np.ndarray) -> Triple:
 
 @inlined
 def across(scale: float, g: Triple, q_x: float, q_y: float, q_z: float) -> Triple:
-    """What of g stands across a place q, scaled."""
+    """The component of g perpendicular to a place q, times a scale."""
     along = g[0] * q_x + g[1] * q_y + g[2] * q_z
     return scale * (g[0] - along * q_x), scale * (g[1] - along * q_y), scale * (g[2] - along * q_z)
 

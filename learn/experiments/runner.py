@@ -1,6 +1,6 @@
 """What all experiments share: the command line, the folder of a run, and its report.
 
-An experiment is a module of one of the packages beside this file, which are by subject, with
+An experiment is a module of one of the packages beside this file, one package per subject. It has
 
     add_arguments(parser) -> None   its options, besides --out and --report
     measure(arguments) -> dict      the content of report.json; it may keep rows in arguments.out
@@ -9,11 +9,12 @@ An experiment is a module of one of the packages beside this file, which are by 
     ON_RAY = True                   optional: its rows may be measured on a Ray cluster
                                     (learn.experiments.on_ray)
 
-whose docstring is the description in `--help`. The module is named as the command line names the
+Its docstring is the description in `--help`. The module is named as the command line names the
 experiment, with underscores for hyphens; the other modules of those packages are parts of one or
 several experiments. Heavy libraries are imported inside these functions, so that `--help` is quick.
-This module runs it: it locks the folder, writes report.json with the
-provenance of the figures, report.md and chart.png, and draws the last two again from a report.
+
+This module runs an experiment: it locks the folder, and writes report.json with the provenance of
+the figures, report.md and chart.png. It can also make the last two again from report.json.
 """
 
 from __future__ import annotations

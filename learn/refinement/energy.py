@@ -43,8 +43,8 @@ from shaders import tone
 
 FAINT = 0.05  # of a light's mean: ratios of what is darker count little
 DARK = 0.02  # of white: colours of what is darker count little
-# share of a pixel that is not of its region's colour at which it is half a label, and how sharply:
-# a label must count next to nothing, because its misfit is large, and dust nearly whole
+# the share of a foreign colour in a pixel at which its weight is a half, and how sharply the weight
+# falls there: labels need nearly no weight, because their misfit is large, and dust nearly all
 FOREIGN, STEEPNESS = 0.27, 8
 LABEL_RADIUS = 2  # network pixels, of label_weights
 TERMS = ("image", "normals", "light", "colour", "material")
@@ -114,15 +114,16 @@ def explained_weights(
 def label_weights(
     image: torch.Tensor, segments: torch.Tensor, clipped: torch.Tensor | None, radius: int
 ) -> torch.Tensor:
-    """Return weights (H, W), 0 where an object carries a label, 1 elsewhere and in its background.
+    """Return weights (H, W): 0 on labels printed on an object, 1 elsewhere and beyond the object.
 
-    A label has clearly another colour than its region, which may be white. It includes its edge,
-    and what lies between parts of it, such as letters in black or in the object's own colour. A
-    highlight is white too: it is told from a label by pixels that the file clips.
+    Such a label (not the 108 numbers of a material) has a colour clearly unlike that of its region,
+    and may be white. It includes its edge and gaps in it, such as letters in black or in the
+    object's own colour. A highlight may be white too, but pixels in or near it are clipped in the
+    file.
 
     image     (H, W, 3) with white at about 1; segments (H, W): numbers of regions, 0 beyond them
     clipped   (H, W) shares that are clipped; None: nothing is
-    radius    of highlights' edges and of what lies between parts of a label, in pixels
+    radius    largest width of highlights' edges and of gaps in labels, in pixels
     """
     inside = segments > 0
     clipped = torch.zeros_like(image[..., 0]) if clipped is None else clipped
@@ -145,9 +146,9 @@ def _largest_near(values: torch.Tensor, radius: int) -> torch.Tensor:
 def count_mirrored(
     weights: torch.Tensor, segments: torch.Tensor, labels: np.ndarray
 ) -> torch.Tensor:
-    """Return weights (P,) in which what materials mirror counts whole, whatever its colour.
+    """Return weights (P,), raised towards 1 where the material is mirror-like.
 
-    It has the colours of what is around.
+    Reflections may have any colour of the surroundings.
 
     segments  (P,) numbers 1 … S of regions; labels (S, 108) of their materials
     """
@@ -161,7 +162,7 @@ def _by_region(
     segments: torch.Tensor,
     clipped: torch.Tensor,
 ) -> torch.Tensor:
-    """Return a share (P,) of pixels (P, 3) that depends on the own colour of their region."""
+    """Return `share` (P,) of pixels (P, 3), computed with the own colour of each one's region."""
     result = torch.zeros_like(image[:, 0])
     for region in segments.unique():
         of = segments == region
@@ -177,7 +178,7 @@ def _own_colour(image: torch.Tensor) -> torch.Tensor:
 
 
 def _foreign_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-    """Return the share (P,) of pixels (P, 3) that is not of a colour (3,)."""
+    """Return the share (P,) of pixels (P, 3) that no multiple of the colour `own` (3,) explains."""
     shaded = (image @ own)[:, None] * own
     return (image - shaded).norm(dim=-1) / (image.norm(dim=-1) + DARK)
 

@@ -230,7 +230,7 @@ def rendered(plan: Plan, folder: Path, size: int = SIZE, samples: int = SAMPLES)
 
 
 def add_coverage(plans: Sequence[Plan], folder: Path) -> None:
-    """Write coverage.png into the folder of a finished scene, as it is seen in its pictures.
+    """Write coverage.png into the folder of a finished scene, from the camera of its pictures.
 
     plans  of all attempts
     """
@@ -250,7 +250,8 @@ def add_coverage(plans: Sequence[Plan], folder: Path) -> None:
 def _coverage(stage: bpy.types.Scene, thing: bpy.types.Object) -> np.ndarray:
     """Return 255 times the share (N, N) of each pixel that shows an object, rounded, uint8.
 
-    All else hides what is behind it but shows nothing itself, so opacity is the object's coverage.
+    All other objects are holdouts: they hide the object but are transparent themselves, so that
+    opacity is the object's coverage.
     """
     apply(
         stage,

@@ -1,1 +1,1 @@
-"""Edits of rendered pictures: refinement, its rivals, relighting, enlarging."""
+"""Edits of rendered pictures: refinement and its alternatives, relighting, upsampling."""

@@ -1,10 +1,10 @@
-"""Chart how good edits are at a glance: unedited, edited, and by other methods, from reports.
+"""Chart the errors of edits from several reports, beside unedited pictures and other methods.
 
-The upper chart has a row for each kind of picture: how far the photograph is from the true edit
-before it is edited, and how far the edit is. --photographs names reports of the experiments
+The upper chart has a row for each kind of picture, with two errors against the true edit: that of
+the unedited picture and that of the edit. --photographs names reports of the experiments
 room-photographs and photographed-edits, --ladder those of `learn ladder`, and --evaluation those of
-`learn evaluate`; the words before = are the row's. The lower chart has several methods on the same
-edits, by --methods. What is measured on different pictures cannot be compared from row to row.
+`learn evaluate`; the words before = name the row. Its rows have different pictures and cannot be
+compared with each other. The lower chart compares several methods on the same edits (--methods).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def named_report(text: str) -> tuple[str, Path]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the reports, with the words by which the chart names them."""
+    """Add the options that take reports, with the words that name them in the chart."""
     for name, what in {
         "--photographs": "reports of room-photographs and photographed-edits",
         "--ladder": f"reports of `learn ladder`, of whose rows {LADDER_ROW} is shown",
@@ -65,11 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"pictures": [{"name", "source", "before", "after"}], "methods": {"name", "rows"}}.
 
-    "before" and "after" are [mean, low, high] of display L2, unedited and edited; ladders have no
-    "before". "methods" has the
-    words of the first report and "rows": [{"name", "source", "edit": [mean, low, high]}], the worst
-    first; None without --methods. Raises InputError without any report, and for one of another
-    command.
+    "before" and "after" are [mean, low, high] of display L2, unedited and edited; "before" is None
+    for ladders. "methods" has as its "name" the words of the first report, and as its "rows"
+    [{"name", "source", "edit": [mean, low, high]}], the worst first; it is None without --methods.
+
+    Raises  InputError without any report, and for a report of another command
     """
     pictures = [
         {"name": words, "source": path.parent.name} | _read(path, reader)

@@ -1,1 +1,1 @@
-"""Edits of photographs: how they are exposed, painted objects, objects in rooms."""
+"""Edits of photographs: their exposure, masks, painted objects, objects in rooms."""

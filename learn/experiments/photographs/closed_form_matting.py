@@ -1,4 +1,4 @@
-"""Closed-form matting in the band about a mask's edge, a rival of learn.editing.mask_edges.
+"""Closed-form matting in the band about a mask's edge, to compare learn.editing.mask_edges with.
 
 After Levin, Lischinski and Weiss, "A closed-form solution to natural image matting" (PAMI 2008):
 in each window of 3 × 3 pixels, coverage is taken to be linear in the colours.
@@ -17,7 +17,7 @@ LEAST = 1e-9  # weight of the given mask, where no window reaches what is certai
 
 
 def matted(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """Return coverage (H, W) that is matted where learn.editing.mask_edges.fit may change it.
+    """Return coverage (H, W), matted in those pixels that learn.editing.mask_edges.fit may change.
 
     radiance  (H, W, 3) linear
     coverage  (H, W) in [0, 1]: the given mask

@@ -1,4 +1,4 @@
-"""Masks as people and programs make them, from an object's exact coverage."""
+"""Inaccurate masks, like those of people and programs, made from an object's exact coverage."""
 
 from collections.abc import Callable, Mapping
 
@@ -8,8 +8,8 @@ from skimage import draw, measure
 
 from learn.editing.mask_edges import signed_distance
 
-CORNERS = 1.5  # pixels by which a polygon's sides may leave the edge
-REDUCED = 4  # times smaller is the picture in which a mask was made
+CORNERS = 1.5  # pixels by which a polygon's sides may deviate from the edge
+REDUCED = 4  # a mask is made in a picture that is so many times smaller
 
 
 def _moved(pixels: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -35,7 +35,7 @@ def polygonal(coverage: np.ndarray) -> np.ndarray:
 
 
 def enlarged(coverage: np.ndarray) -> np.ndarray:
-    """Return a mask (H, W) bool that was made in a smaller picture."""
+    """Return a mask (H, W) bool, made REDUCED times smaller and enlarged without interpolation."""
     height, width = coverage.shape
     small = Image.fromarray(coverage.astype(np.float32)).resize(
         (max(width // REDUCED, 1), max(height // REDUCED, 1)), Image.Resampling.BOX

@@ -1,11 +1,13 @@
-"""Measure what fitting a mask's edge to its photograph is worth, with masks damaged as people do.
+"""Measure how much fitting a mask's edge to its photograph improves edits with inaccurate masks.
 
 Photographs are those of `room-photographs`: Cycles' pictures of objects on tables, exposed, in 8
-bits. The share of each pixel that the object covers is known (coverage.png). It is damaged
-(`damaged_masks` beside this file), and given as a mask. The object's true radiance in
-another material is then put behind this mask's edge as `edit` does it, so that nothing but the edge
-can be wrong, and compared with Cycles' picture of the object in that material. rows.jsonl keeps a
-line per photograph: the same command continues, and more --scenes add to it.
+bits. The share of each pixel that the object covers is known (coverage.png). `damaged_masks`,
+beside this file, makes inaccurate masks of it. With each mask, the object's true radiance in
+another material is put into the photograph in the same way as `edit` does it, so that only the edge
+can be wrong, and the result is compared with Cycles' picture of the object in that material.
+
+rows.jsonl keeps a line per photograph: the same command continues an unfinished run, and a larger
+--scenes adds to it.
 """
 
 from __future__ import annotations
@@ -43,12 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole,
         default=0,
         metavar="N",
-        help="number of scenes that are left out before these (default 0)",
+        help="number of scenes to skip before these (default 0)",
     )
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows"}; rows as of `row_of`. Raises InputError: no scenes, or one lacks coverage."""
+    """Return {"rows": results of `row_of`}. Raises InputError for no scenes or no coverage.png."""
     from learn.experiments.photographs import room_photographs
     from manifests import outputs
     from manifests.errors import InputError
@@ -61,7 +63,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         if not (folder / "coverage.png").is_file():
             remedy = "run factory.render.validation.objects_in_rooms again, which adds it"
             raise InputError(folder, "coverage.png", "none", remedy)
-    # a larger --scenes keeps the first one
+    # the first scene identifies the data: a larger --scenes does not change it
     about = {"data": file_hash(next(iter(by_scene)) / "scene.json")}
     outputs.pin_settings(arguments.out / "settings.json", about)
     cases = [of[number % len(of)] for number, of in enumerate(by_scene.values())]

@@ -1,11 +1,12 @@
 """Measure edits of photographs of objects in colours and prints that no catalogue has.
 
-The photographs of `photographed-edits` are taken four times: of the object as it was rendered, of
-the object in one strong colour, with a print, and with a label (painting). Each
-is decomposed without refinement, with it, and with refinements in which the light may take on any
-colour, and all pixels count alike whatever their colour. It is edited as `edit` does it and
-compared with Cycles' picture of the same object in the target's material, on which paint leaves no
-trace. So whatever colour or print an edit shows is an error.
+The photographs of `photographed-edits` are taken four times: of the object as it was rendered, in
+one strong colour, with a print, and in one colour with a label (`painting`, beside this file). Each
+is decomposed without refinement, with it, and with refinements that lack one or both settings for
+colours and prints: all pixels count alike whatever their colour, or the light may take on any
+colour as well. It is edited as `edit` does it and compared with Cycles' picture of the unpainted
+object in the target's material, so any colour or print left in an edit is an error.
+
 rows.jsonl keeps a line per photograph, paint and method: the same command continues, and a larger
 --photographs adds to it.
 """

@@ -3,8 +3,8 @@
 Dye multiplies what the widest lobe of a material reflects, which is its matte part, by at most 1 in
 each channel; highlights keep their colour, as those of lacquer do. A material without a matte part,
 as metals are, is tinted as a whole. The picture is then that of a material with lower lobes, but
-for what the object reflects into itself. Printed dye differs between points. A label is what dye of
-one colour leaves undyed, but for black bars.
+for what the object reflects into itself. Printed dye differs between points. With a label, dye of
+one colour leaves a rectangle undyed, on which black bars are printed.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def dye_of(kind: str, n: np.ndarray, name: str) -> np.ndarray:
 
 
 def dye_with_label(material: np.ndarray, n: np.ndarray, name: str) -> np.ndarray:
-    """Return the factors (H, W, 3) of a dye of one colour that spares a label with black bars.
+    """Return the factors (H, W, 3) of a dye of one colour that leaves out a label with black bars.
 
-    The label is as bright as its material's darkest channel, and has no colour.
+    The label is grey, and as bright as its material's darkest channel.
 
     material  (108,) of the object; n and name as `dye_of` takes them
     """

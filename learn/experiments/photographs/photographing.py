@@ -4,9 +4,9 @@ A data set's pictures show the object alone, in the scale of a light of unit mea
 shows what is behind it too, and its exposure follows from both, by centre-weighted metering. Here
 the light map of the picture is what lies behind, as far away as the light itself.
 
-Most cameras also balance white: they estimate the light's colour from the frame and take it back.
-Here the estimate is the mean of the frame's sixth powers ("Shades of Grey and Colour Constancy",
-Finlayson and Trezzi, CIC 2004), a rule that photographs with known lights confirmed.
+Most cameras also balance white: they estimate the light's colour from the frame and remove it.
+Here the estimate is the sixth root of the mean of the frame's sixth powers ("Shades of Grey and
+Colour Constancy", Finlayson and Trezzi, CIC 2004, tested on photographs with known lights).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SPREAD = 0.5
 # surface; lamps and skies are reddish or bluish, but hardly green or magenta. Our choice.
 NORM = 6  # power of the mean by which the light's colour is estimated
 MOST_RED_BLUE = 2.0  # stops by which the ratio of red to blue is changed at most
-MOST_GREEN = 0.3  # stops of green that are taken back at most
+MOST_GREEN = 0.3  # stops of green that are removed at most
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,10 @@ def exposed(frame: np.ndarray, mask: np.ndarray, name: str, balances: bool = Fal
 
 
 def white_balance(frame: np.ndarray) -> np.ndarray:
-    """Return factors (3,) float32 that take back the colour of a frame's light.
+    """Return factors (3,) float32 that remove the colour of a frame's light.
 
-    A grey surface keeps its luminance. Pixels brighter than white have lost their colour and do not
-    count; a frame without others, or without one of the colours, stays as it is.
+    The light keeps its luminance. Pixels that clip have lost their colour and are not counted. The
+    factors are 1 if there are no other pixels, or if a channel is 0 in all of them.
 
     frame  (N, N, 3) radiance, where white is 1
     """
