@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ladder": f"reports of `learn ladder`, of whose rows {LADDER_ROW} is shown",
         "--evaluation": "reports of `learn evaluate`",
         "--methods": "reports of `learn evaluate` on the same pictures, whose methods are compared;"
-        " a later one replaces methods of an earlier one",
+        " a later one replaces the baselines of an earlier one",
     }.items():
         parser.add_argument(
             name,
@@ -83,7 +83,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     methods: dict[str, dict[str, Any]] = {}
     for _, path in arguments.methods:
         for name, l2 in _read(path, _rows).items():
-            if name in METHODS:
+            if name in METHODS and (name not in methods or name.startswith("Baseline")):
                 methods[name] = {"name": METHODS[name], "source": path.parent.name, "edit": l2}
     if not pictures and not methods:
         raise InputError("edit-summary", "a report", "none", "give one: --photographs WORDS=FILE")
