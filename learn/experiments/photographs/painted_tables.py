@@ -65,7 +65,7 @@ def page(report: runner.Report) -> str:
     result.append(
         f"Weights {report['weights']}; "
         + ", ".join(
-            f"{count} edits of objects in {paint}" for paint, count in counts.items()
+            f"{count} edits of objects in {paint}" for paint, count in counts.items() if count
         ).replace("objects in as it was", "objects as they were")
         + f"; decompositions that were refused: {refused}.\n\n"
         "L2 is that of display values, in the photograph's own exposure; *as bright as the truth*:"
