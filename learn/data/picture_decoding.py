@@ -41,8 +41,12 @@ MOST_BYTES = 1 << 30  # of a file: many pixels of four 32-bit channels
 # Bytes per pixel in the memory of Pillow, which stores three channels as four
 PIXEL_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16L": 2, "I;16B": 2}
 OTHER_PIXEL_BYTES = 4
-# In addition: the coefficients of a progressive JPEG, and the decoded planes of HEIC and AVIF
-PROGRESSIVE_BYTES, PLANES_BYTES = 6, 8
+# Beside it, where pixels are mixed: copies in the modes in which Pillow mixes them
+COPIES_BYTES = {"1": 1, "P": 8, "PA": 8, "LA": 4, "RGBA": 4, "I;16": 4, "I;16L": 4, "I;16B": 4}
+# Beside it: each channel's coefficients of a JPEG of several passes, and the planes that HEIC and
+# AVIF decode to
+COEFFICIENT_BYTES, PLANES_BYTES = 2, 8
+START_OF_PASS = b"\xff\xda"  # of a JPEG
 DRAFTS = (8, 4, 2)  # divisors by which JPEG is decoded smaller
 # What Pillow's parsers raise on damaged files, besides OSError
 DAMAGED = (
@@ -56,7 +60,6 @@ DAMAGED = (
     RuntimeError,
     struct.error,
     zlib.error,
-    Image.DecompressionBombError,
 )
 TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -92,7 +95,7 @@ def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarra
     def values(opened: Image.Image) -> np.ndarray:
         return values_of(_upright(_reduced(opened, Image.Resampling.NEAREST), opened))
 
-    return _opened(path, values)
+    return _opened(path, values, is_mixed=False)
 
 
 def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
@@ -117,17 +120,23 @@ def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
     return _opened(path, sentence)
 
 
-def _opened(path, function):
-    """What a function returns for the Pillow image of a file, of which only the header was read."""
+def _opened(path, function, is_mixed=True):
+    """What a function returns for the Pillow image of a file, of which only the header was read.
+
+    is_mixed  whether pixels are mixed if the picture is made smaller
+    """
     require_file(path, "a picture", "check the name", MOST_BYTES)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of harmless oddities in a file's metadata
             with _open(path) as opened:
-                _require_readable(path, opened)
+                _require_readable(path, opened, is_mixed)
                 return function(opened)
     except InputError:
         raise
+    except Image.DecompressionBombError:  # of a file that is not JPEG, by its header
+        rule = f"at most {2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6:.3g} megapixels"
+        raise InputError(path, rule, "more", "make it smaller") from None
     except UnidentifiedImageError:
         rule = f"a picture in one of the formats {FORMATS_TEXT}"
         raise InputError(path, rule, *kind_of(path)) from None
@@ -168,12 +177,12 @@ def formats() -> list[str]:
     return [name for name in FORMATS if name in Image.OPEN]
 
 
-def _require_readable(path, picture):
+def _require_readable(path, picture, is_mixed=True):
     """Raises InputError for a Pillow image, of which only the header was read, that is too large or
     holds no display values.
     """
     tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
-    most_pixels = _most_pixels(picture)
+    most_pixels = _most_pixels(picture, is_mixed)
     for what, width, height in (
         ("", *picture.size),
         ("tiles of ", tags.get(TILE_WIDTH), tags.get(TILE_LENGTH)),
@@ -191,16 +200,41 @@ def _require_readable(path, picture):
         raise InputError(path, "8 or 16 bit values", "floating point", "save it as EXR")
 
 
-def _most_pixels(picture):
-    """How many pixels a Pillow image may have, from the memory that decoding takes."""
+def _most_pixels(picture, is_mixed):
+    """How many pixels a Pillow image may have, by what decoding it takes."""
     each = PIXEL_BYTES.get(picture.mode, OTHER_PIXEL_BYTES)
     if picture.format in ("JPEG", "MPO"):
-        if not picture.info.get("progressive"):
+        if not _has_several_passes(picture):
             return MOST_JPEG_PIXELS
-        each = PROGRESSIVE_BYTES + 1  # the picture itself is decoded at its reduced size
-    elif picture.format in ("HEIF", "AVIF"):
+        # the picture itself is decoded at its reduced size
+        return min(MOST_DECODED // (COEFFICIENT_BYTES * picture.layers + 1), MOST_JPEG_PIXELS)
+    if picture.format in ("HEIF", "AVIF"):
         each += PLANES_BYTES
+    if is_mixed:
+        each += COPIES_BYTES.get(picture.mode, 0)
     return MOST_DECODED // each
+
+
+def _has_several_passes(picture):
+    """Whether the decoder of a JPEG, of which only the header was read, keeps all coefficients: of
+    a progressive one, and of one whose first pass has not all channels.
+    """
+    if picture.info.get("progressive"):
+        return True
+    at = picture.fp.tell()
+    picture.fp.seek(2)
+    marker, length = _segment(picture.fp)
+    while marker[:1] == b"\xff" and marker != START_OF_PASS and length >= 2:
+        picture.fp.seek(length - 2, 1)
+        marker, length = _segment(picture.fp)
+    channels = picture.fp.read(1)
+    picture.fp.seek(at)
+    return marker != START_OF_PASS or channels != bytes([picture.layers])
+
+
+def _segment(file):
+    """The marker of a JPEG's segment, and the number of its bytes without it."""
+    return file.read(2), int.from_bytes(file.read(2), "big")
 
 
 def _divisor(size):

@@ -291,8 +291,45 @@ def test_a_png_that_promises_too_much_is_refused_by_its_header(tmp_path, side):
     header = data[12:16] + 2 * side.to_bytes(4, "big") + data[24:29]
     whole = data[:12] + header + zlib.crc32(header).to_bytes(4, "big") + data[33:]
     path.write_bytes(whole)
-    with pytest.raises(InputError, match=r"at most 160 megapixels|exceeds limit"):
+    expected = rf"at most {160 if side < 20_000 else 179} megapixels.*\(make it smaller"
+    with pytest.raises(InputError, match=expected):
         photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize("mode", ["P", "RGBA", "LA", "I;16"])
+def test_copies_in_which_pixels_are_mixed_count_as_memory(monkeypatch, tmp_path, mode):
+    """Pillow mixes palettes, transparency and deep greys in modes of more bytes for a pixel."""
+    path = tmp_path / "picture.png"
+    Image.new(mode, SIZE[::-1]).save(path)
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 600)
+    # what the decoded picture takes, and a byte for each pixel
+    each = picture_decoding.PIXEL_BYTES.get(mode, 4) + 1
+    monkeypatch.setattr(picture_decoding, "MOST_DECODED", each * SIZE[0] * SIZE[1])
+    labels = picture_decoding.decode_labels(path, lambda reduced: reduced.size)
+    assert labels == (30, 20)  # regions are not mixed
+    with pytest.raises(InputError, match=r"megapixels.*found 60 × 40 \(make it smaller"):
+        photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize(("channels", "is_read"), [(3, True), (1, False)])
+def test_a_jpeg_whose_channels_come_one_by_one_is_bounded_as_a_progressive_one(
+    tmp_path, channels, is_read
+):
+    """Its decoder keeps all coefficients too, though it is not called progressive."""
+    out = io.BytesIO()
+    Image.new("RGB", (64, 48), RED).save(out, "JPEG")
+    data = with_size(out.getvalue(), 16_320, 12_240)
+    at = data.index(b"\xff\xda")  # length, number of channels, two bytes for each, three more
+    of_channels = b"".join(bytes([number, 0]) for number in range(1, channels + 1))
+    first = b"\xff\xda\0" + bytes([6 + 2 * channels, channels]) + of_channels + b"\0\x3f\0"
+    path = tmp_path / "photo.jpg"
+    path.write_bytes(data[:at] + first + data[at + 14 :])
+    with picture_decoding._open(path) as opened:
+        if is_read:
+            picture_decoding._require_readable(path, opened)
+            return
+        with pytest.raises(InputError, match=r"at most 91\.4 megapixels"):
+            picture_decoding._require_readable(path, opened)
 
 
 @pytest.mark.parametrize(
