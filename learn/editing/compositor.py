@@ -305,9 +305,11 @@ def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     radiance  (H, W, 3) linear
     coverage  (H, W) in [0, 1]
     """
-    share, clear = coverage[..., None], coverage < CLEAR
+    share, clear, whole = coverage[..., None], coverage < CLEAR, coverage > 1 - CLEAR
     behind = fill_from_near(radiance, clear)
-    object_ = fill_from_nearest(radiance, coverage > 1 - CLEAR)
+    if not whole.any():  # a thread, whose own colour no pixel shows
+        return behind.astype(np.float32)
+    object_ = fill_from_nearest(radiance, whole)
     left = radiance - share * object_ - (1 - share) * behind
     corrected = behind + left * (1 - share) / (share**2 + (1 - share) ** 2)
     size = (2 * BEHIND_REACH + 1, 2 * BEHIND_REACH + 1, 1)

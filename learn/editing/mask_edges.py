@@ -43,6 +43,13 @@ UNSURE = 4.0
 SOFT = 1.0  # pixels
 SOFTENING = 0.7  # pixels, of the Gaussian that blurs a hard edge so that its steps do not show
 CHUNK = 1 << 15  # pixels compared at once
+# of a band, for each of which the energy's minimum takes about 600 bytes; an object that fills a
+# photograph of 25 megapixels has up to about a million
+MOST_IN_BAND = 1_500_000
+
+
+class RaggedError(ValueError):
+    """A mask has so much edge that its band has more than MOST_IN_BAND pixels."""
 
 
 def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = None) -> np.ndarray:
@@ -51,6 +58,7 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
     radiance  (H, W, 3) linear, of which display values are compared
     coverage  (H, W) in [0, 1]: the given mask
     fixed     (H, W) bool: pixels that stay as they are; None: no pixel
+    Raises    RaggedError
     """
     inside = coverage >= 0.5
     if not inside.any() or inside.all():
@@ -93,6 +101,8 @@ def _fit(
     band = band_about(inside, width)
     if fixed is not None:
         band &= ~fixed
+    if (count := int(band.sum())) > MOST_IN_BAND:
+        raise RaggedError(f"{count} pixels about the edge")
     object_, background = inside & ~band, ~inside & ~band
     if not (band.any() and object_.any() and background.any()):
         return coverage

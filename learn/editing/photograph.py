@@ -293,12 +293,16 @@ def soften(coverage: np.ndarray) -> np.ndarray:
 def _fitted(contents: _Contents) -> tuple[np.ndarray, np.ndarray] | None:
     """Return coverage and labels (H, W) whose edge is fitted to the picture.
 
-    None if a region, such as a thread, would keep fewer than LEAST_PIXELS pixels.
+    None if a region, such as a thread, would keep fewer than LEAST_PIXELS pixels, or if the mask
+    has too much edge to be fitted.
     """
     coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
     everywhere = np.ones(labels.shape, bool)
     shown = tone.auto_exposure(radiance, everywhere) if contents.linear else 1.0
-    fitted = mask_edges.fit(radiance * np.float32(shown), coverage, contents.alpha < 1)
+    try:
+        fitted = mask_edges.fit(radiance * np.float32(shown), coverage, contents.alpha < 1)
+    except mask_edges.RaggedError:
+        return None
     before, after = coverage >= 0.5, fitted >= 0.5
     near = distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
     moved = np.where(after & ~before, labels[tuple(near)], labels * (after | ~before))

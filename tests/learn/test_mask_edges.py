@@ -11,7 +11,7 @@ import brdfactory as bf
 from learn.__main__ import COMMANDS
 from learn.data import photographs
 from learn.editing import decomposition, mask_edges, photograph
-from learn.editing.compositor import background_behind, fill_from_nearest
+from learn.editing.compositor import background_behind, fill_from_near, fill_from_nearest
 from learn.layer import predictions
 from manifests import exr
 from manifests.cli import main
@@ -124,6 +124,15 @@ def test_the_background_behind_an_edge_keeps_its_texture():
     assert off[0] < 0.7 * off[1]
 
 
+def test_a_thread_of_which_no_pixel_shows_the_own_colour_leaves_the_background_alone():
+    """What is seen there is a mixture, by which the background would be mixed with the old one."""
+    stripes = np.where(Y.astype(int) % 4 < 2, 0.1, 0.5)[..., None] * np.ones(3)
+    thread = np.clip(1 - np.abs(X) / 2, 0, 0.7)
+    seen = thread[..., None] * INK + (1 - thread[..., None]) * stripes
+    near = fill_from_near(seen, thread < 0.02)
+    np.testing.assert_allclose(background_behind(seen, thread), near, rtol=1e-6)
+
+
 def shown(coverage):
     return np.rint(tone.display(picture(coverage), 1.0)).astype(np.uint8)
 
@@ -168,6 +177,18 @@ def test_a_region_of_a_few_pixels_is_not_fitted_away():
     regions = np.where(speck, 2, DAMAGED["narrow"]).astype(np.uint8)
     fitted = photograph.from_arrays(shown(TRUE), None, regions, fit_mask=None)
     assert (fitted.regions == 2).sum() >= photographs.LEAST_PIXELS
+
+
+def test_a_mask_with_too_much_edge_is_softened_instead(monkeypatch):
+    """Specks all over a large photograph would take gigabytes."""
+    hard = DAMAGED["narrow"]
+    count = int(mask_edges.band_about(hard, mask_edges.band_width(hard)).sum())
+    monkeypatch.setattr(mask_edges, "MOST_IN_BAND", count)
+    assert opened(hard, fit_mask=None).given is not None
+    monkeypatch.setattr(mask_edges, "MOST_IN_BAND", count - 1)
+    ragged = opened(hard, fit_mask=None)
+    assert ragged.given is None
+    np.testing.assert_array_equal(ragged.coverage, opened(hard, fit_mask=False).coverage)
 
 
 def test_files_in_units_of_their_own_are_fitted_too(tmp_path):
