@@ -35,7 +35,7 @@ def mark_place(session: Session, number: int, place: str) -> str:
         shares, adds = json.loads(place)
         across, down = map(float, shares)
         inside = 0 <= across <= 1 and 0 <= down <= 1
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         inside = False
     if not inside:
         remedy = "move the cross with the arrow keys"

@@ -1147,7 +1147,12 @@ def test_the_place_of_the_cross_is_marked_as_a_click_is(sessions: Sessions, tmp_
 
 
 @pytest.mark.parametrize(
-    "place", ["", "null", "[[0.5], true]", "[[1.1, 0], true]", "[[NaN, 0], true]", "{}", None]
+    "place",
+    [
+        *("", "null", "{}", None),
+        *("[[0.5], true]", "[[1.1, 0], true]", "[[NaN, 0], true]"),
+        f"[[{10**400}, 0], true]",
+    ],
 )
 def test_a_cross_that_is_nowhere_marks_nothing(sessions: Sessions, tmp_path: Path, place) -> None:
     session = sessions.of("one")
