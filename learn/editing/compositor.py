@@ -214,10 +214,12 @@ class Compositor:
         if self._background is None:
             photograph = self.decomposition.photograph
             cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
+            everywhere = np.ones(photograph.radiance.shape[:2], bool)
+            within = framing.cut_square(everywhere, self.decomposition.framed.box)
             if photograph.alpha is None:
-                self._background = background_behind(cut, self.coverage)
+                self._background = background_behind(cut, self.coverage, within)
             else:
-                self._background = fill_from_near(cut, self.coverage < CLEAR)
+                self._background = fill_from_near(cut, (self.coverage < CLEAR) & within)
         return self._background
 
     def own_radiance(self) -> np.ndarray:
@@ -294,7 +296,9 @@ def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return values[tuple(index)]
 
 
-def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+def background_behind(
+    radiance: np.ndarray, coverage: np.ndarray, within: np.ndarray | None = None
+) -> np.ndarray:
     """Return radiance (H, W, 3) of what is behind an object's edge in a photograph.
 
     In a pixel that the object covers in part, the mixture of nearby background and nearby object
@@ -304,8 +308,11 @@ def background_behind(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
 
     radiance  (H, W, 3) linear
     coverage  (H, W) in [0, 1]
+    within    (H, W) bool: the photograph's pixels, beyond which nothing is known; None: all
     """
     share, clear, whole = coverage[..., None], coverage < CLEAR, coverage > 1 - CLEAR
+    if within is not None:
+        clear &= within
     behind = fill_from_near(radiance, clear)
     if not whole.any():  # a thread, whose own colour no pixel shows
         return behind.astype(np.float32)

@@ -1,6 +1,7 @@
 """Fitting a mask's edge to its photograph: what it mends, what it leaves, and when it is done."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +10,14 @@ from scipy.ndimage import gaussian_filter, label
 
 import brdfactory as bf
 from learn.__main__ import COMMANDS
-from learn.data import photographs
+from learn.data import framing, photographs
 from learn.editing import decomposition, mask_edges, photograph
-from learn.editing.compositor import background_behind, fill_from_near, fill_from_nearest
+from learn.editing.compositor import (
+    Compositor,
+    background_behind,
+    fill_from_near,
+    fill_from_nearest,
+)
 from learn.layer import predictions
 from manifests import exr
 from manifests.cli import main
@@ -131,6 +137,25 @@ def test_a_thread_of_which_no_pixel_shows_the_own_colour_leaves_the_background_a
     seen = thread[..., None] * INK + (1 - thread[..., None]) * stripes
     near = fill_from_near(seen, thread < 0.02)
     np.testing.assert_allclose(background_behind(seen, thread), near, rtol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [None, TRUE])
+def test_beyond_the_frame_no_background_is_seen(alpha):
+    """An object that the frame cuts off is framed in a square with black beyond the photograph."""
+    cut_off = TRUE[:, SIZE // 2 :]
+    seen = picture(cut_off)
+    box = (0, -SIZE // 2, SIZE)
+    compositor = SimpleNamespace(
+        _background=None,
+        coverage=framing.cut_square(cut_off, box),
+        decomposition=SimpleNamespace(
+            photograph=SimpleNamespace(radiance=seen, alpha=alpha), framed=SimpleNamespace(box=box)
+        ),
+    )
+    behind = Compositor.background(compositor)[:, SIZE // 2 :]
+    soft = (cut_off > 0) & (cut_off < 0.98)
+    # the slope of the wall is all that is not known
+    np.testing.assert_allclose(behind[soft], picture(np.zeros_like(cut_off))[soft], rtol=0.1)
 
 
 def shown(coverage):
