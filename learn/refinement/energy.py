@@ -47,6 +47,7 @@ DARK = 0.02  # of white: colours of what is darker count little
 # falls there: labels need nearly no weight, because their misfit is large, and dust nearly all
 FOREIGN, STEEPNESS = 0.27, 8
 LABEL_RADIUS = 2  # network pixels, of label_weights
+LEAST_UNLABELLED = 0.5  # of a region, if the rest is to be a label
 TERMS = ("image", "normals", "light", "colour", "material")
 
 
@@ -119,7 +120,7 @@ def label_weights(
     Such a label (not the 108 numbers of a material) has a colour clearly unlike that of its region,
     and may be white. It includes its edge and gaps in it, such as letters in black or in the
     object's own colour. A highlight may be white too, but pixels in or near it are clipped in the
-    file.
+    file. A region most of which would be label has many colours, and no label.
 
     image     (H, W, 3) with white at about 1; segments (H, W): numbers of regions, 0 beyond them
     clipped   (H, W) shares that are clipped; None: nothing is
@@ -134,7 +135,12 @@ def label_weights(
     foreign = (1 - near) * (1 - 1 / (1 + (share / FOREIGN) ** STEEPNESS))
     wide = _largest_near(foreign, radius + -(-radius // 2))
     closed = 1 - _largest_near(1 - wide, radius)
-    return 1 - (1 - near) * closed
+    weights = 1 - (1 - near) * closed
+    for region in segments[inside].unique():
+        of = segments == region
+        if weights[of].mean() < LEAST_UNLABELLED:
+            weights[of] = 1.0
+    return weights
 
 
 def _largest_near(values: torch.Tensor, radius: int) -> torch.Tensor:

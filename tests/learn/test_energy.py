@@ -159,18 +159,25 @@ def test_a_label_of_one_region_is_not_judged_by_anothers_colour():
     assert label_weights(image, segments.clamp(max=1), None, 2)[place].max() < 0.02
 
 
+def test_an_object_of_many_colours_has_no_label():
+    colours = torch.from_numpy(np.random.default_rng(0).uniform(0.1, 0.9, (6, 6, 3)))
+    image = colours.repeat_interleave(5, 0).repeat_interleave(5, 1).float()
+    segments = torch.ones(image.shape[:2], dtype=torch.long)
+    assert (label_weights(image, segments, None, 2) == 1).all()
+
+
 def test_a_label_counts_less_in_the_misfit_of_refinement(monkeypatch):
     batch, start = flat()
     image = batch.image.clone()
     image[0] = torch.tensor([0.4, 0.2, 0.1])[:, None, None]
-    image[0, :, 2:4] = 0.9
+    image[0, :, 1, 1] = 0.9
     monkeypatch.setattr(predictions, "render", lambda n, *_, **__: torch.ones(n.shape))
     label = torch.zeros(1, 1, 3, 3, 2, 6, dtype=torch.float64)
     label[..., 0, :], label[..., 1, :] = math.log(0.1), math.log(0.5)
     start = replace(start, label=label.reshape(1, 1, 108))
     energy = Energy(replace(batch, image=image), start, PHOTOGRAPHS)
     on = torch.zeros(batch.mask.shape[-2:], dtype=torch.bool)
-    on[2:4] = True
+    on[1, 1] = True
     assert energy.weights[on.flatten()[energy.inside]].max() < 0.15
     assert energy.weights[~on.flatten()[energy.inside]].max() > 0.9
 
