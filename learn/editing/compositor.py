@@ -260,21 +260,28 @@ class Compositor:
     def _unlabelled(self, seen: np.ndarray) -> np.ndarray:
         """Return weights (side, side) of refinement's `label_weights`, 0 beyond the object.
 
+        Of a square above FINEST pixels, every second, third, … pixel is looked at, for each takes
+        about 100 bytes.
+
         seen  (side, side, 3) linear radiance of the photograph
         """
-        photograph, inside = self.decomposition.photograph, self.regions > 0
-        white, clipped = photograph.clipped, None
-        if white is not None:
-            share = framing.cut_square(white, self.decomposition.framed.box).max(-1)
+        photograph, framed = self.decomposition.photograph, self.decomposition.framed
+        step = -(-self.side // FINEST)
+        regions = self.regions[::step, ::step]
+        inside, seen = regions > 0, seen[::step, ::step]
+        clipped = None
+        if photograph.clipped is not None:
+            share = framing.cut_square(photograph.clipped, framed.box)[::step, ::step].max(-1)
             clipped = torch.from_numpy(share.astype(np.float32))
-        regions = torch.from_numpy(self.regions.astype(np.int64))
+        numbers = torch.from_numpy(regions.astype(np.int64))
         image = torch.from_numpy(np.float32(seen * tone.auto_exposure(seen, inside)))
-        radius = LABEL_RADIUS * self.side / len(self.decomposition.framed.mask)
-        weights = label_weights(image, regions, clipped, max(round(radius), 1))[inside]
+        radius = LABEL_RADIUS * len(regions) / len(framed.mask)
+        weights = label_weights(image, numbers, clipped, max(round(radius), 1))[inside]
         predicted = to_numpy(require_part(self.decomposition.start.label)[0])
         result = np.zeros(inside.shape, np.float32)
-        result[inside] = to_numpy(count_mirrored(weights, regions[inside], predicted))
-        return result
+        result[inside] = to_numpy(count_mirrored(weights, numbers[inside], predicted))
+        whole = result.repeat(step, 0).repeat(step, 1)[: self.side, : self.side]
+        return np.where(self.regions > 0, whole, 0)
 
 
 def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:

@@ -149,7 +149,8 @@ def test_fine_shading_is_carried_over_when_asked():
         assert low <= contrast <= high
 
 
-def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it():
+@pytest.mark.parametrize("every", [1, 2])
+def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it(monkeypatch, every):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
     stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
@@ -161,7 +162,8 @@ def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it():
             opened(printed, inside.astype(np.int64), 2.0), Knowing(label), NETWORK
         )
     )
-    top, left, _ = painter.decomposition.framed.box
+    top, left, side = painter.decomposition.framed.box
+    monkeypatch.setattr(compositor, "FINEST", -(-side // every))  # of a large picture's pixels
     log = np.abs(np.log(painter.fine_shading()))
     on, beside = (log[44 - top : 52 - top, k - left : k + 8 - left] for k in (40, 54))
     assert on.max() < 0.03 < 0.1 < beside.mean()
