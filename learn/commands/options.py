@@ -24,6 +24,20 @@ def add_data(parser: argparse.ArgumentParser, what: str = DATA) -> None:
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help=what)
 
 
+def add_scenes(parser: argparse.ArgumentParser) -> None:
+    """Add --scenes and --after, which choose scenes of a folder of rooms by their numbers."""
+    parser.add_argument(
+        "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
+    )
+    parser.add_argument(
+        "--after",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="number of scenes to skip before these (default 0)",
+    )
+
+
 def add_out(
     parser: argparse.ArgumentParser, what: str = "folder for the results; other files in it stay"
 ) -> None:

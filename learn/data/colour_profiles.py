@@ -17,7 +17,8 @@ LEAST_DIFFERENCE = 2  # of 255: profiles of sRGB differ by rounding
 MOST_BYTES = 16 << 20  # of a profile; those of printers have some megabytes
 # H.273's number of Display P3, by which HEIC can name it in place of a profile
 P3_PRIMARIES = 12
-# linear sRGB from linear Display P3, both with D65 as their white
+# linear sRGB from linear Display P3: from the primary colours of SMPTE EG 432-1 and ITU-R BT.709,
+# both with D65 as their white
 SRGB_FROM_P3 = np.array(
     [
         [1.2249402, -0.2249402, 0.0],

@@ -34,8 +34,9 @@ from learn.data import framing
 from learn.data import lights as light_maps
 from learn.data.devices import to_numpy
 from learn.editing import drawing, interactive_maps, material_list, reflectance_store, targets
+from learn.editing.backgrounds import fill_from_nearest
 from learn.editing.chunks import Chunks, differences, split_bytes
-from learn.editing.compositor import LARGEST_DETAIL, Compositor, fill_from_nearest
+from learn.editing.compositor import LARGEST_DETAIL, Compositor
 from learn.editing.photograph import CLEAR
 from learn.figures import html, montage, spheres
 from manifests.errors import InputError

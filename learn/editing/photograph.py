@@ -13,20 +13,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
-from learn.editing import mask_edges, region_masks
+from learn.editing import mask_preparation, region_masks
 from manifests.errors import InputError, closest
 from manifests.schema import Record
 from shaders import tone
 from shaders.frames import ELEVATION
 from shaders.tone import LUMINANCE
 
-# a mask is black and white if its coverage is everywhere closer to 0 or 1 than this: half a step of
-# 8 bits is 0.002, and white through the sRGB curve is 1 − 6e-8
-GREY = 1e-3
 STRONGEST_BALANCE = 8.0
 CLEAR = 0.02  # coverage below which a pixel counts as background
 
@@ -253,14 +249,17 @@ def _assemble(
     if fit_mask and contents.is_transparency:
         rule, remedy = "a mask that is not the photograph's own transparency", "leave it out"
         raise InputError("--fit-mask", rule, "no other mask", remedy)
-    is_hard = is_black_and_white(coverage)
+    is_hard = mask_preparation.is_black_and_white(coverage)
     fitted = None
     if fit_mask or (fit_mask is None and is_hard and not contents.is_transparency):
-        fitted = _fitted(contents)
+        everywhere = np.ones(labels.shape, bool)
+        shown = tone.auto_exposure(radiance, everywhere) if contents.linear else 1.0
+        seen = radiance * np.float32(shown)
+        fitted = mask_preparation.fit_regions(seen, coverage, labels, contents.alpha < 1)
     if fitted is not None:
         coverage, labels = fitted
     elif not contents.is_transparency:
-        coverage = soften(coverage)
+        coverage = mask_preparation.soften(coverage)
     factors = _balance(balance, radiance, coverage, not contents.cut_out)
     framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
@@ -276,41 +275,6 @@ def _assemble(
         alpha=own,
         given=None if fitted is None else contents.labels,
     )
-
-
-def is_black_and_white(coverage: np.ndarray) -> bool:
-    """Return whether a mask (H, W) in [0, 1] has no grey."""
-    return bool((np.minimum(coverage, 1 - coverage) < GREY).all())
-
-
-def soften(coverage: np.ndarray) -> np.ndarray:
-    """Return a mask (H, W) in [0, 1], blurred so that its steps do not show, unless it has grey."""
-    if not is_black_and_white(coverage):
-        return coverage
-    return gaussian_filter(coverage.astype(np.float32), mask_edges.SOFTENING)
-
-
-def _fitted(contents: _Contents) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return coverage and labels (H, W) whose edge is fitted to the picture.
-
-    None if a region, such as a thread, would keep fewer than LEAST_PIXELS pixels, or if the mask
-    has too much edge to be fitted.
-    """
-    coverage, labels, radiance = contents.coverage, contents.labels, contents.radiance
-    everywhere = np.ones(labels.shape, bool)
-    shown = tone.auto_exposure(radiance, everywhere) if contents.linear else 1.0
-    try:
-        fitted = mask_edges.fit(radiance * np.float32(shown), coverage, contents.alpha < 1)
-    except mask_edges.RaggedError:
-        return None
-    before, after = coverage >= 0.5, fitted >= 0.5
-    near = distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
-    moved = np.where(after & ~before, labels[tuple(near)], labels * (after | ~before))
-    moved = moved.astype(labels.dtype)
-    counts = np.bincount(moved.ravel(), minlength=int(labels.max()) + 1)[1:]
-    if (counts < photographs.LEAST_PIXELS).any():
-        return None
-    return fitted, moved
 
 
 def _require_none(path, rule, masks, regions, balance, fit_mask):

@@ -12,12 +12,8 @@ import brdfactory as bf
 from learn.__main__ import COMMANDS
 from learn.data import framing, photographs
 from learn.editing import decomposition, mask_edges, photograph
-from learn.editing.compositor import (
-    Compositor,
-    background_behind,
-    fill_from_near,
-    fill_from_nearest,
-)
+from learn.editing.backgrounds import background_behind, fill_from_near, fill_from_nearest
+from learn.editing.compositor import Compositor
 from learn.layer import predictions
 from manifests import exr
 from manifests.cli import main

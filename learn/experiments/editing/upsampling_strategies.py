@@ -28,7 +28,8 @@ import torch.nn.functional as F
 from scipy.ndimage import uniform_filter
 
 from learn.data import framing
-from learn.editing.compositor import Compositor, dilate, fill_from_nearest, upsample_normals
+from learn.editing.backgrounds import fill_from_nearest
+from learn.editing.compositor import Compositor, dilate, upsample_normals
 from learn.editing.decomposition import Decomposition
 from shaders.tone import LUMINANCE
 

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.experiments import runner
-from manifests.option_types import positive, whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,16 +36,7 @@ METHODS = (PLAIN, GIVEN, FITTED, MATTED)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenes and how many are photographed, each in one of its materials."""
     options.add_data(parser, "a folder of factory.render.validation.objects_in_rooms")
-    parser.add_argument(
-        "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
-    )
-    parser.add_argument(
-        "--after",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="number of scenes to skip before these (default 0)",
-    )
+    options.add_scenes(parser)
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
@@ -83,7 +73,7 @@ def row_of(case: Case) -> dict[str, Any]:
     from learn.data import photographs
     from learn.data.photographs import LEAST_PIXELS
     from learn.editing import mask_edges
-    from learn.editing.compositor import fill_from_nearest
+    from learn.editing.backgrounds import fill_from_nearest
     from learn.experiments.photographs import damaged_masks, room_photographs
     from learn.experiments.photographs.photographing import exposed
     from shaders import tone
@@ -128,7 +118,7 @@ def edge_of(method: str, radiance: np.ndarray, given: np.ndarray) -> np.ndarray:
     """Return the coverage (H, W) that one of METHODS makes of a given mask (H, W)."""
 
     from learn.editing import mask_edges
-    from learn.editing.photograph import soften
+    from learn.editing.mask_preparation import soften
     from learn.experiments.photographs.closed_form_matting import matted
 
     methods: dict[str, Callable[..., np.ndarray]] = {FITTED: mask_edges.fit, MATTED: matted}
@@ -144,7 +134,7 @@ def composed(
     """
     import numpy as np
 
-    from learn.editing.compositor import background_behind, fill_from_nearest
+    from learn.editing.backgrounds import background_behind, fill_from_nearest
     from learn.editing.photograph import CLEAR
 
     share = coverage[..., None]

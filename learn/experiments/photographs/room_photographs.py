@@ -21,7 +21,6 @@ import msgspec
 from learn.commands import options
 from learn.experiments import runner
 from learn.experiments.photographs import exposure_line, photographed_edits
-from manifests.option_types import positive, whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,16 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenes, the weights and how many scenes are photographed."""
     options.add_data(parser, "a folder of factory.render.validation.objects_in_rooms")
     options.add_weights(parser)
-    parser.add_argument(
-        "--scenes", type=positive, metavar="N", help="number of scenes (default: all)"
-    )
-    parser.add_argument(
-        "--after",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="number of scenes that are left out before these (default 0)",
-    )
+    options.add_scenes(parser)
     parser.add_argument(
         "--white-balance",
         action="store_true",
