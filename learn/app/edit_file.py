@@ -40,16 +40,18 @@ def mask_options(names: list[str]) -> list[str]:
 
 
 def command_line(
-    edit: Edit, photograph: str, masks: list[str], refined: bool, weights: Path
+    edit: Edit, photograph: str, masks: list[str], refined: bool, fit_mask: bool, weights: Path
 ) -> str:
     """Return the command that repeats an edit, in a folder with the photograph and the files.
 
     photograph  the file's name, or example:NAME
     masks       names of the files of the mask that are needed
+    fit_mask    whether the mask's edge was fitted, if it was black and white
     weights     the file of the network that decomposed
     """
     words = ["brdfactory"]
-    kept = (*mask_options(masks), *([] if refined else ["--no-refine"]))
+    left_out = ["--no-fit-mask"] * (not fit_mask) + ["--no-refine"] * (not refined)
+    kept = (*mask_options(masks), *left_out)
     plain = all(
         painted.second is None and (painted.first is None or painted.first.named)
         for painted in edit.regions

@@ -108,28 +108,38 @@ class MarkedPhotograph:
         """
         return bool(self.selection.marks) or self.selection.given is not self.example_mask
 
-    def to_edit(self) -> photograph.Photograph:
-        """Return the Photograph with its mask and regions. Raises InputError."""
+    def to_edit(self, fit_mask: bool = True) -> photograph.Photograph:
+        """Return the Photograph with its mask and regions.
+
+        fit_mask  whether to fit the mask's edge to the photograph, if the mask is black and white
+        Raises    InputError
+        """
         labels = self.selection.labels()
         if not labels.any():
             rule = "an object: a click on it, a mask file, strokes of the brush, or transparency"
             raise InputError(THE_PAGE, rule, "none", "click on the object in the picture first")
         covered, changed = self._soft_mask_of(labels)
         cut_out = covered is not None and not self.has_mask and labels.max() == 1
+        fitted = None if fit_mask else False
         if cut_out and not changed:
-            return self._with()
+            return self._with(fitted)
         regions = labels if labels.max() > 1 else None
         mask = covered if covered is not None else None
         if mask is None and regions is None:
             mask = labels > 0
-        return self._with(mask, regions)
+        return self._with(fitted, mask, regions)
 
     def _with(
-        self, mask: np.ndarray | None = None, regions: np.ndarray | None = None
+        self,
+        fitted: bool | None,
+        mask: np.ndarray | None = None,
+        regions: np.ndarray | None = None,
     ) -> photograph.Photograph:
         """Return the Photograph with a mask and regions; errors are in the page's words."""
         try:
-            return photograph.from_arrays(self.path, mask, regions, name=self.name, fit_mask=None)
+            return photograph.from_arrays(
+                self.path, mask, regions, name=self.name, fit_mask=fitted
+            )
         except InputError as error:
             remedy = error.remedy
             if "--exposure" in remedy:  # of an object that is too dark, or an EXR too bright

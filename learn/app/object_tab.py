@@ -18,6 +18,10 @@ from manifests.errors import InputError
 PARTS_OFFERED = 4
 DONE = "Done."
 PHOTO_BUTTON, WORK_BUTTON = "Choose a photograph", "Or open saved work (.zip)"
+FIT_HELP = (
+    "Moves the object's edge to where the colours change, by a few pixels at most. If the edge of"
+    " an edit is frayed, switch this off and press “Next” again."
+)
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
 said => {
@@ -66,6 +70,12 @@ class ObjectTab:
         with gr.Row(elem_id="undoing"):
             self.undo = gr.Button("Undo", elem_id="undo", size="sm", min_width=80)
             self.clear = gr.Button("Start again", elem_id="clear", size="sm", min_width=80)
+        self.fit = gr.Checkbox(
+            True,
+            label="Fit the edge to the photograph",
+            info=FIT_HELP,
+            elem_id="fit",
+        )
         self.decompose = gr.Button(
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
         )
@@ -129,7 +139,7 @@ class ObjectTab:
 
     def connect(self, materials: MaterialTab, download: DownloadTab) -> None:
         """Connect the events of this tab; `materials` and `download` show what they result in."""
-        on_load = [*self.marks, self.brush, self.progress, *materials.views, *download.outputs]
+        on_load = [*self.on_canvas, self.fit, self.progress, *materials.views, *download.outputs]
         waiting = progress_on(self.marking)
         self.photo.upload(self.take_photo, self.photo, on_load, **waiting)
         self.example.click(self.take_example, None, on_load, **waiting)
@@ -144,6 +154,7 @@ class ObjectTab:
             trigger_mode="multiple",
             **QUIET,
         )
+        self.fit.input(self.take_fit, self.fit, None, queue=False, **QUIET)
         drawn = [self.marked, self.brush]
         self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
         self.use_line.click(self.line, drawn, self.on_canvas, **QUIET)
@@ -168,16 +179,16 @@ class ObjectTab:
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
-        return (*self._marks_of(session, text), canvas_of(session), "", *others)
+        return (*self._marks_of(session, text), canvas_of(session), session.fit_mask, "", *others)
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
-        """Return the values of `on_canvas` for a page that was loaded again."""
+        """Return the values of `on_canvas` and `fit` for a page that was loaded again."""
         if session.photograph is None:
-            return (gr.skip(),) * len(self.on_canvas)
+            return (*(gr.skip() for _ in self.on_canvas), session.fit_mask)
         text = covered_text(session)
         if session.viewer is not None:
             text = f"Your edit is in step 2. {text}"
-        return (*self._marks_of(session, text), canvas_of(session))
+        return (*self._marks_of(session, text), canvas_of(session), session.fit_mask)
 
     @one_line
     def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -238,6 +249,10 @@ class ObjectTab:
         session.opened().enclose(strokes_of(drawn), int(number))
         return (*self._marks_of(session, covered_text(session)), canvas_of(session))
 
+    def take_fit(self, is_on: bool, request: gr.Request) -> None:
+        """Fit the mask's edge to the photograph from the next decomposition on, or leave it."""
+        self.session_of(request).fit_mask = bool(is_on)
+
     def canvas(self, request: gr.Request) -> Any:
         """Show what is marked by now where it is drawn."""
         session = self.session_of(request)
@@ -272,7 +287,7 @@ class ObjectTab:
         idle = gr.Button(interactive=True), gr.Button(visible=False)
         rest = (gr.skip(),) * len(self.materials.filled)
         try:
-            session.opened().to_edit()  # what is wrong with the mask is said at once
+            session.opened().to_edit(fit_mask=False)  # what is wrong with the mask is said at once
             yield progress_bar(0.01, "waiting until another user is served"), *busy, *rest
             for report in session.decompose(session.saved_was_refined):
                 yield progress_bar(report.share, report.text), *busy, *rest

@@ -120,7 +120,11 @@ def page(sessions: Sessions) -> gr.Blocks:
         download.connect()
         key = gr.Textbox(elem_id="key", show_label=False)
         blocks.load(
-            begun, key, [key, *objects.on_canvas, *materials.filled], js=RECALL_KEY, **QUIET
+            begun,
+            key,
+            [key, *objects.on_canvas, objects.fit, *materials.filled],
+            js=RECALL_KEY,
+            **QUIET,
         ).success(None, key, js=KEEP_KEY, **QUIET)
         gr.Button("I stay", elem_id="stayed").click(stayed, None, None, queue=False, **QUIET)
         blocks.unload(closed)

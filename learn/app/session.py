@@ -21,6 +21,7 @@ from learn.app.choices import Edit, Painted
 from learn.app.marked_photograph import THE_PAGE, MarkedPhotograph
 from learn.app.viewer import Viewer
 from learn.app.work_file import MOST_KEPT
+from learn.editing.photograph import Photograph
 from manifests import files
 from manifests.errors import InputError
 
@@ -59,6 +60,8 @@ class Session:
     folder      of this session alone
     photograph  the one that is open, with what is marked in it
     refined     whether what was decomposed was refined
+    fit_mask    whether the next decomposition fits the mask's edge, as learn.editing.mask_edges does
+    fit_was_on  the same of what was decomposed
     soft_mask   of what was decomposed: coverage (H, W) from a file, before it is softened, or None
     by_hand     whether clicks or strokes had a part in what was decomposed
     before      the file of the photograph as the view shows it
@@ -73,6 +76,8 @@ class Session:
     network: Network
     photograph: MarkedPhotograph | None = None
     refined: bool = False
+    fit_mask: bool = True
+    fit_was_on: bool = True
     soft_mask: np.ndarray | None = None
     by_hand: bool = False
     viewer: Viewer | None = None
@@ -135,7 +140,7 @@ class Session:
         """
         opened, work = opening.open_work(sent, self.folder)
         self._take(opened)
-        self._saved, self.refined = work, work.refined
+        self._saved, self.refined, self.fit_mask = work, work.refined, work.fit_mask
         return (
             "Your saved work is open. Its edits follow in step 2 as soon as the object is analysed."
         )
@@ -177,11 +182,13 @@ class Session:
 
         An earlier decomposition that still goes on is stopped: it may be of another mask.
 
-        goes_on  whether the edit stays as it is, where the regions are as many as before
+        The edit stays as it is if the same object is decomposed again with another `fit_mask`.
+
+        goes_on  whether it stays as it is wherever the regions are as many as before
         Raises   InputError; Stopped
         """
-        marked = self.opened()
-        opened, soft_mask, by_hand = marked.to_edit(), marked.soft_mask, marked.by_hand
+        marked, fit_mask = self.opened(), self.fit_mask
+        opened, soft_mask, by_hand = marked.to_edit(fit_mask), marked.soft_mask, marked.by_hand
         with self._lock:
             if self.photograph is not marked:
                 raise Stopped
@@ -196,7 +203,8 @@ class Session:
         with self._lock:
             if stop.is_set():
                 raise Stopped
-            self.viewer, self.refined = viewer, refine
+            goes_on = goes_on or (fit_mask != self.fit_was_on and self._shows(opened))
+            self.viewer, self.refined, self.fit_was_on = viewer, refine, fit_mask
             self.soft_mask, self.by_hand = soft_mask, by_hand
             before = self.edit
             self.edit, kept = self._edits_of(opened.count)
@@ -206,6 +214,13 @@ class Session:
             for each in self.kept:
                 each.picture.unlink(missing_ok=True)
             self.kept = [Kept(e, self.write_view(viewer.view(e), "kept")) for e in kept]
+
+    def _shows(self, opened: Photograph) -> bool:
+        """Return whether the view is of the same photograph, with the same mask as it was given."""
+        if self.viewer is None:
+            return False
+        shown = self.viewer.decomposition.photograph
+        return np.array_equal(shown.given_regions, opened.given_regions)
 
     def _edits_of(self, count: int) -> tuple[Edit, list[Edit]]:
         """Return the edit of a new decomposition with `count` regions, and those kept.

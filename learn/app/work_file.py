@@ -47,11 +47,14 @@ class Saved(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     photograph  the file's name as the user knows it, or example:NAME
     refined     whether the photograph was refined
     kept        number of kept edits
+    fit_mask    whether the mask's edge is fitted to the photograph, as it always was in files that
+                do not say so
     """
 
     photograph: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
     refined: bool
     kept: Annotated[int, msgspec.Meta(ge=0, le=MOST_KEPT)] = 0
+    fit_mask: bool = True
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Work:
 
     name: str
     refined: bool
+    fit_mask: bool
     edit: Edit
     kept: tuple[Edit, ...]
     photograph: Path | None
@@ -119,6 +123,7 @@ def read(path: Path, folder: Path) -> Work:
     return Work(
         name,
         saved.refined,
+        saved.fit_mask,
         edit_file.read(folder / "edit.json"),
         tuple(edits),
         photographs[0] if photographs else None,

@@ -6,7 +6,7 @@ import argparse
 import ipaddress
 from pathlib import Path
 
-from learn.commands import options
+from learn.commands import editing_options, options
 from manifests import other_threads
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
@@ -60,6 +60,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         action=argparse.BooleanOptionalAction,
         help="with --repeat: whether to refine, as “Improve” of the page does (default: yes)",
     )
+    editing_options.add_fit_mask(parser, "; with --repeat")
     options.add_weights(parser)
     options.add_device(parser)
     options.add_overwrite(parser)
@@ -78,9 +79,11 @@ def run(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name) is not None:
             where = "PHOTO" if name == "photo" else f"--{name}"
             raise InputError(where, "--repeat FILE with it", "none", "choose files on the page")
-    if arguments.refine is not None:
-        where = "--refine" if arguments.refine else "--no-refine"
-        raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
+    for name in ("refine", "fit-mask"):
+        chosen = getattr(arguments, name.replace("-", "_"))
+        if chosen is not None:
+            where = f"--{name}" if chosen else f"--no-{name}"
+            raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
     if arguments.overwrite:
         remedy = "leave it out: the page writes into no folder"
         raise InputError("--overwrite", "--repeat FILE with it", "none", remedy)
@@ -145,7 +148,9 @@ def _repeat(arguments: argparse.Namespace) -> None:
     )
     edit = edit_file.read(arguments.repeat)
     masks = [] if arguments.mask is None else [arguments.mask]
-    opened = photograph.open_photograph(arguments.photo, masks, arguments.regions, fit_mask=None)
+    opened = photograph.open_photograph(
+        arguments.photo, masks, arguments.regions, fit_mask=arguments.fit_mask
+    )
     if len(edit.regions) != opened.count:
         rule = f"{opened.count} regions, as the mask has"
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")

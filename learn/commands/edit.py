@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from learn.commands import editing_options, options
@@ -58,15 +57,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " object, black elsewhere"
         ),
     )
-    parser.add_argument(
-        "--fit-mask",
-        action=argparse.BooleanOptionalAction,
-        help=(
-            "move the mask's edge, by a few pixels at most, to where the object ends according to"
-            " the photograph's colours, or leave it where it is (default: move it if the mask is"
-            " black and white; leave grey edges and transparency)"
-        ),
-    )
+    editing_options.add_fit_mask(parser)
     parser.add_argument(
         "--material",
         nargs="+",
@@ -114,7 +105,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
-    edit_options = replace(editing_options.edit_options(arguments), fit_mask=arguments.fit_mask)
+    edit_options = editing_options.edit_options(arguments)
     report = edit.run(
         arguments.photo,
         masks,

@@ -64,6 +64,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_overwrite(parser)
 
 
+def add_fit_mask(parser: argparse.ArgumentParser, note: str = "") -> None:
+    """Add --fit-mask and --no-fit-mask to a parser; note: what the help says further."""
+    parser.add_argument(
+        "--fit-mask",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "move the edge of a mask, by a few pixels at most, to where the object ends according"
+            " to the photograph's colours, or leave it where it is (default: move it if the mask is"
+            f" black and white; leave grey edges and transparency){note}"
+        ),
+    )
+
+
 def edit_options(arguments: argparse.Namespace) -> EditOptions:
     """Return the EditOptions of parsed arguments. Raises InputError."""
     from learn.data import devices
@@ -90,6 +103,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
         arguments.exposure,
         balance,
         device,
+        arguments.fit_mask,
     )
 
 

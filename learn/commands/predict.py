@@ -44,6 +44,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " picture's transparency is used"
         ),
     )
+    editing_options.add_fit_mask(parser)
     options.add_weights(parser)
     options.add_exposure(parser, "picture")
     options.add_out(parser)
@@ -68,5 +69,6 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.exposure,
         arguments.overwrite,
         devices.choose(arguments.device),
+        arguments.fit_mask,
     )
     print(f"See {arguments.out / 'sheet.png'}")

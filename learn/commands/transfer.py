@@ -51,6 +51,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " picture)"
         ),
     )
+    editing_options.add_fit_mask(parser)
     parser.add_argument(
         "--per-grid",
         type=int,

@@ -34,8 +34,8 @@ class EditOptions:
                network; None: estimated
     balance    "none", "grey", or three factors by which colours are multiplied
     device     where the network, refinement and the layer run, as torch.device takes it
-    fit_mask   whether to fit the mask's edge to the photograph's colours; None: only if the mask is
-               black and white
+    fit_mask   whether to fit the edges of masks to the photographs' colours; None: only those of
+               black and white masks
     """
 
     weights: Path
@@ -53,6 +53,7 @@ class EditOptions:
             "weights": Path(self.weights).name,
             "tolerance": self.tolerance,
             "detail": self.detail,
+            "fit_mask": self.fit_mask,
             "refinement": None if self.settings is None else asdict(self.settings),
         }
 
@@ -217,7 +218,8 @@ def read_label_from_picture(
 
     Its mask is its transparency, or NAME.mask.png in the same folder. The exposure and the factors
     of white balance that a user gave belong to the photograph that is edited. They do not apply to
-    this picture: its exposure is estimated, and its colours are left as they are.
+    this picture: its exposure is estimated, and its colours are left as they are. Whether its
+    mask's edge is fitted, if it has a mask, is as for the photograph.
     """
     beside = region_masks.find_mask_beside(path)
     balance = "grey" if edit_options.balance == "grey" else "none"
@@ -227,6 +229,7 @@ def read_label_from_picture(
         None,
         balance,
         remedy=f"put {path.stem}.mask.png beside it",
+        fit_mask=edit_options.fit_mask if beside else None,
     )
     return decomposition.decompose(opened, network, size, edit_options.settings).label[:1]
 

@@ -145,7 +145,6 @@ def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
         "exposure": decomposed.framed.exposure,
         "white_balance": [float(x) for x in opened.balance],
         "regions": opened.count,
-        "fit_mask": edit_options.fit_mask,
         "mask_fitted": opened.given is not None,
         "refined": (
             None if refined is None else {"before": refined.before, "after": refined.after}

@@ -64,14 +64,16 @@ def run(
     exposure: float | None = None,
     overwrite: bool = False,
     device: str | torch.device = "cpu",
+    fit_mask: bool | None = None,
 ) -> None:
     """Decompose a picture and write all results into the folder `out`.
 
-    Raises  InputError: an unusable picture, mask or weights, or files that are there already
+    fit_mask  whether to fit the mask's edge to the picture; None: only if it is black and white
+    Raises    InputError: an unusable picture, mask or weights, or files that are there already
     """
     out = Path(out)
     outputs.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
-    write(out, compute(image, mask, weights, exposure, device), weights)
+    write(out, compute(image, mask, weights, exposure, device, fit_mask), weights)
 
 
 def compute(
@@ -80,13 +82,15 @@ def compute(
     weights: Path,
     exposure: float | None,
     device: str | torch.device,
+    fit_mask: bool | None = None,
 ) -> PredictedPicture:
     """Return the prediction of a picture, of a dataset's record, or of an example.
 
     Regions are one object here: there is one material.
     """
     network, metadata = checkpoint.load_parts(weights, device)
-    opened = photograph.open_photograph(image, [] if mask is None else [mask], exposure=exposure)
+    masks = [] if mask is None else [mask]
+    opened = photograph.open_photograph(image, masks, exposure=exposure, fit_mask=fit_mask)
     framed = framing.frame_object(
         opened.radiance, opened.mask, metadata["size"], opened.exposure, image, opened.clipped
     )

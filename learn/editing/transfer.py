@@ -6,6 +6,7 @@ the material of picture j; on the diagonal is the picture itself.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,11 +113,15 @@ def run(
     grids, names = transfer_grids.files_of(groups, labels)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
+    if edit_options.fit_mask and not any(masks(path, mask_folder) for path in paths):
+        rule, remedy = "a mask besides the pictures' own transparency", "leave it out"
+        raise InputError("--fit-mask", rule, "none", remedy)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.
+    as_given = replace(edit_options, fit_mask=False)
     for path in (path for group in groups[1:] for path in group):
-        open_with_mask(path, mask_folder, edit_options)
+        open_with_mask(path, mask_folder, as_given)
 
     def of_picture(path: Path) -> np.ndarray:
         photo = open_with_mask(path, mask_folder, edit_options)
@@ -165,14 +170,16 @@ def light_in(decomposed: Decomposition) -> np.ndarray:
 
 
 def open_with_mask(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
-    """Return the Photograph at a path, with its mask."""
+    """Return the Photograph at a path, with its mask; transparency is never fitted."""
+    given = masks(path, mask_folder)
     return photograph.open_photograph(
         path,
-        masks(path, mask_folder),
+        given,
         None,
         edit_options.balance,
         edit_options.exposure,
         remedy=REMEDY,
+        fit_mask=edit_options.fit_mask if given else None,
     )
 
 

@@ -194,6 +194,7 @@ def metadata_of(decompositions: Mapping[Path, Decomposition], name: str) -> list
                 "name": path.stem,
                 "grid": name,
                 "exposure": each.framed.exposure,
+                "mask_fitted": each.photograph.given is not None,
                 "energy": energies,
             }
         )

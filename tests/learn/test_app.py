@@ -413,7 +413,7 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
         np.testing.assert_array_equal(one[others], two[others])
     untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
     np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
-    command = edit_file.command_line(darker, "a.png", [], True, own_weights.EDITING)
+    command = edit_file.command_line(darker, "a.png", [], True, True, own_weights.EDITING)
     assert "--repeat edit.json" in command
 
 
@@ -482,14 +482,15 @@ def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
     default = own_weights.EDITING
-    text = edit_file.command_line(plain, "my cup.png", ["regions.png"], False, default)
+    text = edit_file.command_line(plain, "my cup.png", ["regions.png"], False, True, default)
     assert text == (
         "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"
         " --out edited"
     )
     blend = Edit((Painted(chosen("brass"), chosen("chrome")),))
-    assert "--repeat edit.json" in edit_file.command_line(
-        blend, "a.png", ["mask.png"], True, default
+    text = edit_file.command_line(blend, "a.png", ["mask.png"], True, False, default)
+    assert text == (
+        "brdfactory app a.png --mask mask.png --no-fit-mask --repeat edit.json --out edited"
     )
 
 
@@ -502,7 +503,7 @@ def test_the_command_takes_the_weights_that_decomposed(
     weights = options.weights_file(text)
     second = chosen("chrome") if blended else None
     edit = Edit((Painted(chosen("brass"), second),))
-    line = edit_file.command_line(edit, "a.png", ["mask.png"], True, weights)
+    line = edit_file.command_line(edit, "a.png", ["mask.png"], True, True, weights)
     *_, option, named = shlex.split(line)
     assert option == "--weights" and (named == text or Path(named).is_absolute())
     monkeypatch.chdir("/")
@@ -634,6 +635,84 @@ def test_masks_by_hand_are_fitted_and_written_as_they_were_given(
     regions = tmp_path / "regions.png" if parts == 2 else None
     again = photograph.open_photograph(tmp_path / "sent.png", masks, regions, fit_mask=None)
     np.testing.assert_array_equal(again.regions, opened.regions)
+
+
+def test_without_the_fit_the_masks_edge_stays_in_the_edit_in_saved_work_and_in_the_command(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    session.opened().selection.paint(binary_erosion(disk(), iterations=2), 1)
+    marked = session.opened().selection.labels()
+    decompose(session, refine=False)
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    fitted = session.decomposed()[0].decomposition.photograph.regions
+    assert (fitted != marked).sum() > 20
+
+    session.fit_mask = False
+    made = downloads_of(session)  # of what was decomposed, which is as it was
+    assert "--no-fit-mask" not in made.command and saved_fit(made.work)
+    decompose(session, refine=False)
+    kept = session.decomposed()[0].decomposition.photograph
+    np.testing.assert_array_equal(kept.regions, marked)
+    assert session.edit is not None and session.edit.caption == "brass"  # it goes on
+    made = downloads_of(session)
+    assert "--no-fit-mask" in made.command and not saved_fit(made.work)
+    other = sessions.of("two")
+    other.load_work(made.work)
+    assert other.fit_mask is False
+    decompose(other, refine=False)
+    again = other.decomposed()[0].decomposition.photograph
+    np.testing.assert_array_equal(again.regions, marked)
+
+
+def saved_fit(work: Path) -> bool:
+    """Whether saved work says that the mask's edge is fitted."""
+    with zipfile.ZipFile(work) as archive:
+        return json.loads(archive.read("work.json"))["fit_mask"]
+
+
+def test_saved_work_that_says_nothing_of_the_fit_is_fitted_as_it_was(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
+) -> None:
+    before = downloads_of(saved_by(sessions, tmp_path)).work
+    old = tmp_path / "old.zip"
+    with zipfile.ZipFile(before) as archive, zipfile.ZipFile(old, "w") as written:
+        for name in archive.namelist():
+            data = archive.read(name)
+            if name == "work.json":
+                manifest = json.loads(data)
+                del manifest["fit_mask"]
+                data = json.dumps(manifest).encode()
+            written.writestr(name, data)
+    session = sessions.of("two")
+    session.fit_mask = False
+    session.load_work(old)
+    assert session.fit_mask is True
+
+
+@pytest.mark.parametrize(("option", "is_fitted"), [([], True), (["--no-fit-mask"], False)])
+def test_a_repeated_edit_fits_the_masks_edge_unless_told_not_to(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    option: list[str],
+    is_fitted: bool,
+) -> None:
+    from brdfactory.command_line import run
+
+    monkeypatch.chdir(tmp_path)
+    photo_in(tmp_path)
+    small = binary_erosion(disk(), iterations=2)
+    Image.fromarray(np.where(small, 255, 0).astype(np.uint8)).save("mask.png")
+    edit_file.write(Path("edit.json"), Edit((Painted(chosen("brass")),), hide_background=True))
+    words = ["app", "sent.png", "--mask", "mask.png", "--repeat", "edit.json", "--out", "again"]
+    assert run([*words, "--no-refine", *option]) == 0
+    capsys.readouterr()
+    with Image.open("again/edited.png") as picture:
+        opacity = np.asarray(picture)[..., 3]
+    moved = ((opacity > 127) != small).sum()
+    assert moved > 20 if is_fitted else moved == 0
 
 
 def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
@@ -1193,6 +1272,8 @@ def test_the_command_refuses_what_it_cannot_do(
         (["--repeat", "edit.json", "--out", "x"], "PHOTO"),
         (["--no-refine"], "--no-refine: expected --repeat FILE with it"),
         (["--refine"], "--refine: expected --repeat FILE with it"),
+        (["--no-fit-mask"], "--no-fit-mask: expected --repeat FILE with it"),
+        (["--fit-mask"], "--fit-mask: expected --repeat FILE with it"),
         (["--overwrite"], "--overwrite: expected --repeat FILE with it"),
         ([*REPEATED, "--host", "127.0.0.1"], "--host: expected no --repeat"),
         ([*REPEATED, "--port", "0"], "--port: expected no --repeat"),

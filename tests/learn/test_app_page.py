@@ -780,6 +780,49 @@ def test_the_object_is_marked_by_the_keyboard_alone(served, photo, tmp_path):
         assert not window.run("return document.querySelector('#cross').checkVisibility()")
 
 
+def test_the_fit_of_the_masks_edge_is_switched_off_by_the_keyboard_and_for_later(
+    served, photo, tmp_path
+):
+    tab, space = "\ue004", " "
+    switch = "document.querySelector('#fit input')"
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        walk.point(CUP)
+        assert "Moves the object's edge" in window.run(f"return {switch}.ariaDescription")
+        window.run("document.querySelector('#clear').focus()")
+        window.press(tab)
+        assert window.run(f"return document.activeElement === {switch} && {switch}.checked")
+        window.press(space)
+        window.wait(f"!{switch}.checked")
+        time.sleep(0.5)  # it is sent by itself
+        window.reload()
+        window.wait(f"{switch} && !{switch}.checked")
+        window.wait("!document.querySelector('#decompose').disabled")
+        walk.shot("switched off")
+        window.click("#decompose")
+        walk.wait_for("#shown", "choose a material")
+        window.run(
+            "[...document.querySelectorAll('[role=tab]')]"
+            ".find(e => e.innerText.includes('Download')).click()"
+        )
+        window.wait("document.querySelector('#make')?.checkVisibility()")
+        window.click("#make")
+        walk.wait_for("#made", "The picture is ready")
+        work, command = tmp_path / "work.zip", "document.querySelector('#command textarea').value"
+        (link,) = (link for link in walk.links() if link.endswith("cup-work.zip"))
+        work.write_bytes(urllib.request.urlopen(link, timeout=60).read())
+        assert "--no-fit-mask" in window.run(f"return {command}")
+        assert walk.errors() == []
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        window.wait(f"{switch}.checked")
+        send(walk, "Or open saved work (.zip)", work)
+        walk.wait_for("#shown", "choose a material")
+        assert not window.run(f"return {switch}.checked")
+
+
 def test_nothing_outside_this_computer_is_asked_for(served):
     with Browser() as window:
         window.visit(served)
