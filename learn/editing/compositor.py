@@ -200,7 +200,8 @@ class Compositor:
             self._share = self.coverage
             if photograph.alpha is not None:
                 alpha = framing.cut_square(photograph.alpha, self.decomposition.framed.box)
-                behind = (1 - self.coverage) * fill_from_nearest(alpha, self.coverage < CLEAR)
+                clear = (self.coverage < CLEAR) & self._within()
+                behind = (1 - self.coverage) * fill_from_nearest(alpha, clear)
                 whole = np.where(self.coverage > 0, self.coverage + behind, 1)
                 self._share = (self.coverage / whole).astype(np.float32)
         return self._share
@@ -213,13 +214,16 @@ class Compositor:
         if self._background is None:
             photograph = self.decomposition.photograph
             cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
-            everywhere = np.ones(photograph.radiance.shape[:2], bool)
-            within = framing.cut_square(everywhere, self.decomposition.framed.box)
             if photograph.alpha is None:
-                self._background = background_behind(cut, self.coverage, within)
+                self._background = background_behind(cut, self.coverage, self._within())
             else:
-                self._background = fill_from_near(cut, (self.coverage < CLEAR) & within)
+                self._background = fill_from_near(cut, (self.coverage < CLEAR) & self._within())
         return self._background
+
+    def _within(self) -> np.ndarray:
+        """Return the square's pixels (side, side) bool that the photograph has."""
+        everywhere = np.ones(self.decomposition.photograph.radiance.shape[:2], bool)
+        return framing.cut_square(everywhere, self.decomposition.framed.box)
 
     def own_radiance(self) -> np.ndarray:
         """Return radiance (side, side, 3) of the object in its own materials, rendered once."""

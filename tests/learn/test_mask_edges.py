@@ -1,6 +1,7 @@
 """Fitting a mask's edge to its photograph: what it mends, what it leaves, and when it is done."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -141,17 +142,33 @@ def test_beyond_the_frame_no_background_is_seen(alpha):
     cut_off = TRUE[:, SIZE // 2 :]
     seen = picture(cut_off)
     box = (0, -SIZE // 2, SIZE)
-    compositor = SimpleNamespace(
-        _background=None,
-        coverage=framing.cut_square(cut_off, box),
-        decomposition=SimpleNamespace(
-            photograph=SimpleNamespace(radiance=seen, alpha=alpha), framed=SimpleNamespace(box=box)
-        ),
-    )
-    behind = Compositor.background(compositor)[:, SIZE // 2 :]
+    behind = compositor_of(seen, cut_off, alpha, box).background()[:, SIZE // 2 :]
     soft = (cut_off > 0) & (cut_off < 0.98)
     # the slope of the wall is all that is not known
     np.testing.assert_allclose(behind[soft], picture(np.zeros_like(cut_off))[soft], rtol=0.1)
+
+
+def compositor_of(seen, coverage, alpha, box):
+    """A compositor of a photograph (H, W, 3) that knows nothing but what is behind its object."""
+    result = Compositor.__new__(Compositor)
+    result._background = result._share = None
+    result.coverage = framing.cut_square(coverage, box)
+    read = SimpleNamespace(radiance=seen, alpha=alpha, cut_out=False)
+    result.decomposition = SimpleNamespace(photograph=read, framed=SimpleNamespace(box=box))
+    return result
+
+
+def test_beyond_the_frame_nothing_is_transparent():
+    """An object whose soft edge runs along the frame, in a picture with a transparent corner."""
+    first = int(SIZE / 2 - RADIUS)  # of the columns, at the disc's left end
+    coverage = TRUE[:, first:]
+    alpha = np.ones_like(coverage)
+    alpha[-10:, -10:] = 0
+    compositor = compositor_of(picture(coverage), coverage, alpha, (0, -first, SIZE))
+    share = compositor.share()[:, first:]
+    soft = (coverage > 0) & (coverage < 1)
+    assert soft[:, 0].sum() > 5
+    np.testing.assert_allclose(share[soft], coverage[soft], rtol=1e-6)
 
 
 def shown(coverage):
@@ -251,6 +268,70 @@ def test_the_command_passes_the_choice_on_and_records_it(
     report = json.loads((tmp_path / "out" / "edit.json").read_text())
     assert (report["fit_mask"], report["mask_fitted"]) == (choice, is_fitted)
     capsys.readouterr()
+
+
+CHOICES = [(None, "", True), (False, "--no-fit-mask", False)]
+
+
+@pytest.mark.parametrize(("choice", "option", "is_fitted"), CHOICES)
+@pytest.mark.parametrize("command", ["transfer", "predict", "edit another"])
+def test_masks_of_other_commands_and_of_pictures_of_materials_are_fitted_alike(
+    tmp_path, monkeypatch, capsys, command, choice, option, is_fitted
+):
+    """Each picture is read as `edit` reads its photograph."""
+    read = []
+
+    def open_photograph(*arguments, **named):
+        read.append((Path(arguments[0]).name, opens(*arguments, **named)))
+        return read[-1][1]
+
+    opens = photograph.open_photograph
+    monkeypatch.setattr(photograph, "open_photograph", open_photograph)
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
+    for name in "ab":
+        Image.fromarray(shown(TRUE)).save(tmp_path / f"{name}.png")
+        mask = 255 * DAMAGED["narrow"].astype(np.uint8)
+        Image.fromarray(mask).save(tmp_path / f"{name}.mask.png")
+    a, b, mask = (str(tmp_path / name) for name in ("a.png", "b.png", "a.mask.png"))
+    words = {
+        "transfer": ["transfer", a, b, "--no-refine"],
+        "predict": ["predict", a, "--mask", mask],
+        "edit another": ["edit", a, "--mask", mask, "--material", b, "--no-refine"],
+    }[command]
+    words += ["--out", str(tmp_path / "out"), *([option] if option else [])]
+    assert main("learn", "", COMMANDS, words) == 0
+    capsys.readouterr()
+    assert {name for name, _ in read} == ({"a.png"} if command == "predict" else {"a.png", "b.png"})
+    for _, each in read:
+        assert (each.given is not None) == is_fitted
+        assert error(each.mask) < 0.2 * error(DAMAGED["narrow"]) or not is_fitted
+    if command == "transfer":
+        report = json.loads((tmp_path / "out" / "transfer.json").read_text())
+        assert report["fit_mask"] is choice
+        assert [each["mask_fitted"] for each in report["pictures"]] == [is_fitted, is_fitted]
+
+
+def test_pictures_with_transparency_stay_as_they_are_beside_others_whose_masks_are_fitted(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
+    grey = np.rint(255 * disc(RADIUS - 2)).astype(np.uint8)
+    Image.fromarray(np.dstack([shown(TRUE), grey])).save(tmp_path / "cut.png")
+    Image.fromarray(np.dstack([shown(TRUE), grey])).save(tmp_path / "other.png")
+    Image.fromarray(shown(TRUE)).save(tmp_path / "a.png")
+    Image.fromarray(grey).save(tmp_path / "a.mask.png")
+    words = ["transfer", "--no-refine", "--fit-mask", "--out", str(tmp_path / "out")]
+    cut, other = str(tmp_path / "cut.png"), str(tmp_path / "other.png")
+    assert main("learn", "", COMMANDS, [*words, str(tmp_path / "a.png"), cut]) == 0
+    report = json.loads((tmp_path / "out" / "transfer.json").read_text())
+    fitted = {each["name"]: each["mask_fitted"] for each in report["pictures"]}
+    assert fitted == {"a": True, "cut": False} and report["fit_mask"] is True
+    edit = ["edit", str(tmp_path / "a.png"), "--mask", str(tmp_path / "a.mask.png"), "--fit-mask"]
+    edit += ["--material", cut, "--no-refine", "--out", str(tmp_path / "edit")]
+    assert main("learn", "", COMMANDS, edit) == 0
+    capsys.readouterr()
+    assert main("learn", "", COMMANDS, [*words, "--overwrite", cut, other]) == 1
+    assert "--fit-mask: expected a mask besides the pictures' own" in capsys.readouterr().err
 
 
 def test_a_data_set_has_no_mask_to_fit(tmp_path):

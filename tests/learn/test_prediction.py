@@ -186,7 +186,7 @@ def test_a_dataset_without_records_is_told(weights, tmp_path):
 def test_the_example_is_predicted_as_a_whole_by_the_masks_that_edit_has(weights, tmp_path):
     words = ["predict", "example:espresso-cup", "--weights", str(weights), "--device", "cpu"]
     assert main("learn", "", COMMANDS, [*words, "--out", str(tmp_path)]) == 0
-    seen = photograph.open_photograph("example:espresso-cup")
+    seen = photograph.open_photograph("example:espresso-cup", fit_mask=None)
     assert seen.count == 2
     framed = framing.frame_object(seen.radiance, seen.mask, SIZE)
     assert (shown(tmp_path / "mask.png") > 127).tolist() == framed.mask.tolist()
