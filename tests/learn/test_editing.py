@@ -169,6 +169,29 @@ def test_fine_shading_leaves_a_label_out_and_keeps_what_is_beside_it(monkeypatch
     assert on.max() < 0.03 < 0.1 < beside.mean()
 
 
+@pytest.mark.parametrize("kind", ["clipped", "of another region"])
+def test_fine_shading_of_a_highlight_or_of_another_region_is_kept(kind):
+    """Its colour is as unlike the object's as that of a label."""
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    stripes = np.where((np.arange(SIZE) % 2 == 0)[:, None, None], 1.15, 1 / 1.15).astype(np.float32)
+    place = (slice(40, 56), slice(40, 56))
+    red = radiance[48, 60].mean() * np.array([1, 0.1, 0.1], np.float32)
+    marked = radiance.copy()
+    marked[place] = red
+    marked = marked * stripes
+    regions = inside.astype(np.int64)
+    if kind == "of another region":
+        regions[place] = 2
+    else:
+        marked[(*place, 0)] = 1.0
+    seen = replace(opened(marked, regions, 2.0), linear=False)
+    painter = Compositor(decomposition.decompose(seen, Knowing(label), NETWORK))
+    top, left, _ = painter.decomposition.framed.box
+    log = np.abs(np.log(painter.fine_shading()))[44 - top : 52 - top, 44 - left : 52 - left, 1:]
+    assert log.mean() > 0.1
+
+
 @pytest.mark.parametrize(("times", "grid"), [(1, 256), (8, 567), (16, 1024)])
 def test_objects_are_rendered_at_their_own_size_between_two_limits(times, grid):
     label = label_of("blue-rubber")

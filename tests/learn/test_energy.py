@@ -166,6 +166,69 @@ def test_an_object_of_many_colours_has_no_label():
     assert (label_weights(image, segments, None, 2) == 1).all()
 
 
+def test_a_highlight_beside_a_label_counts_whole():
+    image, segments, _ = labelled()
+    image[9, 10:20] = 1.0  # at the label's upper edge
+    clipped = torch.zeros(image.shape[:2])
+    clipped[9, 10:20] = 1
+    weights = label_weights(image, segments, clipped, 2)
+    assert weights[:12].min() > 0.98 and weights[13:20, 10:20].max() < 0.02
+
+
+def test_many_colours_of_one_region_leave_anothers_label_a_label():
+    image, segments, place = labelled()
+    colours = torch.from_numpy(np.random.default_rng(0).uniform(0.1, 0.9, (2, 8, 3))).float()
+    image[:6] = colours.repeat_interleave(3, 0).repeat_interleave(3, 1)
+    segments[:6] = 2
+    weights = label_weights(image, segments, None, 2)
+    assert (weights[:6] == 1).all() and weights[place].max() < 0.02
+
+
+BLUE = torch.tensor([0.1, 0.3, 0.9])
+
+
+def energy_weights(image, segments, clipped=None):
+    """Weights (P,) that refinement gives the object's pixels, those with segments (H, W) > 0."""
+    batch, start = flat()
+    matte = torch.zeros(1, int(segments.max()), 3, 3, 2, 6, dtype=torch.float64)
+    matte[..., 0, :], matte[..., 1, :] = math.log(0.1), math.log(0.5)
+    shown = replace(
+        batch,
+        image=image.movedim(-1, 0)[None],
+        mask=(segments > 0)[None, None].float(),
+        segments=segments[None],
+        clipped=None if clipped is None else clipped.movedim(-1, 0)[None],
+    )
+    return Energy(shown, replace(start, label=matte.flatten(2)), PHOTOGRAPHS).weights
+
+
+def test_refinement_takes_no_label_from_beyond_the_object_nor_from_another_region():
+    image, segments, _ = labelled()
+    image[10:20, 10:20] = image[0, 0]
+    image[:, :6] = BLUE
+    beyond, other = segments.clone(), segments.clone()
+    beyond[:, :6], other[:, :6] = 0, 2
+    assert energy_weights(image, beyond).min() > 0.95
+    assert energy_weights(image, other).min() > 0.95
+    assert energy_weights(image, segments).min() < 0.05
+
+
+def test_refinement_takes_no_highlight_of_which_one_channel_is_clipped_for_a_label():
+    image, segments, place = labelled()
+    image[place] = BLUE
+    clipped = torch.zeros_like(image)
+    clipped[(*place, 2)] = 1
+    assert energy_weights(image, segments, clipped).min() > 0.95
+    assert energy_weights(image, segments).min() < 0.05
+
+
+def test_labels_of_a_dark_picture_are_those_of_a_bright_one():
+    image, segments, _ = labelled()
+    bright = energy_weights(image, segments)
+    assert bright.min() < 0.1
+    torch.testing.assert_close(energy_weights(1e-3 * image, segments), bright, rtol=1e-3, atol=1e-4)
+
+
 def test_a_label_counts_less_in_the_misfit_of_refinement(monkeypatch):
     batch, start = flat()
     image = batch.image.clone()
