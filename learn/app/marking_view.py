@@ -1,15 +1,20 @@
 """What tab 1 of the page shows of what is marked, and what was drawn there."""
 
 import json
+import math
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from learn.app import overlay
+from learn.app.marked_photograph import THE_PAGE, MarkedPhotograph
 from learn.app.session import NEXT, Session
 from learn.app.superpixels import BACKGROUND
 from manifests.errors import InputError
 
+BRUSH = 12  # pixels of the picture that is marked: width of a line at first
+LEAST_CORNERS, MOST_CORNERS = 3, 1000  # of a line that keys draw around an object
 OPAQUE = 127  # of 255: a stroke covers a pixel where it is more opaque
 
 
@@ -33,19 +38,72 @@ def mark_place(session: Session, number: int, place: str) -> str:
     opened = session.opened()
     try:
         shares, adds = json.loads(place)
-        across, down = map(float, shares)
-        inside = 0 <= across <= 1 and 0 <= down <= 1
-    except (TypeError, ValueError, OverflowError):
-        inside = False
-    if not inside:
-        remedy = "move the cross with the arrow keys"
-        raise InputError("the cross", "a place in the picture", str(place)[:80], remedy)
-    width, height = overlay.size_of(opened.selection, opened.scale)
+    except (TypeError, ValueError):
+        shares, adds = None, True
+    [(across, down)] = _places([shares], place)
     region = max(1, number) if adds else BACKGROUND
-    column, row = min(across * width, width - 1), min(down * height, height - 1)
+    [(column, row)] = _pixels(opened, [(across, down)])
     opened.click(column, row, region)
-    what = {BACKGROUND: "not the object", 1: "the object"}.get(region, f"part {region}")
-    return f"Marked as {what}, {across:.0%} from the left and {down:.0%} from the top."
+    said = f"{across:.0%} from the left and {down:.0%} from the top."
+    return f"Marked as {_name(region)}, {said}"
+
+
+def mark_line(session: Session, number: int, line: str) -> str:
+    """Take a line whose corners the cross set, and return a sentence that says what for.
+
+    number  of the region that clicks mark
+    line    JSON: [[shares of the picture's width and height] of each corner, whether it is closed,
+            around the object]. One that is not closed is paint on the region
+    Raises  InputError
+    """
+    opened = session.opened()
+    try:
+        shares, is_closed = json.loads(line)
+        shares = list(shares)
+    except (TypeError, ValueError):
+        shares, is_closed = [None], False
+    least, count = LEAST_CORNERS if is_closed else 1, len(shares)
+    if not least <= count <= MOST_CORNERS:
+        rule = f"{least} to {MOST_CORNERS} corners"
+        raise InputError(THE_PAGE, rule, f"{count}", f"set {rule} with L")
+    corners = _pixels(opened, _places(shares, line))
+    if is_closed:
+        corners.append(corners[0])
+    drawn = Image.new("1", overlay.size_of(opened.selection, opened.scale))
+    pen = ImageDraw.Draw(drawn)
+    pen.line(corners, 1, BRUSH, "curve")
+    for column, row in corners:
+        pen.circle((column, row), BRUSH / 2, 1)
+    if is_closed:
+        opened.enclose([np.asarray(drawn)], number)
+        return f"Marked what the line encloses as {_name(max(1, number))}: {count} corners."
+    opened.paint([np.asarray(drawn)], number)
+    return f"Painted along the line as {_name(number)}."
+
+
+def _places(shares: list, given: str) -> list[tuple[float, float]]:
+    """Return shares of the picture's width and height as they were sent. Raises InputError."""
+    try:
+        places = [(float(across), float(down)) for across, down in shares]
+    except (TypeError, ValueError, OverflowError):
+        places = [(math.nan, math.nan)]
+    if not all(0 <= share <= 1 for place in places for share in place):
+        remedy = "move the cross with the arrow keys"
+        raise InputError("the cross", "a place in the picture", str(given)[:80], remedy)
+    return places
+
+
+def _pixels(
+    opened: MarkedPhotograph, places: list[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    """Return (column, row) of places on the picture of `overlay`."""
+    width, height = overlay.size_of(opened.selection, opened.scale)
+    return [(min(x * width, width - 1), min(y * height, height - 1)) for x, y in places]
+
+
+def _name(region: int) -> str:
+    """Return a region's name in a sentence."""
+    return {BACKGROUND: "not the object", 1: "the object"}.get(region, f"part {region}")
 
 
 def canvas_of(session: Session) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from learn.app.background_decomposition import Stopped
 from learn.app.download_tab import DownloadTab
 from learn.app.edit_view import first_values
 from learn.app.event_handling import QUIET, SessionOf, one_line, progress_on, read_and_delete
-from learn.app.marking_view import canvas_of, covered_text, mark_place, strokes_of
+from learn.app.marking_view import BRUSH, canvas_of, covered_text, mark_line, mark_place, strokes_of
 from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
@@ -113,6 +113,7 @@ class ObjectTab:
                 gr.HTML('<p id="cross-line" aria-live="polite"></p>')
                 self.place = gr.Textbox(elem_id="place", show_label=False)
                 self.point = gr.Button("Mark what is under the cross", elem_id="point")
+                self.outline = gr.Button("Use the line of the cross", elem_id="outline")
             with gr.Tab("Draw", id="draw") as self.drawing:
                 gr.Markdown(
                     "Draw a line all around the object, or paint over a part of it; then press the"
@@ -133,7 +134,7 @@ class ObjectTab:
                     layers=False,
                     type="numpy",
                     height=520,
-                    brush=gr.Brush(default_size=12, colors=["#ff00ff"], color_mode="fixed"),
+                    brush=gr.Brush(default_size=BRUSH, colors=["#ff00ff"], color_mode="fixed"),
                     elem_id="brush",
                 )
 
@@ -146,14 +147,15 @@ class ObjectTab:
         self.mask.upload(self.take_mask, self.mask, self.marks, **waiting)
         self.regions_file.upload(self.take_regions, self.regions_file, self.marks, **waiting)
         self.marking.select(self.click, self.marked, self.marks, trigger_mode="multiple", **QUIET)
-        self.point.click(
-            self.mark_place,
-            [self.marked, self.place],
-            self.marks,
-            js="number => [number, globalThis.brdfactoryPlace]",
-            trigger_mode="multiple",
-            **QUIET,
-        )
+        for button, mark in ((self.point, self.mark_place), (self.outline, self.mark_line)):
+            button.click(
+                mark,
+                [self.marked, self.place],
+                self.marks,
+                js="number => [number, globalThis.brdfactoryPlace]",
+                trigger_mode="multiple",
+                **QUIET,
+            )
         self.fit.input(self.take_fit, self.fit, None, queue=False, **QUIET)
         drawn = [self.marked, self.brush]
         self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
@@ -233,6 +235,13 @@ class ObjectTab:
         """Mark the place of the cross as region `number`, or as background."""
         session = self.session_of(request)
         said = mark_place(session, int(number), place)
+        return self._marks_of(session, f"{said} {covered_text(session)}")
+
+    @one_line
+    def mark_line(self, number: int, line: str, request: gr.Request) -> tuple[Any, ...]:
+        """Use a line that the cross drew: around region `number`, or as paint on it."""
+        session = self.session_of(request)
+        said = mark_line(session, int(number), line)
         return self._marks_of(session, f"{said} {covered_text(session)}")
 
     @one_line

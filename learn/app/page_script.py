@@ -9,13 +9,18 @@ from learn.app.session import MOST_BYTES
 # - takes a photograph that is dropped on the page or pasted, where a browser would show the file in
 #   place of the page
 # - moves the line between the photograph and its edit with arrow keys
-# - moves a cross over the photograph with arrow keys, and marks where it is
+# - moves a cross over the photograph with arrow keys, marks where it is, and draws lines with it
 # - says aloud what changes; names pictures and what is drawn on
 # - remembers which tab is open, and whether the photograph is being analysed, for the page that is
 #   loaded again
 CROSS_KEYS = (
     "Arrow keys move a cross, with Shift in larger steps. Enter marks what is under it as the"
-    " object, Backspace marks it as background, Control Z undoes the last step."
+    " object, Backspace marks it as background, Control Z undoes the last step. L sets the first"
+    " corner of a line."
+)
+LINE_KEYS = (
+    "L sets another corner, C closes the line around the object, P paints along it. Control Z"
+    " removes the last corner, Escape all of them."
 )
 SCRIPT = """
 () => {
@@ -27,6 +32,7 @@ SCRIPT = """
     setTimeout(() => find('#stayed').click(), 500);
   });
 
+  const corners = [];  // of the line that the cross draws
   const mayReplace = () => !find('#kept figure') ||
     confirm('The pictures that you kept to compare belong to the photograph that is open. They '
       + 'are lost if you open another one. Open another one?');
@@ -34,11 +40,12 @@ SCRIPT = """
     if (event.isTrusted && event.target.closest('#photo, #example, #work') && !mayReplace()) {
       event.preventDefault();
       event.stopImmediatePropagation();
-    }
+    } else if (event.target.closest('#photo, #example, #work')) corners.length = 0;
   }, true);
 
   const give = files => {
     if (!files.length || !isOpen('#step-1') || !mayReplace()) return;
+    corners.length = 0;
     const button = /\\.zip$/i.test(files[0].name) ? 'WORK' : 'PHOTO';
     const input = find(`input[data-testid="${button}-upload-button"]`);
     const one = new DataTransfer();
@@ -108,16 +115,26 @@ SCRIPT = """
     const around = find('#marking').getBoundingClientRect();
     cross.style.left = `${left - around.left + at[0] * width}px`;
     cross.style.top = `${top - around.top + at[1] * height}px`;
+    const onScreen = ([x, y]) => [left - around.left + x * width, top - around.top + y * height];
+    const set = corners.map(onScreen).join(' '), last = corners.slice(-1).map(onScreen);
+    const next = [...last, onScreen(at)].join(' ');
+    find('#cross-path').innerHTML = corners.length ? `<polyline data-part="rim" points="${set}"/>
+      <polyline data-part="core" points="${set}"/><polyline data-part="rim" points="${next}"/>
+      <polyline data-part="next" points="${next}"/>` : '';
   };
   const showCross = () => {
     if (!find('#cross')) {
       const cross = document.createElement('div');
       cross.id = 'cross';
       cross.ariaHidden = 'true';
-      find('#marking').append(cross);
+      const path = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+      path.id = 'cross-path';
+      path.ariaHidden = 'true';
+      find('#marking').append(path, cross);
     }
     drawCross();
     find('#cross').hidden = false;
+    find('#cross-path').style.display = '';
   };
   const placeText = () => {
     const [x, y] = at.map(share => Math.round(100 * share));
@@ -136,7 +153,9 @@ SCRIPT = """
     sayPlace(`${placeText()} CROSS_KEYS`);
   });
   addEventListener('focusout', event => {
-    if (isPicture(event.target) && find('#cross')) find('#cross').hidden = true;
+    if (!isPicture(event.target) || !find('#cross')) return;
+    find('#cross').hidden = true;
+    find('#cross-path').style.display = 'none';
   });
   addEventListener('resize', drawCross);
   addEventListener('keydown', event => {
@@ -145,10 +164,34 @@ SCRIPT = """
     const adds = ['Enter', ' ', '+'].includes(event.key);
     const removes = ['Backspace', 'Delete', '-'].includes(event.key);
     const undoes = event.ctrlKey && event.key === 'z';
-    if (!undoes && (event.ctrlKey || !(adds || removes || move[event.key]))) return;
+    const draws = ['l', 'c', 'p'].find(key => key === event.key.toLowerCase());
+    const leaves = event.key === 'Escape' && corners.length;
+    const known = adds || removes || draws || leaves || move[event.key];
+    if (!undoes && (event.ctrlKey || !known)) return;
     event.preventDefault();
-    if (undoes) return find('#undo').click();
+    if (undoes && !corners.length) return find('#undo').click();
     showCross();
+    if (undoes || leaves) {
+      corners.length = leaves ? 0 : corners.length - 1;
+      drawCross();
+      const left = corners.length === 1 ? '1 corner' : `${corners.length} corners`;
+      return sayPlace(corners.length ? `The line has ${left} now.` : 'The line is removed.');
+    }
+    if (draws === 'l') {
+      corners.push([...at]);
+      drawCross();
+      const keys = corners.length === 1 ? ' LINE_KEYS' : '';
+      return sayPlace(`Corner ${corners.length}. ${placeText()}${keys}`);
+    }
+    if (draws) {
+      const least = draws === 'c' ? 3 : 1;
+      if (corners.length < least)
+        return sayPlace(`Set ${least === 1 ? 'a corner' : 'three corners'} with L first.`);
+      globalThis.brdfactoryPlace = JSON.stringify([corners, draws === 'c']);
+      corners.length = 0;
+      drawCross();
+      return find('#outline').click();
+    }
     if (adds || removes) {
       globalThis.brdfactoryPlace = JSON.stringify([at, adds]);
       return find('#point').click();
@@ -209,6 +252,7 @@ SCRIPT = """
 for name, text in (
     ("CROSS_KEYS", CROSS_KEYS),
     ("FIT_HELP", FIT_HELP),
+    ("LINE_KEYS", LINE_KEYS),
     ("WORK", WORK_BUTTON),
     ("PHOTO", PHOTO_BUTTON),
     ("MEGABYTES", str(MOST_BYTES >> 20)),

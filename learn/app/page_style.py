@@ -35,7 +35,7 @@ label:has(input[type=radio]:focus-visible) {
 #materials .caption, #materials .note {font-size: 11px; line-height: 1.15; text-align: center;
   overflow-wrap: anywhere}
 #materials .note {font-weight: normal}
-#stayed, #point, .form:has(> :is(#key, #place)) {display: none}
+#stayed, #point, #outline, .form:has(> :is(#key, #place)) {display: none}
 /* where arrow keys move: white within black, so that it is seen on any photograph */
 #cross {position: absolute; width: 41px; height: 41px; translate: -50% -50%; z-index: 5;
   pointer-events: none; forced-color-adjust: none;
@@ -44,6 +44,11 @@ label:has(input[type=radio]:focus-visible) {
     linear-gradient(#000, #000) center / 41px 6px no-repeat,
     linear-gradient(#000, #000) center / 6px 41px no-repeat}
 #cross[hidden] {display: none}
+#cross-path {position: absolute; inset: 0; width: 100%; height: 100%; z-index: 4;
+  pointer-events: none; forced-color-adjust: none; fill: none; stroke-linejoin: round}
+#cross-path [data-part=rim] {stroke: #000; stroke-width: 6}
+#cross-path [data-part=core] {stroke: #fff; stroke-width: 2}
+#cross-path [data-part=next] {stroke: #fff; stroke-width: 2; stroke-dasharray: 6}
 #cross-line {min-height: 1.5em; margin: 0}
 /* a message says what did not work; Gradio's own sign would cover the open photograph */
 [data-testid=status-tracker]:has(.error) {display: none !important}

@@ -20,7 +20,7 @@ from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
-from learn.app.marking_view import mark_place
+from learn.app.marking_view import mark_line, mark_place
 from learn.app.opening import display_of
 from learn.app.page_html import without_markup
 from learn.app.selection import MOST_STROKES, Selection, enclosed
@@ -1238,6 +1238,50 @@ def test_a_cross_that_is_nowhere_marks_nothing(sessions: Sessions, tmp_path: Pat
     session.load(photo_in(tmp_path))
     with pytest.raises(InputError, match="a place in the picture"):
         mark_place(session, 1, place)
+
+
+def test_a_line_of_the_cross_is_what_the_brush_draws_along_its_corners(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))  # 120 × 80; the object is a disk about its middle
+    corners = [[0.2, 0.15], [0.6, 0.15], [0.6, 0.85], [0.2, 0.85]]
+    said = mark_line(session, 1, json.dumps([corners, True]))
+    assert said == "Marked what the line encloses as the object: 4 corners."
+    selection = session.opened().selection
+    (line,) = selection.lines
+    rows, columns = np.nonzero(line.inside)
+    # inside a line of 12 of 800 pixels along x = 24 and 72, y = 12 and 68
+    assert (columns.min(), columns.max(), rows.min(), rows.max()) == (25, 70, 13, 66)
+    selection.clear()
+    said = mark_line(session, 2, "[[[0.25, 0.5], [0.5, 0.5]], false]")
+    assert said == "Painted along the line as part 2."
+    (stroke,) = selection.strokes
+    rows, columns = np.nonzero(stroke.covered)
+    assert stroke.region == 2 and set(rows) == {39, 40} and (columns == 30).any()
+    assert "not the object" in mark_line(session, 0, "[[[0.1, 0.1]], false]")  # a dot
+    assert selection.strokes[-1].region == 0 and selection.strokes[-1].covered.sum() >= 2
+
+
+@pytest.mark.parametrize(
+    ("line", "match"),
+    [
+        *((bad, "a place in the picture") for bad in ("", "null", None, "{}", "[3, true]")),
+        ("[[[0.5, 0.5], [1.1, 0]], false]", "a place in the picture"),
+        ("[[[0.5, 0.5], [0.6, 0.5]], true]", "3 to 1000 corners, found 2"),
+        ("[[], false]", "1 to 1000 corners, found 0"),
+        (json.dumps([[[0.5, 0.5]] * 1001, False]), "1 to 1000 corners, found 1001"),
+        ("[[[0.5, 0.5], [0.5, 0.5], [0.5, 0.5]], true]", "a closed line around the object"),
+    ],
+)
+def test_a_line_of_the_cross_without_corners_marks_nothing(
+    sessions: Sessions, tmp_path: Path, line, match
+) -> None:
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    with pytest.raises(InputError, match=match):
+        mark_line(session, 1, line)
+    assert not session.opened().selection.marks
 
 
 def test_a_photograph_of_many_megapixels_is_made_smaller(

@@ -780,6 +780,71 @@ def test_the_object_is_marked_by_the_keyboard_alone(served, photo, tmp_path):
         assert not window.run("return document.querySelector('#cross').checkVisibility()")
 
 
+def test_a_line_is_drawn_around_the_object_by_the_keyboard_alone(served, photo, tmp_path):
+    tab, shift, control, escape = "\ue004", "\ue008", "\ue009", "\ue00c"
+    left, up, right, down = "\ue012", "\ue013", "\ue014", "\ue015"
+    drawn = (
+        "[...document.querySelectorAll('#cross-path polyline')]"
+        ".map(e => [e.dataset.part, e.points.length])"
+    )
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        window.run("document.querySelector('#marking button:has(img)').focus()")
+        window.press(shift + left)  # the cross appears by the keyboard alone
+        walk.wait_for("#cross-line", "Cross at 40% from the left, 50% from the top.")
+        window.press("c")
+        walk.wait_for("#cross-line", "Set three corners with L first.")
+        window.press("p")
+        walk.wait_for("#cross-line", "Set a corner with L first.")
+        window.press(*2 * [shift + left], *3 * [shift + up], "l")
+        walk.wait_for("#cross-line", "Corner 1. Cross at 20% from the left, 20% from the top. L sets")
+        window.press(*6 * [shift + right], "l")
+        walk.wait_for("#cross-line", "Corner 2. Cross at 80% from the left, 20% from the top.")
+        assert "L sets" not in walk.text("#cross-line")
+        window.press(down)
+        sides = [["rim", 2], ["core", 2], ["rim", 2], ["next", 2]]
+        assert window.run(f"return {drawn}") == sides
+        place = window.run(
+            "const i = document.querySelector('#marking img').getBoundingClientRect();"
+            "const s = document.querySelector('#cross-path').getBoundingClientRect();"
+            "const p = document.querySelector('#cross-path [data-part=core]').points;"
+            "const w = Math.min(i.width, 1.5 * i.height), h = w / 1.5;"  # of 3 to 2
+            "return [...p].map(q => [(s.left + q.x - i.left - (i.width - w) / 2) / w,"
+            " (s.top + q.y - i.top - (i.height - h) / 2) / h])"
+        )
+        np.testing.assert_allclose(place, [[0.2, 0.2], [0.8, 0.2]], atol=0.005)
+        walk.shot("line")
+        window.press(control + "z")
+        walk.wait_for("#cross-line", "The line has 1 corner now.")
+        window.press(escape)
+        walk.wait_for("#cross-line", "The line is removed.")
+        assert window.run(f"return {drawn}") == []
+
+        window.press(*3 * [up], "l", *6 * [shift + down], "L", *6 * [shift + left], "l", "c")
+        walk.wait_for("#status", "Marked what the line encloses as the object: 3 corners.")
+        assert "covers" in walk.text("#status") and window.run(f"return {drawn}") == []
+        assert window.run("return document.activeElement.matches('#marking button:has(img)')")
+        walk.shot("enclosed")
+        before = walk.text("#status")
+        window.press("l", shift + up, "p")
+        walk.wait_for("#status", "Painted along the line as the object.")
+        window.press(control + "z")
+        window.wait("!document.querySelector('#status').innerText.includes('Painted')")
+        after = walk.text("#status")
+        assert after.startswith("The coloured object covers") and before.endswith(after)
+        window.press("l")
+        window.press(tab)
+        assert not window.run("return document.querySelector('#cross-path').checkVisibility()")
+        window.click("#example")  # another photograph, to which the line does not belong
+        walk.wait_for("#status", "The example is marked already")
+        window.run("document.querySelector('#marking button:has(img)').focus()")
+        window.press(control + "z")
+        walk.wait_for("#status", "Nothing is left to undo.")
+        assert window.run(f"return {drawn}") == [] and walk.errors() == []
+
+
 def test_the_fit_of_the_masks_edge_is_switched_off_by_the_keyboard_and_for_later(
     served, photo, tmp_path
 ):
