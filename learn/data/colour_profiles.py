@@ -1,7 +1,8 @@
 """Converts pictures with a colour profile, such as the Display P3 of phones, to sRGB.
 
 Programs that show pictures do the same. Without it, colours of profiles with a wide gamut would be
-read too dull. Profiles that cannot be read, and those of 16-bit greys, are ignored.
+read too dull. Profiles that cannot be read, and those of 16-bit greys, are ignored. Pictures in the
+curves of HDR screens are converted by learn.data.hdr_curves.
 """
 
 import io
@@ -9,27 +10,20 @@ import io
 import numpy as np
 from PIL import Image, ImageCms
 
+from learn.data import hdr_curves
+from learn.data.hdr_curves import SRGB_FROM_P3
 from shaders import tone
 
 # Greys, primary colours and mixtures: a profile that leaves them as they are is sRGB already
 PROBES = np.stack(np.meshgrid(*3 * [[0, 64, 128, 192, 255]]), -1).reshape(1, -1, 3).astype(np.uint8)
 LEAST_DIFFERENCE = 2  # of 255: profiles of sRGB differ by rounding
 MOST_BYTES = 16 << 20  # of a profile; those of printers have some megabytes
-# H.273's number of Display P3, by which HEIC can name it in place of a profile
-P3_PRIMARIES = 12
-# linear sRGB from linear Display P3: from the primary colours of SMPTE EG 432-1 and ITU-R BT.709,
-# both with D65 as their white
-SRGB_FROM_P3 = np.array(
-    [
-        [1.2249402, -0.2249402, 0.0],
-        [-0.0420569, 1.0420569, 0.0],
-        [-0.0196376, -0.0786361, 1.0982735],
-    ]
-)
 
 
 def to_srgb(picture: Image.Image) -> Image.Image:
     """Return a Pillow image in sRGB: the same one if it has no profile, or one of sRGB."""
+    if (named := hdr_curves.curve_of(picture)) is not None:
+        return hdr_curves.to_srgb(picture, *named)
     data = picture.info.get("icc_profile")
     if not data and _names_p3(picture):
         return _from_p3(picture)
@@ -78,7 +72,7 @@ def _names_p3(picture):
     named = picture.info.get("nclx_profile")
     return (
         isinstance(named, dict)
-        and named.get("color_primaries") == P3_PRIMARIES
+        and named.get("color_primaries") == hdr_curves.P3
         and picture.mode in ("RGB", "RGBA")
     )
 

@@ -82,6 +82,79 @@ def test_display_p3_of_a_heic_is_converted(tmp_path, how):
     np.testing.assert_allclose(shown[20, 30], P3_RED, atol=4)
 
 
+# Signals in per cent, by ITU-R BT.2408's tables of luminance in cd/m² on a screen of 1,000: of a
+# grey card, and of white paper
+HDR_GREYS = {16: [(38, 26), (58, 203)], 18: [(38, 26), (75, 203)]}
+
+
+def in_hdr(folder, kind, values, primaries, curve):
+    """A file whose values (H, W, 3) uint8 are signals of HDR: a HEIC, or a PNG with a profile."""
+    if kind == "png":
+        path = folder / "photo.png"
+        profile = icc.profile(numbers=(primaries, curve, 0, 1))
+        Image.fromarray(values).save(path, icc_profile=profile)
+        return path
+    named = {"color_primaries": primaries, "transfer_characteristics": curve}
+    return write_heic(folder / "photo.heic", values, matrix_coefficients=6, **named)
+
+
+@pytest.mark.parametrize("kind", ["heic", "png"])
+@pytest.mark.parametrize("curve", HDR_GREYS)
+def test_greys_of_hdr_curves_are_as_bright_as_their_standard_says(tmp_path, kind, curve):
+    """White paper is white, and what is brighter than paper is clipped."""
+    values = np.zeros((*SIZE, 3), np.uint8)
+    values[:, 40:] = 255
+    for place, (per_cent, _) in zip((np.s_[:, :20], np.s_[:, 20:40]), HDR_GREYS[curve], strict=True):
+        values[place] = round(2.55 * per_cent)
+    radiance, _ = photographs.read_pixels(in_hdr(tmp_path, kind, values, 9, curve))
+    for column, (_, luminance) in zip((10, 30), HDR_GREYS[curve], strict=True):
+        # half a step of 8 bits is 2 to 3 % of luminance, and the tables round to 1 %
+        np.testing.assert_allclose(radiance[20, column], luminance / 203, rtol=0.06)
+    assert (radiance[20, 50] == 1).all()
+
+
+def rec2020_of(srgb, curve):
+    """Signals (3,) of a colour of sRGB's display values: by the definitions of both, backwards."""
+    light = np.array(
+        [[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]]
+    ) @ tone.linear_from_srgb(np.array(srgb) / 255)
+    if curve == 16:
+        root = (light * 203 / 10_000) ** 0.1593017578125
+        signal = ((0.8359375 + 18.8515625 * root) / (1 + 18.6875 * root)) ** 78.84375
+    else:
+        shown = light * 0.203  # on a screen of 1,000 cd/m²
+        luminance = shown @ [0.2627, 0.6780, 0.0593]
+        scene = shown * luminance ** (1 / 1.2 - 1)
+        logarithmic = 0.17883277 * np.log(np.maximum(12 * scene - 0.28466892, 1e-9)) + 0.55991073
+        signal = np.where(scene <= 1 / 12, np.sqrt(3 * scene), logarithmic)
+    return np.rint(255 * signal).astype(np.uint8)
+
+
+@pytest.mark.parametrize("kind", ["heic", "png"])
+@pytest.mark.parametrize("curve", HDR_GREYS)
+def test_colours_of_hdr_curves_are_converted(tmp_path, kind, curve):
+    values = np.full((*SIZE, 3), rec2020_of(RED, curve), np.uint8)
+    shown = display(in_hdr(tmp_path, kind, values, 9, curve))
+    np.testing.assert_allclose(shown[20, 30], RED, atol=5)  # steps of HDR's signal are coarse
+    values = np.full((*SIZE, 4), (*rec2020_of(GREY, curve), 70), np.uint8)
+    path = tmp_path / "grey.png"
+    for primaries in (1, 12):  # of the same white
+        profile = icc.profile(numbers=(primaries, curve, 0, 1))
+        Image.fromarray(values).save(path, icc_profile=profile)
+        radiance, alpha = photographs.read_pixels(path)
+        np.testing.assert_allclose(255 * tone.srgb(radiance[20, 30]), GREY, atol=2)
+        np.testing.assert_allclose(255 * alpha[20, 30], 70)
+    red = np.full((*SIZE, 3), (120, 40, 40), np.uint8)
+    narrow, wide = (display(in_hdr(tmp_path, kind, red, p, curve))[20, 30] for p in (1, 12))
+    assert wide[0] > narrow[0] + 2 and wide[1] < narrow[1] - 2
+
+
+def test_a_profile_whose_numbers_are_those_of_display_p3_is_read_as_a_profile(tmp_path):
+    path = tmp_path / "photo.png"
+    Image.new("RGB", (16, 16), RED).save(path, icc_profile=icc.profile(numbers=(12, 13, 0, 1)))
+    np.testing.assert_allclose(display(path)[8, 8], P3_RED, atol=3)
+
+
 def test_a_heic_without_the_package_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     path = tmp_path / "IMG_0001.HEIC"

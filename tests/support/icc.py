@@ -12,8 +12,8 @@ DISPLAY_P3 = (
 D50 = (0.9642, 1.0, 0.8249)
 
 
-def profile(primaries=DISPLAY_P3) -> bytes:
-    """Return a profile of a screen with these primary colours."""
+def profile(primaries=DISPLAY_P3, numbers=None) -> bytes:
+    """Return a profile of a screen with these primary colours; numbers: four of H.273, or None."""
     curve = b"para" + bytes(4) + struct.pack(">HH", 3, 0)
     curve += b"".join(map(_fixed, (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)))
     text = "Test".encode("utf-16-be")
@@ -22,6 +22,8 @@ def profile(primaries=DISPLAY_P3) -> bytes:
     for letter, color in zip(b"rgb", primaries, strict=True):
         tags[bytes([letter]) + b"XYZ"] = _xyz(color)
         tags[bytes([letter]) + b"TRC"] = curve
+    if numbers is not None:
+        tags[b"cicp"] = b"cicp" + bytes(4) + bytes(numbers)
     table, body = struct.pack(">I", len(tags)), b""
     start = 128 + 4 + 12 * len(tags)
     for key, data in tags.items():
