@@ -13,7 +13,7 @@ from brdfactory import rendering
 from brdfactory.materials import Material, material
 from brdfactory.pictures import Picture
 from learn.commands.options import EDITING_WEIGHTS, weights_file
-from learn.data import devices
+from learn.data import devices, photographs
 from learn.data.devices import to_numpy
 from learn.editing import decomposition as decomposing
 from learn.editing import drawing, photograph
@@ -23,6 +23,7 @@ from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
+from manifests import notices
 from manifests.errors import InputError
 from manifests.wording import number_of
 from shaders import tone
@@ -185,9 +186,11 @@ def decompose(
     """Return the decomposition of a photograph into normals, light and material.
 
     photo          a file; "example:espresso-cup"; or an array (H, W, 3 or 4): uint8 display values,
-                   or floats of linear radiance
+                   or floats of linear radiance. More than 25 megapixels are made smaller, except
+                   radiance
     mask           a file that is white on the object, or an array (H, W): bool, uint8, or floats in
-                   [0, 1]; None: the photograph's transparency
+                   [0, 1]; of the photograph's size or of the edit's. None: the photograph's
+                   transparency
     regions        a file or an array (H, W) with one value for each region, 0 outside; None: one
     fit_mask       whether to move the mask's edge, by a few pixels at most, to where the object
                    ends according to the photograph's colours; None: only if the mask is black
@@ -270,7 +273,12 @@ def _open_photograph(
         raise InputError("photo", "a file or an array", "None", "give the photograph")
     if isinstance(picture, Path):
         picture = photograph.resolve_example(picture, [], None)[0]
-    return photograph.from_arrays(picture, covered, parted, balance, exposure, fit_mask=fit_mask)
+    opened = photograph.from_arrays(picture, covered, parted, balance, exposure, fit_mask=fit_mask)
+    if isinstance(picture, Path) and (
+        line := photographs.reduction(picture, opened.radiance.shape[:2])
+    ):
+        notices.notice(f"{picture}: {line}")
+    return opened
 
 
 def _device(given: str | torch.device) -> torch.device:

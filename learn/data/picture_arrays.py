@@ -2,9 +2,14 @@
 
 What they mean follows from their type: whole numbers are display values, as a file of 8 bits has
 them, and floats are linear radiance, as an EXR has it. Results are those of learn.data.photographs.
+As files are, display values are made smaller, and masks and regions with them
+(learn.data.picture_decoding); radiance is not.
 """
 
 import numpy as np
+from PIL import Image
+
+from learn.data import picture_decoding
 
 from learn.data.photographs import (
     LARGEST_RADIANCE,
@@ -12,10 +17,9 @@ from learn.data.photographs import (
     MOST_REGIONS,
     require_object,
 )
+from manifests import exr, notices
 from manifests.errors import InputError
 from shaders import tone
-
-MOST_PIXELS = 64_000_000
 
 
 def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -34,9 +38,12 @@ def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarra
     if not shaped or not (linear or values.dtype == np.uint8):
         remedy = "convert it: numpy.asarray(PIL.Image.open(FILE).convert('RGB'))"
         raise InputError(where, rule, result, remedy)
-    if values.shape[0] * values.shape[1] > MOST_PIXELS:
-        rule = f"at most {MOST_PIXELS // 10**6} million pixels"
-        raise InputError(where, rule, f"{values.shape[1]} × {values.shape[0]}", "make it smaller")
+    height, width = values.shape[:2]
+    # as of an EXR, and of a PNG in colour without and with transparency
+    most = exr.MAX_PIXELS if linear else picture_decoding.MOST_DECODED // (4 * values.shape[2] - 8)
+    if height * width > most:
+        rule = f"at most {most / 1e6:.3g} megapixels"
+        raise InputError(where, rule, f"{width} × {height}", "make it smaller")
     if linear:
         values = values.astype(np.float32)
         if not (values.min() >= 0 and values.max() <= LARGEST_RADIANCE):
@@ -45,6 +52,9 @@ def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarra
             raise InputError(where, rule, result, "check for NaN, infinity and negative values")
         radiance, alpha = values[..., :3], values[..., 3:].clip(0, 1)
     else:
+        values = _reduce(values, Image.Resampling.BOX)
+        if line := picture_decoding.describe_reduction((width, height), values.shape[:2]):
+            notices.notice(f"{where}: {line}")
         table = tone.linear_from_srgb(np.arange(256) / 255).astype(np.float32)
         radiance, alpha = table[values[..., :3]], values[..., 3:].astype(np.float32) / 255
     if not alpha.size:
@@ -82,23 +92,43 @@ def read_coverage(
 def read_regions(regions: np.ndarray, size: tuple[int, ...], where: str) -> np.ndarray:
     """Return regions (H, W) uint8: 0 background, 1 … S by rising value. Raises InputError."""
     values = np.asarray(regions)
-    if values.dtype.kind not in "biu" or values.shape != tuple(size):
-        rule = f"an array {tuple(size)} of whole numbers, one for each region"
-        result = f"{values.dtype} of shape {values.shape}"
+    rule = f"an array {tuple(size)} of whole numbers, one for each region"
+    result = f"{values.dtype} of shape {values.shape}"
+    if values.dtype.kind not in "biu" or values.ndim != 2:
         raise InputError(f"{where}: regions", rule, result, "0 is background")
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
         rule = f"1 to {MOST_REGIONS} values besides 0"
         raise InputError(f"{where}: regions", rule, f"{len(levels)}", "0 is background")
-    return np.searchsorted([0, *levels], values).astype(np.uint8)
+    labels = np.searchsorted([0, *levels], values).astype(np.uint8)
+    if labels.shape != tuple(size):
+        labels = _reduce(labels, Image.Resampling.NEAREST)
+    if labels.shape != tuple(size):
+        raise InputError(f"{where}: regions", rule, result, "0 is background")
+    return labels
 
 
 def _shares(mask, size, where):
     """A mask's coverage (H, W) float32."""
     rule = f"an array {tuple(size)} of bool, of uint8, or of floats from 0 to 1"
     remedy = "it must have the picture's height and width"
-    if mask.shape != tuple(size) or (mask.dtype.kind not in "bf" and mask.dtype != np.uint8):
-        raise InputError(where, rule, f"{mask.dtype} of shape {mask.shape}", remedy)
+    result = f"{mask.dtype} of shape {mask.shape}"
+    if mask.ndim != 2 or not mask.size or (mask.dtype.kind not in "bf" and mask.dtype != np.uint8):
+        raise InputError(where, rule, result, remedy)
     if mask.dtype.kind == "f" and not (mask.min() >= 0 and mask.max() <= 1):
         raise InputError(where, rule, f"{mask.min():g} to {mask.max():g}", "divide it by 255")
-    return mask.astype(np.float32) / (255 if mask.dtype == np.uint8 else 1)
+    shares = mask.astype(np.float32) / (255 if mask.dtype == np.uint8 else 1)
+    if shares.shape != tuple(size):
+        shares = _reduce(shares, Image.Resampling.BOX)
+    if shares.shape != tuple(size):
+        raise InputError(where, rule, result, remedy)
+    return shares
+
+
+def _reduce(values: np.ndarray, resampling: Image.Resampling) -> np.ndarray:
+    """Return an array (H, W) or (H, W, C) with as many pixels as a file's picture may have."""
+    whole = values.shape[0] * values.shape[1]
+    if not whole or whole <= picture_decoding.MOST_PIXELS:
+        return values
+    picture = Image.fromarray(np.ascontiguousarray(values))
+    return np.asarray(picture_decoding.reduce_size(picture, resampling))

@@ -80,7 +80,7 @@ def decode(path: str | Path, values_of: Callable[[Image.Image], np.ndarray]) -> 
     """
 
     def values(opened: Image.Image) -> np.ndarray:
-        converted = colour_profiles.to_srgb(_reduced(opened, Image.Resampling.BOX))
+        converted = colour_profiles.to_srgb(reduce_size(opened, Image.Resampling.BOX))
         return values_of(_upright(converted, opened))
 
     return _opened(path, values)
@@ -93,7 +93,7 @@ def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarra
     """
 
     def values(opened: Image.Image) -> np.ndarray:
-        return values_of(_upright(_reduced(opened, Image.Resampling.NEAREST), opened))
+        return values_of(_upright(reduce_size(opened, Image.Resampling.NEAREST), opened))
 
     return _opened(path, values, is_mixed=False)
 
@@ -106,18 +106,26 @@ def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
     """
 
     def sentence(opened: Image.Image) -> str | None:
-        full, divisor = opened.size, _divisor(opened.size)
-        if divisor == 1:
-            return None
-        if _quotients(full, divisor) != (size[1], size[0]):  # it was turned
-            full = full[::-1]
-        return (
-            f"the photograph has {full[0]} × {full[1]} pixels, more than"
-            f" {MOST_PIXELS / 1e6:g} megapixels, and is read at 1/{divisor} of its width and"
-            f" height: the edit has {size[1]} × {size[0]} pixels"
-        )
+        return describe_reduction(opened.size, size)
 
     return _opened(path, sentence)
+
+
+def describe_reduction(full: tuple[int, int], size: tuple[int, ...]) -> str | None:
+    """Return a sentence that says that a picture was made smaller, None if it was not.
+
+    full  width and height that it had; size: (H, W) that it has now, perhaps turned
+    """
+    divisor = _divisor(full)
+    if divisor == 1:
+        return None
+    if _quotients(full, divisor) != (size[1], size[0]):
+        full = full[::-1]
+    return (
+        f"the photograph has {full[0]} × {full[1]} pixels, more than"
+        f" {MOST_PIXELS / 1e6:g} megapixels, and is read at 1/{divisor} of its width and"
+        f" height: the edit has {size[1]} × {size[0]} pixels"
+    )
 
 
 def _opened(path, function, is_mixed=True):
@@ -249,8 +257,8 @@ def _quotients(size, divisor):
     return tuple(math.ceil(side / divisor) for side in size)
 
 
-def _reduced(picture, resampling):
-    """The picture, loaded, with MOST_PIXELS at most."""
+def reduce_size(picture: Image.Image, resampling: Image.Resampling) -> Image.Image:
+    """Return a Pillow image, loaded, with MOST_PIXELS at most."""
     divisor = _divisor(picture.size)
     size = _quotients(picture.size, divisor)
     if divisor > 1 and picture.format in ("JPEG", "MPO"):

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from brdfactory import editing
 from learn.data import photographs, picture_decoding
 from learn.editing import photograph
+from manifests import exr
 from manifests.errors import InputError
 from shaders import tone
 from tests.support import icc
@@ -136,6 +138,10 @@ def test_colours_of_hdr_curves_are_converted(tmp_path, kind, curve):
     values = np.full((*SIZE, 3), rec2020_of(RED, curve), np.uint8)
     shown = display(in_hdr(tmp_path, kind, values, 9, curve))
     np.testing.assert_allclose(shown[20, 30], RED, atol=5)  # steps of HDR's signal are coarse
+    if kind == "png":  # whose colours the file keeps; a blue has least luminance for its light
+        values = np.full((*SIZE, 3), rec2020_of((20, 20, 250), curve), np.uint8)
+        shown = display(in_hdr(tmp_path, kind, values, 9, curve))
+        np.testing.assert_allclose(shown[20, 30, 2], 250, atol=2)
     values = np.full((*SIZE, 4), (*rec2020_of(GREY, curve), 70), np.uint8)
     path = tmp_path / "grey.png"
     for primaries in (1, 12):  # of the same white
@@ -147,6 +153,13 @@ def test_colours_of_hdr_curves_are_converted(tmp_path, kind, curve):
     red = np.full((*SIZE, 3), (120, 40, 40), np.uint8)
     narrow, wide = (display(in_hdr(tmp_path, kind, red, p, curve))[20, 30] for p in (1, 12))
     assert wide[0] > narrow[0] + 2 and wide[1] < narrow[1] - 2
+
+
+def test_a_profile_that_ends_within_its_numbers_is_read_without_them(tmp_path):
+    path = tmp_path / "photo.png"
+    profile = icc.profile(numbers=(9, 16, 0, 1))
+    Image.new("RGB", (16, 16), RED).save(path, icc_profile=profile[:-4])
+    np.testing.assert_allclose(display(path)[8, 8], P3_RED, atol=3)
 
 
 def test_a_profile_whose_numbers_are_those_of_display_p3_is_read_as_a_profile(tmp_path):
@@ -367,6 +380,70 @@ def test_a_png_that_promises_too_much_is_refused_by_its_header(tmp_path, side):
     expected = rf"at most {160 if side < 20_000 else 179} megapixels.*\(make it smaller"
     with pytest.raises(InputError, match=expected):
         photographs.read_pixels(path)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_an_array_is_made_smaller_as_its_file_is(tmp_path, monkeypatch, capsys, channels):
+    """With its mask and its regions, of the full size or of the reduced one."""
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 600)
+    path = tmp_path / "photo.png"
+    values = np.random.default_rng(0).integers(0, 256, (*SIZE, channels), np.uint8)
+    values[..., 3:] |= 128
+    mask = np.zeros(SIZE, np.uint8)
+    mask[9:31, 11:50] = 255  # of which a border is half covered
+    Image.fromarray(values).save(path)
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    file = photograph.open_photograph(path, [tmp_path / "mask.png"])
+    said = capsys.readouterr().err
+    assert file.radiance.shape == (20, 30, 3) and "is read at 1/2 of its width and height" in said
+    small = file.coverage
+    for given in (mask, mask > 0, mask / 255, small, tmp_path / "mask.png"):
+        array = photograph.from_arrays(values, given, name=str(path))
+        assert capsys.readouterr().err == said
+        np.testing.assert_array_equal(array.radiance, file.radiance)
+        assert (array.alpha is None) == (channels == 3)
+        if channels == 4:
+            np.testing.assert_array_equal(array.alpha, file.alpha)
+        # a half is 128 of 255 in a file
+        np.testing.assert_allclose(array.coverage, small, atol=0.002)
+    for given in (mask, small):  # of a file with an array
+        array = editing._open_photograph(str(path), given, None, "none", None, False)
+        assert capsys.readouterr().err == said
+        np.testing.assert_allclose(array.coverage, small, atol=0.002)
+    regions = np.zeros(SIZE, np.int64)
+    regions[10:30, 12:30], regions[10:30, 30:50] = 5, 900
+    for given in (regions, regions[::2, ::2]):
+        array = photograph.from_arrays(values, None, given, name=str(path))
+        assert (array.regions == np.searchsorted([0, 5, 900], regions[::2, ::2])).all()
+    with pytest.raises(InputError, match=r"mask: expected an array \(20, 30\) of bool"):
+        photograph.from_arrays(values, mask[:-2])
+    with pytest.raises(InputError, match=r"regions: expected an array \(20, 30\) of whole"):
+        photograph.from_arrays(values, None, regions[:-2])
+
+
+def test_radiance_is_not_made_smaller_and_is_bounded_as_an_exr(monkeypatch):
+    monkeypatch.setattr(picture_decoding, "MOST_PIXELS", 600)
+    mask = np.zeros(SIZE, bool)
+    mask[9:31, 11:50] = True
+    radiance = np.full((*SIZE, 3), 0.2)
+    assert photograph.from_arrays(radiance, mask).radiance.shape == (*SIZE, 3)
+    monkeypatch.setattr(exr, "MAX_PIXELS", 2_399)
+    with pytest.raises(InputError, match="megapixels, found 60 × 40"):
+        photograph.from_arrays(radiance, mask)
+
+
+@pytest.mark.parametrize(("channels", "each"), [(3, 4), (4, 8)])
+def test_an_array_is_bounded_as_its_file_is(tmp_path, monkeypatch, channels, each):
+    values, path = np.full((*SIZE, channels), 128, np.uint8), tmp_path / "photo.png"
+    Image.fromarray(values).save(path)
+    for room in (0, -1):
+        monkeypatch.setattr(picture_decoding, "MOST_DECODED", each * SIZE[0] * SIZE[1] + room)
+        for given in (values, path):
+            if not room:
+                assert photograph.from_arrays(given, np.ones(SIZE, bool)).count == 1
+                continue
+            with pytest.raises(InputError, match="megapixels.*found 60 × 40"):
+                photograph.from_arrays(given, np.ones(SIZE, bool))
 
 
 @pytest.mark.parametrize("mode", ["P", "RGBA", "LA", "I;16"])
