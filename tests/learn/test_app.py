@@ -1250,6 +1250,10 @@ def test_a_line_of_the_cross_is_what_the_brush_draws_along_its_corners(
     assert said == "Marked what the line encloses as the object: 4 corners."
     selection = session.opened().selection
     (line,) = selection.lines
+    assert line.region == 1
+    for number, region in ((3, 3), (0, 1)):
+        mark_line(session, number, json.dumps([corners, True]))
+        assert selection.lines[-1].region == region
     rows, columns = np.nonzero(line.inside)
     # inside a line of 12 of 800 pixels along x = 24 and 72, y = 12 and 68
     assert (columns.min(), columns.max(), rows.min(), rows.max()) == (25, 70, 13, 66)
