@@ -23,6 +23,7 @@ from learn.layer import predictions
 from learn.metrics.pictures import display_l2
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Coded
+from learn.primitives import PRIMITIVES
 from manifests import notices
 from manifests.errors import InputError
 from manifests.wording import number_of
@@ -160,6 +161,7 @@ class Options(TypedDict, total=False):
 
     regions: PictureSource | None
     fit_mask: bool | None
+    shape: str | None
     refine: bool
     refinement_method: str | None
     detail: float
@@ -175,6 +177,7 @@ def decompose(
     *,
     regions: PictureSource | None = None,
     fit_mask: bool | None = None,
+    shape: str | None = None,
     refine: bool = True,
     refinement_method: str | None = None,
     detail: float = KEPT,
@@ -195,6 +198,8 @@ def decompose(
     fit_mask       whether to move the mask's edge, by a few pixels at most, to where the object
                    ends according to the photograph's colours; None: only if the mask is black
                    and white
+    shape          "box", "cylinder", "ball" or "flat", if the object is one: its normals are then
+                   not guessed, but follow from its outline; None: guessed by the network
     refine         whether to adjust the prediction until its rendering looks like the photograph
     refinement_method  how refinement renders: "auto" (also None) sums over the light map's texels;
                    "quadrature" integrates, which is more accurate for narrow highlights and slower
@@ -216,12 +221,15 @@ def decompose(
     settings = refinement_of_photographs(refine, refinement_method, "refinement_method")
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
+    shapes = ", ".join(PRIMITIVES)
+    check("shape", shape is None or shape in PRIMITIVES, f"{shapes}, or None", shape)
     chosen = _device(device)
     opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure, fit_mask)
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))
-    return Decomposition(opened, decomposing.decompose(opened, network, size, settings), detail)
+    decomposed = decomposing.decompose(opened, network, size, settings, shape=shape)
+    return Decomposition(opened, decomposed, detail)
 
 
 def edit(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from learn.commands import editing_options, options
+from learn.primitives import PRIMITIVES
 from manifests import other_threads
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
@@ -13,7 +15,10 @@ from manifests.help_format import HelpFormatter
 EPILOG = """examples:
   python -m learn edit photo.jpg --mask mask.png --material brass red-fabric --out edited
   python -m learn edit cut-out.png --material other-photo.png --out edited
-  python -m learn edit example:espresso-cup --material dark-blue-paint+keep --out cup"""
+  python -m learn edit example:espresso-cup --material dark-blue-paint+keep --out cup
+  python -m learn edit carton.jpg --mask mask.png --shape box --material walnut --out carton"""
+
+LEAST_OVERLAP = 0.9  # of the fitted outline and the mask, below which a line warns
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -58,6 +63,15 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     editing_options.add_fit_mask(parser)
+    parser.add_argument(
+        "--shape",
+        choices=PRIMITIVES,
+        help=(
+            "what the object is, if it is one of these; a truncated cone counts as a cylinder. Its"
+            " normals then follow from its outline, and a print on it is not taken for relief"
+            " (default: the network guesses the normals)"
+        ),
+    )
     parser.add_argument(
         "--material",
         nargs="+",
@@ -105,7 +119,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
-    edit_options = editing_options.edit_options(arguments)
+    edit_options = replace(editing_options.edit_options(arguments), shape=arguments.shape)
     report = edit.run(
         arguments.photo,
         masks,
@@ -121,6 +135,12 @@ def run(arguments: argparse.Namespace) -> None:
         print(
             f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the"
             " frame, against the rendered truth"
+        )
+    overlap = report["shape_overlap"]
+    if overlap is not None and overlap < LEAST_OVERLAP:
+        print(
+            f"The outline of a {arguments.shape} overlaps the mask by only {overlap:.0%}: if edits"
+            " look wrong, correct the mask, or leave --shape out"
         )
     print(f"See {arguments.out / 'sheet.png'}")
     if arguments.interactive:

@@ -18,6 +18,7 @@ from learn.editing import exposure, light_colour
 from learn.editing.photograph import Photograph
 from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks.prediction import Prediction
+from learn.primitives.fitting import PrimitiveFit, fit_primitive
 from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
@@ -47,6 +48,7 @@ class Decomposition:
     batch    the same as a batch of one picture
     start    the network's prediction, from which refinement starts
     refined  the refinement's result; None if no refinement was requested
+    shape    the geometric primitive that the user named, as it was fitted; None if none was named
     cues     what the exposure was estimated from; None if the user gave it
     """
 
@@ -55,6 +57,7 @@ class Decomposition:
     batch: ExampleBatch
     start: Prediction
     refined: RefinementResult | None
+    shape: PrimitiveFit | None = None
     cues: exposure.Cues | None = None
 
     @cached_property
@@ -80,6 +83,7 @@ def decompose(
     size: int,
     settings: RefinementSettings | None = None,
     watch: Callable[[int, int], None] | None = None,
+    shape: str | None = None,
 ) -> Decomposition:
     """Return the Decomposition of a photograph.
 
@@ -87,6 +91,9 @@ def decompose(
     size      side of the network's pictures, in pixels
     settings  how to refine; None: do not refine
     watch     called during refinement, see learn.refinement.refine
+    shape     one of learn.primitives.PRIMITIVES, if the object is known to have this shape: its
+              normals are used in place of the predicted ones, and refinement leaves them as they
+              are. None: predicted
     """
     framed = framing.frame_object(
         photograph.balanced,
@@ -104,9 +111,33 @@ def decompose(
             framed, batch, again, exposure.measure_background(photograph)
         )
     batch = replace(batch, elevation=photograph.elevation)
+    fitted = None
+    if shape is not None:
+        fitted, start = _apply_shape(shape, photograph, framed, start)
+        if settings is not None:
+            free = tuple(name for name in settings.order if name != "normals")
+            settings = replace(settings, order=free)
     labels: np.ndarray | None = getattr(network, "training_labels", None)
     refined = None if settings is None else refine(batch, start, settings, labels, watch)
-    return Decomposition(photograph, framed, batch, start, refined, cues)
+    return Decomposition(photograph, framed, batch, start, refined, fitted, cues)
+
+
+def _apply_shape(
+    name: str, photograph: Photograph, framed: framing.Framed, start: Prediction
+) -> tuple[PrimitiveFit, Prediction]:
+    """Return the fit of a primitive to the object, and the prediction with its normals."""
+    size = len(framed.mask)
+    coverage = framing.resize_square(
+        framing.cut_square(photograph.coverage.astype(np.float32), framed.box), size
+    )
+    n = require_parts(start).n
+    predicted = devices.to_numpy(n[0].movedim(0, -1)).astype(float)
+    fitted = fit_primitive(
+        name, np.where(framed.mask, np.maximum(coverage, 0.5), coverage), predicted
+    )
+    inside = torch.from_numpy(framed.mask).to(n.device)
+    normals = torch.from_numpy(fitted.normals).movedim(-1, 0)[None].to(n)
+    return fitted, start._replace(n=torch.where(inside, normals, n))
 
 
 def predict_framed(

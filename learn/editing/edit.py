@@ -36,6 +36,7 @@ class EditOptions:
     device     where the network, refinement and the layer run, as torch.device takes it
     fit_mask   whether to fit the edges of masks to the photographs' colours; None: only those of
                black and white masks
+    shape      of the photograph's object, one of learn.primitives.PRIMITIVES; None: predicted
     """
 
     weights: Path
@@ -46,6 +47,7 @@ class EditOptions:
     balance: str | Sequence[float] = "none"
     device: str | torch.device = "cpu"
     fit_mask: bool | None = None
+    shape: str | None = None
 
     def as_metadata(self) -> dict[str, object]:
         """Return the options that edit.json and transfer.json record."""
@@ -54,6 +56,7 @@ class EditOptions:
             "tolerance": self.tolerance,
             "detail": self.detail,
             "fit_mask": self.fit_mask,
+            "shape": self.shape,
             "refinement": None if self.settings is None else asdict(self.settings),
         }
 
@@ -153,7 +156,9 @@ def compute(
     labels    {target material as the user named it: label (108,) or None of each region}
     progress  a bar that is advanced by one for the decomposition and for each edit
     """
-    result = decomposition.decompose(opened, network, metadata["size"], edit_options.settings)
+    result = decomposition.decompose(
+        opened, network, metadata["size"], edit_options.settings, shape=edit_options.shape
+    )
     progress.update()
     compositor = Compositor(result, edit_options.tolerance, edit_options.detail)
     edits = []

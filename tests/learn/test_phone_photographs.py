@@ -106,7 +106,9 @@ def test_greys_of_hdr_curves_are_as_bright_as_their_standard_says(tmp_path, kind
     """White paper is white, and what is brighter than paper is clipped."""
     values = np.zeros((*SIZE, 3), np.uint8)
     values[:, 40:] = 255
-    for place, (per_cent, _) in zip((np.s_[:, :20], np.s_[:, 20:40]), HDR_GREYS[curve], strict=True):
+    for place, (per_cent, _) in zip(
+        (np.s_[:, :20], np.s_[:, 20:40]), HDR_GREYS[curve], strict=True
+    ):
         values[place] = round(2.55 * per_cent)
     radiance, _ = photographs.read_pixels(in_hdr(tmp_path, kind, values, 9, curve))
     for column, (_, luminance) in zip((10, 30), HDR_GREYS[curve], strict=True):
