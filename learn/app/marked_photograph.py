@@ -137,9 +137,7 @@ class MarkedPhotograph:
     ) -> photograph.Photograph:
         """Return the Photograph with a mask and regions; errors are in the page's words."""
         try:
-            return photograph.from_arrays(
-                self.path, mask, regions, name=self.name, fit_mask=fitted
-            )
+            return photograph.from_arrays(self.path, mask, regions, name=self.name, fit_mask=fitted)
         except InputError as error:
             remedy = error.remedy
             if "--exposure" in remedy:  # of an object that is too dark, or an EXR too bright

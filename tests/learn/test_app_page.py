@@ -799,7 +799,9 @@ def test_a_line_is_drawn_around_the_object_by_the_keyboard_alone(served, photo, 
         window.press("p")
         walk.wait_for("#cross-line", "Set a corner with L first.")
         window.press(*2 * [shift + left], *3 * [shift + up], "l")
-        walk.wait_for("#cross-line", "Corner 1. Cross at 20% from the left, 20% from the top. L sets")
+        walk.wait_for(
+            "#cross-line", "Corner 1. Cross at 20% from the left, 20% from the top. L sets"
+        )
         window.press(*6 * [shift + right], "l")
         walk.wait_for("#cross-line", "Corner 2. Cross at 80% from the left, 20% from the top.")
         assert "L sets" not in walk.text("#cross-line")

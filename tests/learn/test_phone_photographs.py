@@ -106,7 +106,9 @@ def test_greys_of_hdr_curves_are_as_bright_as_their_standard_says(tmp_path, kind
     """White paper is white, and what is brighter than paper is clipped."""
     values = np.zeros((*SIZE, 3), np.uint8)
     values[:, 40:] = 255
-    for place, (per_cent, _) in zip((np.s_[:, :20], np.s_[:, 20:40]), HDR_GREYS[curve], strict=True):
+    for place, (per_cent, _) in zip(
+        (np.s_[:, :20], np.s_[:, 20:40]), HDR_GREYS[curve], strict=True
+    ):
         values[place] = round(2.55 * per_cent)
     radiance, _ = photographs.read_pixels(in_hdr(tmp_path, kind, values, 9, curve))
     for column, (_, luminance) in zip((10, 30), HDR_GREYS[curve], strict=True):
@@ -443,7 +445,7 @@ def test_an_array_is_bounded_as_its_file_is(tmp_path, monkeypatch, channels, eac
             if not room:
                 assert photograph.from_arrays(given, np.ones(SIZE, bool)).count == 1
                 continue
-            with pytest.raises(InputError, match="megapixels.*found 60 × 40"):
+            with pytest.raises(InputError, match=r"megapixels.*found 60 × 40"):
                 photograph.from_arrays(given, np.ones(SIZE, bool))
 
 
