@@ -60,7 +60,7 @@ class Session:
     folder      of this session alone
     photograph  the one that is open, with what is marked in it
     refined     whether what was decomposed was refined
-    fit_mask    whether the next decomposition fits the mask's edge, as learn.editing.mask_edges does
+    fit_mask    whether the next decomposition fits the mask's edge (learn.editing.mask_edges)
     fit_was_on  the same of what was decomposed
     soft_mask   of what was decomposed: coverage (H, W) from a file, before it is softened, or None
     by_hand     whether clicks or strokes had a part in what was decomposed

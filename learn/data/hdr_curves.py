@@ -62,7 +62,7 @@ def curve_of(picture: Image.Image) -> tuple[int, int] | None:
         numbers.append(_cicp(profile))
     for primaries, curve in numbers:
         if curve in (PQ, HLG) and picture.mode in ("RGB", "RGBA"):
-            return int(primaries), int(curve)
+            return int(primaries or BT2020), int(curve)
     return None
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image
 
 from learn.data import picture_decoding
-
 from learn.data.photographs import (
     LARGEST_RADIANCE,
     MASK_REMEDY,

@@ -264,7 +264,8 @@ def reduce_size(picture: Image.Image, resampling: Image.Resampling) -> Image.Ima
     if divisor > 1 and picture.format in ("JPEG", "MPO"):
         draft = next((each for each in DRAFTS if each <= divisor), 1)
         # sides that Pillow divides to find the divisor of its decoder
-        picture.draft(picture.mode, tuple(max(1, side // draft) for side in picture.size))
+        width, height = (max(1, side // draft) for side in picture.size)
+        picture.draft(picture.mode, (width, height))
     picture.load()
     if picture.size == size or divisor == 1:
         return picture

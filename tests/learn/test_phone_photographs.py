@@ -445,7 +445,7 @@ def test_an_array_is_bounded_as_its_file_is(tmp_path, monkeypatch, channels, eac
             if not room:
                 assert photograph.from_arrays(given, np.ones(SIZE, bool)).count == 1
                 continue
-            with pytest.raises(InputError, match="megapixels.*found 60 × 40"):
+            with pytest.raises(InputError, match=r"megapixels.*found 60 × 40"):
                 photograph.from_arrays(given, np.ones(SIZE, bool))
 
 
