@@ -229,7 +229,8 @@ def minimise(
 ) -> Vectors:
     """Return {property: vector} of the properties that a step moves, after its L-BFGS.
 
-    Where it meets no finite energy the vectors stay as they are.
+    Where it meets no finite energy the vectors stay as they are. If a line search takes more than
+    `most_trials` of the settings, the step ends with the lowest energy that was met.
 
     level  whose light map and method the energy is rendered by
     where  indices of pixels, as of Energy.pixels
@@ -260,5 +261,47 @@ def minimise(
         return value.item(), gradient.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])
+    return parts(run_lbfgs(value_and_gradient, x, iterations, energy.settings.most_trials))
+
+
+class _StuckError(Exception):
+    """A line search took too many trials."""
+
+
+def run_lbfgs(
+    value_and_gradient: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    x: np.ndarray,
+    iterations: int,
+    most_trials: int | None = None,
+) -> np.ndarray:
+    """Return the vector (Z,) at which scipy's L-BFGS ends.
+
+    x            where it starts
+    most_trials  of one line search. One that needs more ends the descent with the lowest value that
+                 was met. None: scipy decides. It gives up after 20, and tries again from the
+                 gradient.
+    """
+    trials = -1  # the value at x is none
+    lowest, best = math.inf, x
+
+    def limited(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal trials, lowest, best
+        trials += 1
+        if most_trials is not None and trials > most_trials:
+            raise _StuckError
+        value, gradient = value_and_gradient(x)
+        if value < lowest:
+            lowest, best = value, x.copy()
+        return value, gradient
+
+    def begin_line_search(_: np.ndarray) -> None:
+        nonlocal trials
+        trials = 0
+
     options = {"maxiter": iterations, "maxfun": MOST_EVALUATIONS * iterations, "maxcor": 10}
-    return parts(minimize(value_and_gradient, x, jac=True, method="L-BFGS-B", options=options).x)
+    try:
+        return minimize(
+            limited, x, jac=True, method="L-BFGS-B", callback=begin_line_search, options=options
+        ).x
+    except _StuckError:
+        return best
