@@ -474,3 +474,36 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         with pytest.raises(SystemExit):
             main("learn.experiments", "t", COMMANDS, [*words, *wrong])
     capsys.readouterr()
+
+
+def cliff(x):
+    """A bowl whose middle is cut off: where it begins, the value jumps and the gradient does not."""
+    scales = np.array([1.0, 7.0, 30.0])
+    return float((scales * x**2).sum() + 100 * (x[0] < 1.5)), 2 * scales * x
+
+
+def test_a_line_search_of_too_many_trials_ends_the_descent_at_the_lowest_value_met():
+    start, values = np.array([3.0, -2.0, 0.5]), []
+
+    def counted(x):
+        values.append(cliff(x)[0])
+        return cliff(x)
+
+    descent.run_lbfgs(counted, start, 20)
+    assert len(values) > 40  # line searches towards the cliff
+    values.clear()
+    lowest = descent.run_lbfgs(counted, start, 20, 5)
+    assert len(values) < 15
+    assert cliff(lowest)[0] == min(values) < 0.2 * values[0]
+
+
+def test_a_descent_whose_line_searches_are_short_is_the_same_with_a_limit():
+    start = np.array([3.0, -2.0, 0.5])
+    scales = np.array([1.0, 4.0, 9.0])
+
+    def bowl(x):
+        return float((scales * x**2).sum()), 2 * scales * x
+
+    np.testing.assert_array_equal(
+        descent.run_lbfgs(bowl, start, 8), descent.run_lbfgs(bowl, start, 8, 5)
+    )
