@@ -102,7 +102,8 @@ def refine(
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     directions = principal_directions(labels)
     predicted = State(prediction.label, prediction.light, prediction.n, {})
-    current = starting_state(coordinates(predicted, inside, settings, directions))
+    maps = coordinates(predicted, inside, settings, directions)
+    current = starting_state(maps)
     if not current.is_renderable:
         raise ValueError(
             "refine: expected finite normals and light, and a label whose exp is finite and above"
@@ -113,10 +114,14 @@ def refine(
     history: list[dict[str, Any]] = []
     counted = None if watch is None else _make_counter(watch, settings)
     for number in range(settings.outer_iterations):
-        start = current if number else predicted
-        state, steps = run_outer_iteration(batch, start, inside, settings, directions, counted)
-        state = replace(state, z={"material": current.z["material"] + state.z["material"]})
-        terms = energy.terms_of_all_pixels(state)
+        if number:  # about the result of the one before
+            maps = coordinates(current, inside, settings, directions)
+            own = Energy(batch, starting_state(maps), settings)
+            state, _, steps = run_outer_iteration(own, maps, None, counted)
+            state = replace(state, z={"material": current.z["material"] + state.z["material"]})
+            terms = energy.terms_of_all_pixels(state)
+        else:
+            state, terms, steps = run_outer_iteration(energy, maps, before, counted)
         if not terms["total"] < before["total"]:
             break
         current, after = state, terms
@@ -136,22 +141,20 @@ def _make_counter(watch: Watch, settings: RefinementSettings) -> Callable[[], No
 
 
 def run_outer_iteration(
-    batch: ExampleBatch,
-    start: State,
-    inside: torch.Tensor,
-    settings: RefinementSettings,
-    directions: np.ndarray | None = None,
+    energy: Energy,
+    maps: Coordinates,
+    before: dict[str, float] | None = None,
     before_evaluation: Callable[[], None] | None = None,
-) -> tuple[State, list[dict[str, Any]]]:
-    """Return the State after all levels, and a line for each step; the energy is about `start`.
+) -> tuple[State, dict[str, float], list[dict[str, Any]]]:
+    """Return the State after all levels, its terms over all pixels, and a line for each step.
 
-    inside      (1, H, W) bool
-    directions  of materials, as of learn.refinement.coordinates.principal_directions
+    energy  about the start of `maps`
+    before  its terms over all pixels at the start; None: not known
     """
-    maps = coordinates(start, inside, settings, directions)
+    settings = energy.settings
     z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
-    energy = Energy(batch, starting_state(maps), settings)
-    best, history = energy.terms_of_all_pixels(starting_state(maps)), []
+    best = energy.terms_of_all_pixels(starting_state(maps)) if before is None else before
+    history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for step in steps_of(level, settings.order):
@@ -168,7 +171,7 @@ def run_outer_iteration(
                 "total": terms["total"],
             }
             history.append(line)
-    return state_of(maps, z), history
+    return state_of(maps, z), best, history
 
 
 def coordinates(

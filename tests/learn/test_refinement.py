@@ -176,14 +176,12 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     once = refine(batch, start, replace(QUICK, outer_iterations=1))
     plain, calls = descent.run_outer_iteration, []
 
-    def lost(batch, state, *rest):
-        calls.append(state)
-        result, report = plain(batch, state, *rest)
-        return (
-            (replace(result, light=result.light.roll(64, -1) ** 4), report)
-            if len(calls) == 2
-            else (result, report)
-        )
+    def lost(*arguments):
+        calls.append(arguments)
+        result, *rest = plain(*arguments)
+        if len(calls) == 2:
+            result = replace(result, light=result.light.roll(64, -1) ** 4)
+        return result, *rest
 
     monkeypatch.setattr(descent, "run_outer_iteration", lost)
     result = refine(batch, start, replace(QUICK, outer_iterations=2))
