@@ -292,7 +292,8 @@ class Energy:
             self.elevation,
             Policy(method, tolerance),
         )
-        shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
+        shown = picture.flatten(0, 2)
+        shown = shown.index_select(0, where) if whole else shown
         compared = self.compared(where)
         cost = misfit(compress(shown * self.exposure), compared.seen, compared.clipped)
         return cost.mean() if compared.weights is None else (cost * compared.weights).mean()
