@@ -78,8 +78,8 @@ PAPER = RefinementSettings(a=1.0, b=10.0, c=0.0, outer_iterations=1)
 # Of users' photographs. On 8-bit pictures the second outer iteration doubles the time and gains
 # nothing (docs/results/edit-cost). Objects have colours that no material of the catalogue has, and
 # prints: unless the light is held to its colours it takes them on, and prints become relief
-# (docs/results/painted-photographs). Where the layer changes its plan, the energy jumps by up to two
-# per cent, and a line search may halve its step in vain
+# (docs/results/painted-photographs). Where the layer changes its plan, the energy jumps by two per
+# cent, and a line search may take smaller and smaller steps in vain
 PHOTOGRAPHS = replace(
     RefinementSettings(),
     b_colour=0.2,

@@ -475,7 +475,7 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
 
 
 def cliff(x):
-    """A bowl whose middle is cut off: where it begins, the value jumps and the gradient does not."""
+    """A bowl with a middle that lies higher: at its rim the value jumps, the gradient does not."""
     scales = np.array([1.0, 7.0, 30.0])
     return float((scales * x**2).sum() + 100 * (x[0] < 1.5)), 2 * scales * x
 

@@ -42,7 +42,9 @@ def sum_of_parts(material, n):
 @pytest.mark.parametrize("name", ["brass", "red-specular-plastic"])
 def test_each_lobe_is_in_one_part_and_reflects_exactly_nothing_in_the_other(name):
     whole = np.exp(label(name)).reshape(3, 3, 2, 6)
-    first, second = (np.exp(part).reshape(whole.shape) for part, _ in store.separate_lobes(label(name)))
+    first, second = (
+        np.exp(part).reshape(whole.shape) for part, _ in store.separate_lobes(label(name))
+    )
     # zero, not small: a method would sum a lobe of the smallest κ over all texels
     present = np.stack([first[:, :, 0].max((0, 2)) > 0, second[:, :, 0].max((0, 2)) > 0])
     np.testing.assert_array_equal(present.sum(0), 1)
@@ -66,7 +68,9 @@ def test_many_normals_under_a_narrow_lobe_are_looked_up_and_doubtful_ones_render
     assert doubtful is again or np.array_equal(doubtful, again)
     assert len(rendered) > 2 and 0 < len(doubtful) < count / 4
     place = {each.tobytes(): k for k, each in enumerate(n)}
-    np.testing.assert_array_equal(result[[place[each.tobytes()] for each in doubtful]], broad + narrow)
+    np.testing.assert_array_equal(
+        result[[place[each.tobytes()] for each in doubtful]], broad + narrow
+    )
     some = np.arange(0, count, 20)
     scene = store.Scene(light(), ELEVATION, np.ones(3), predictions.SHOWN.tolerance, n)
     truth = own(n[some], material, scene, "")
@@ -87,9 +91,7 @@ def test_broad_lobes_are_rendered_at_each_normal():
 
 def test_at_few_normals_broad_and_narrow_lobes_are_rendered_apart_to_the_same_picture():
     n, material = normals(9_999), label("brass")
-    result = store.radiance_at_normals(
-        material, n, light(), ELEVATION, predictions.SHOWN.tolerance
-    )
+    result = store.radiance_at_normals(material, n, light(), ELEVATION, predictions.SHOWN.tolerance)
     np.testing.assert_array_equal(result, sum_of_parts(material, n))
     scene = store.Scene(light(), ELEVATION, np.ones(3), predictions.SHOWN.tolerance, n)
     truth = store.radiance(n, material, scene, "")
