@@ -505,3 +505,17 @@ def test_a_descent_whose_line_searches_are_short_is_the_same_with_a_limit():
     np.testing.assert_array_equal(
         descent.run_lbfgs(bowl, start, 8), descent.run_lbfgs(bowl, start, 8, 5)
     )
+
+
+@pytest.mark.parametrize("most", [None, 4])
+def test_each_step_of_refinement_has_the_settings_limit_on_line_searches(scene, monkeypatch, most):
+    batch, truth = scene
+    limits, plain = [], descent.run_lbfgs
+
+    def recorded(function, x, iterations, most_trials=None):
+        limits.append(most_trials)
+        return plain(function, x, iterations, most_trials)
+
+    monkeypatch.setattr(descent, "run_lbfgs", recorded)
+    refine(batch, perturbed(truth, 1), replace(QUICK, outer_iterations=1, most_trials=most))
+    assert len(limits) > 2 and set(limits) == {most}

@@ -1,11 +1,14 @@
 """Radiance looked up in reflectance maps beside the layer's own at each normal."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
+from learn.editing import drawing, targets
 from learn.editing import reflectance_store as store
-from learn.editing import targets
+from learn.figures import spheres
 from learn.layer import predictions
 from shaders import tone
 
@@ -107,3 +110,15 @@ def test_where_most_normals_are_doubtful_all_are_rendered(monkeypatch):
         store.radiance_at_normals(material, n, light(), ELEVATION, predictions.SHOWN.tolerance),
         sum_of_parts(material, n),
     )
+
+
+@pytest.mark.parametrize("name", ["brass", "chrome", "white-fabric"])
+def test_a_sheets_material_sphere_is_the_layers_picture_in_preview_lighting(name):
+    decomposed = SimpleNamespace(
+        parts=SimpleNamespace(light=light()), batch=SimpleNamespace(elevation=ELEVATION)
+    )
+    error = np.abs(
+        drawing.material_sphere(label(name), decomposed)
+        - spheres.preview_sphere(label(name), drawing.SPHERE, ELEVATION)
+    )
+    assert error.max() < 2 and np.sqrt((error**2).mean()) < 0.3
