@@ -294,11 +294,11 @@ class Energy:
         )
         shown = picture.flatten(0, 2)
         shown = shown.index_select(0, where) if whole else shown
-        compared = self.compared(where)
+        compared = self.targets(where)
         cost = misfit(compress(shown * self.exposure), compared.seen, compared.clipped)
         return cost.mean() if compared.weights is None else (cost * compared.weights).mean()
 
-    def compared(self, where: torch.Tensor) -> Compared:
+    def targets(self, where: torch.Tensor) -> Compared:
         """Return what the pixels `where` are compared with; that of the last ones is kept."""
         if self._compared is None or self._compared[0] is not where:
             clipped = None if self.clipped is None else self.clipped[where]
