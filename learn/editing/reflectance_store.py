@@ -50,8 +50,8 @@ LIMIT = 1.2  # grey levels, root mean square
 # the finest maps take seconds and a quarter of a megabyte each: below this they are left out
 LIMIT_OF_FINEST = 1.8
 STEPS, BEND, BRIGHTEST = 256, 32.0, 1e4
-# natural logarithm of κ: a lobe that reflects nothing. In float32 its exp is 0: methods skip it, while
-# a lobe of the smallest κ above 0 would be summed over all texels
+# natural logarithm of κ: a lobe that reflects nothing. In float32 its exp is 0 and methods skip it;
+# of the smallest κ above 0, they would sum it over all texels
 NOTHING = -200.0
 # so many normals or more are looked up in two maps, of these sides
 LOOKED_UP = ((40_000, (64, 128)), (20_000, (32, 64)))
