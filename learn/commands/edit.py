@@ -8,7 +8,7 @@ from pathlib import Path
 
 from learn.commands import editing_options, options
 from learn.primitives import PRIMITIVES
-from manifests import other_threads
+from manifests import collection, other_threads
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
 
@@ -115,7 +115,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     other_threads.let_waiting_threads_sleep()
-    from learn.editing import edit
+    with collection.hold_while_loading():
+        from learn.editing import edit
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)

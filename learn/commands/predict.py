@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from learn.commands import editing_options, options
-from manifests import other_threads
+from manifests import collection, other_threads
 from manifests.help_format import HelpFormatter
 
 EPILOG = """example:
@@ -56,8 +56,9 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     other_threads.let_waiting_threads_sleep()
-    from learn.data import devices
-    from learn.editing import predict
+    with collection.hold_while_loading():
+        from learn.data import devices
+        from learn.editing import predict
 
     editing_options.check_exposure(arguments.exposure)
     masks = editing_options.mask_files([] if arguments.mask is None else [arguments.mask])

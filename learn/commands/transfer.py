@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from learn.commands import editing_options, options
-from manifests import other_threads
+from manifests import collection, other_threads
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
 
@@ -85,7 +85,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     other_threads.let_waiting_threads_sleep()
-    from learn.editing import transfer
+    with collection.hold_while_loading():
+        from learn.editing import transfer
 
     editing_options.check(
         "--light-rotation",

@@ -53,12 +53,29 @@ def crop_to_object(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray
 
 def material_sphere(label: np.ndarray | torch.Tensor, decomposed: Decomposition) -> np.ndarray:
     """Return the display picture of a material (108,), seen by a Decomposition's camera."""
-    return spheres.preview_sphere(label, SPHERE, decomposed.batch.elevation)
+    light = torch.from_numpy(spheres.preview_lighting()).movedim(-1, 0)[None]
+    return _sphere(to_numpy(torch.as_tensor(label)), light, decomposed, spheres.PREVIEW_EXPOSURE)
+
+
+def _sphere(
+    label: np.ndarray, light: torch.Tensor, decomposed: Decomposition, exposure: float
+) -> np.ndarray:
+    """Return the display picture of a sphere in a material (108,) under a light (1, 3, Hl, Wl)."""
+    n = spheres.sphere_normals(SPHERE)
+    inside, picture = (n != 0).any(-1), np.zeros_like(n)
+    picture[inside] = reflectance_store.radiance_at_normals(
+        label,
+        n[inside],
+        light.to(decomposed.parts.light.device),
+        decomposed.batch.elevation,
+        predictions.SHOWN.tolerance,
+    )
+    return tone.display(picture, exposure)
 
 
 def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
     """Return tiles of the first region's reflectance map: observed, predicted and refined."""
-    first, elevation = to_numpy(decomposed.batch.segments[0]) == 1, decomposed.batch.elevation
+    first = to_numpy(decomposed.batch.segments[0]) == 1
     # at the network's size the region may be too small to be seen
     mask = first if first.any() else decomposed.framed.mask
     exposure = tone.auto_exposure(decomposed.framed.radiance, mask)
@@ -71,12 +88,8 @@ def reflectance_maps(decomposed: Decomposition) -> list[Tile]:
         stages.append(("refined", decomposed.refined.prediction))
     for name, prediction in stages:
         _, label, light = require_parts(prediction)
-        sphere = spheres.sphere_normals(SPHERE)
-        inside, picture = (sphere != 0).any(-1), np.zeros_like(sphere)
-        picture[inside] = reflectance_store.radiance_at_normals(
-            to_numpy(label[0, 0]), sphere[inside], light, elevation, predictions.SHOWN.tolerance
-        )
-        tiles.append((f"{what}, {name}", tone.display(picture, exposure)))
+        picture = _sphere(to_numpy(label[0, 0]), light, decomposed, exposure)
+        tiles.append((f"{what}, {name}", picture))
     return tiles
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
 from learn.data.framing import DEPENDENCE, TYPICAL, Framed
+from learn.editing import reflectance_store
 from learn.editing.photograph import CLEAR, Photograph
 from learn.layer import predictions
 from learn.networks.prediction import Prediction, require_part
@@ -137,8 +138,15 @@ def correct_exposure(
 def render_prediction(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     """Render the prediction of a batch of one picture; return its radiance (H, W, 3)."""
     n, label, light = map(require_part, (prediction.n, prediction.label, prediction.light))
-    segments, elevation = batch.segments, batch.elevation
-    return to_numpy(predictions.picture(n, label, light, segments, elevation, predictions.SHOWN)[0])
+    normals, labels = to_numpy(n[0].movedim(0, -1)), to_numpy(label[0].float())
+    segments, picture = to_numpy(batch.segments[0]), np.zeros_like(normals)
+    for number, each in enumerate(labels, 1):
+        inside = segments == number if len(labels) > 1 else segments > 0
+        if inside.any():
+            picture[inside] = reflectance_store.radiance_at_normals(
+                each, normals[inside], light, batch.elevation, predictions.SHOWN.tolerance
+            )
+    return picture
 
 
 def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:

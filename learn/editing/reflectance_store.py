@@ -27,7 +27,7 @@ of many pixels in less time.
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,9 +50,11 @@ LIMIT = 1.2  # grey levels, root mean square
 # the finest maps take seconds and a quarter of a megabyte each: below this they are left out
 LIMIT_OF_FINEST = 1.8
 STEPS, BEND, BRIGHTEST = 256, 32.0, 1e4
-NOTHING = -40.0  # natural logarithm of κ: a lobe that reflects nothing
+# natural logarithm of κ: a lobe that reflects nothing. In float32 its exp is 0 and methods skip it;
+# of the smallest κ above 0, they would sum it over all texels
+NOTHING = -200.0
 # so many normals or more are looked up in two maps, of these sides
-LOOKED_UP = ((40_000, (64, 128)), (10_000, (32, 64)))
+LOOKED_UP = ((40_000, (64, 128)), (20_000, (32, 64)))
 # Where the coarse map is off by more grey levels, the normals are rendered; all of them, where that
 # would be a larger share.
 DOUBT, MOST_RENDERED = 3.0, 0.5
@@ -122,9 +124,10 @@ def radiance_at_normals(
 ) -> np.ndarray:
     """Return radiance (N, 3) float32 of a material at unit normals (N, 3), camera frame.
 
-    The integral over a narrow lobe is costly. Many normals are looked up in two reflectance maps, a
-    coarse and a fine one, and only those are rendered about which the coarse map is off by more
-    than DOUBT grey levels at the fine map's nodes, under automatic exposure.
+    The integral over a narrow lobe is costly, so broad lobes are summed apart from it. Many normals
+    are looked up in two reflectance maps, a coarse and a fine one, and only those are rendered
+    about which the coarse map is off by more than DOUBT grey levels at the fine map's nodes, under
+    automatic exposure.
 
     label      (108,) natural logarithms
     light      (1, 3, Hl, Wl) radiance, light frame
@@ -132,11 +135,12 @@ def radiance_at_normals(
     tolerance  of the layer
     """
     scene = Scene(light, elevation, np.ones(3), tolerance, n)
-    narrow = method_for(torch.from_numpy(np.asarray(label))) == "quadrature"
-    sides = next((sides for least, sides in LOOKED_UP if len(n) >= least), None)
-    if sides is None or not narrow:
+    if method_for(torch.from_numpy(np.asarray(label))) != "quadrature":
         return radiance(n, label, scene, "")
     parts = separate_lobes(label)
+    sides = next((sides for least, sides in LOOKED_UP if len(n) >= least), None)
+    if sides is None:
+        return _radiance_of_parts(n, parts, scene)
     coarse, fine = (
         np.sum([rendered(part, scene, side, how) for part, how in parts], 0) for side in sides
     )
@@ -144,9 +148,17 @@ def radiance_at_normals(
     exposure = tone.auto_exposure(result[None], np.ones((1, len(n)), bool))
     doubtful = _error_of_coarse_map(coarse, fine, exposure)[_nearest_node(n, len(fine))] > DOUBT
     if doubtful.mean() > MOST_RENDERED:
-        return radiance(n, label, scene, "")
-    result[doubtful] = radiance(n[doubtful], label, scene, "")
+        return _radiance_of_parts(n, parts, scene)
+    if doubtful.any():
+        result[doubtful] = _radiance_of_parts(n[doubtful], parts, scene)
     return result
+
+
+def _radiance_of_parts(
+    n: np.ndarray, parts: Sequence[tuple[np.ndarray, str]], scene: Scene
+) -> np.ndarray:
+    """Return the sum (N, 3) of the radiances of labels at normals (N, 3), each by its method."""
+    return np.sum([radiance(n, part, scene, method) for part, method in parts], 0)
 
 
 def _error_of_coarse_map(coarse: np.ndarray, fine: np.ndarray, exposure: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from learn.layer import predictions
 from shaders import tone
 
 MARGIN = 1.02  # half the width of the picture, in radii of the sphere
+PREVIEW_EXPOSURE = 0.8  # of material spheres in preview lighting
 HOLE = 0.06  # of the sphere's radius: farther from any pixel's normal nothing was observed
 
 
@@ -60,7 +61,7 @@ def preview_lighting() -> np.ndarray:
 
 def preview_sphere(label: np.ndarray | torch.Tensor, size: int, elevation: float) -> np.ndarray:
     """Return the display picture (size, size, 3) of a material sphere in preview lighting."""
-    return material_sphere(label, preview_lighting(), size, elevation, 0.8)
+    return material_sphere(label, preview_lighting(), size, elevation, PREVIEW_EXPOSURE)
 
 
 def observed_reflectance(

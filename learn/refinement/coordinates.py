@@ -151,17 +151,18 @@ class NormalCoordinates:
         self.trust_region = trust_region
         self.p = disk_from_normals(n, mask)
         self.grids = [(g, g) for g in GRIDS if g < min(self.size)] + [self.size]
-        self.shape = (sum(2 * h * w for h, w in self.grids),)
+        self.sizes = [2 * h * w for h, w in self.grids]
+        self.shape = (sum(self.sizes),)
         self.predicted = torch.zeros(self.shape, dtype=torch.float64, device=n.device)
 
     def __call__(self, z: torch.Tensor) -> torch.Tensor:
-        change, first = torch.zeros((), dtype=self.p.dtype, device=self.p.device), 0
-        for h, w in self.grids:
-            grid = z[first : first + 2 * h * w].reshape(1, 2, h, w).to(self.p)
+        change = torch.zeros((), dtype=self.p.dtype, device=self.p.device)
+        # split at once: the derivative of each slice alone would be as long as z
+        for part, size in zip(z.to(self.p).split(self.sizes), self.grids, strict=True):
+            grid = part.reshape(1, 2, *size)
             change = change + (
-                grid if (h, w) == self.size else F.interpolate(grid, self.size, mode="bilinear")
+                grid if size == self.size else F.interpolate(grid, self.size, mode="bilinear")
             )
-            first += 2 * h * w
         return normals_from_disk(
             self.p + self.trust_region * torch.tanh(change / self.trust_region)
         )

@@ -102,7 +102,8 @@ def refine(
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     directions = principal_directions(labels)
     predicted = State(prediction.label, prediction.light, prediction.n, {})
-    current = starting_state(coordinates(predicted, inside, settings, directions))
+    maps = coordinates(predicted, inside, settings, directions)
+    current = starting_state(maps)
     if not current.is_renderable:
         raise ValueError(
             "refine: expected finite normals and light, and a label whose exp is finite and above"
@@ -113,10 +114,14 @@ def refine(
     history: list[dict[str, Any]] = []
     counted = None if watch is None else _make_counter(watch, settings)
     for number in range(settings.outer_iterations):
-        start = current if number else predicted
-        state, steps = run_outer_iteration(batch, start, inside, settings, directions, counted)
-        state = replace(state, z={"material": current.z["material"] + state.z["material"]})
-        terms = energy.terms_of_all_pixels(state)
+        if number:  # about the result of the one before
+            maps = coordinates(current, inside, settings, directions)
+            own = Energy(batch, starting_state(maps), settings)
+            state, _, steps = run_outer_iteration(own, maps, None, counted)
+            state = replace(state, z={"material": current.z["material"] + state.z["material"]})
+            terms = energy.terms_of_all_pixels(state)
+        else:
+            state, terms, steps = run_outer_iteration(energy, maps, before, counted)
         if not terms["total"] < before["total"]:
             break
         current, after = state, terms
@@ -136,22 +141,20 @@ def _make_counter(watch: Watch, settings: RefinementSettings) -> Callable[[], No
 
 
 def run_outer_iteration(
-    batch: ExampleBatch,
-    start: State,
-    inside: torch.Tensor,
-    settings: RefinementSettings,
-    directions: np.ndarray | None = None,
+    energy: Energy,
+    maps: Coordinates,
+    before: dict[str, float] | None = None,
     before_evaluation: Callable[[], None] | None = None,
-) -> tuple[State, list[dict[str, Any]]]:
-    """Return the State after all levels, and a line for each step; the energy is about `start`.
+) -> tuple[State, dict[str, float], list[dict[str, Any]]]:
+    """Return the State after all levels, its terms over all pixels, and a line for each step.
 
-    inside      (1, H, W) bool
-    directions  of materials, as of learn.refinement.coordinates.principal_directions
+    energy  about the start of `maps`
+    before  its terms over all pixels at the start; None: not known
     """
-    maps = coordinates(start, inside, settings, directions)
+    settings = energy.settings
     z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
-    energy = Energy(batch, starting_state(maps), settings)
-    best, history = energy.terms_of_all_pixels(starting_state(maps)), []
+    best = energy.terms_of_all_pixels(starting_state(maps)) if before is None else before
+    history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for step in steps_of(level, settings.order):
@@ -168,7 +171,7 @@ def run_outer_iteration(
                 "total": terms["total"],
             }
             history.append(line)
-    return state_of(maps, z), history
+    return state_of(maps, z), best, history
 
 
 def coordinates(
@@ -229,7 +232,8 @@ def minimise(
 ) -> Vectors:
     """Return {property: vector} of the properties that a step moves, after its L-BFGS.
 
-    Where it meets no finite energy the vectors stay as they are.
+    Where it meets no finite energy the vectors stay as they are. If a line search takes more than
+    `most_trials` of the settings, the step ends with the lowest energy that was met.
 
     level  whose light map and method the energy is rendered by
     where  indices of pixels, as of Energy.pixels
@@ -260,5 +264,47 @@ def minimise(
         return value.item(), gradient.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])
+    return parts(run_lbfgs(value_and_gradient, x, iterations, energy.settings.most_trials))
+
+
+class _StuckError(Exception):
+    """A line search took too many trials."""
+
+
+def run_lbfgs(
+    value_and_gradient: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    x: np.ndarray,
+    iterations: int,
+    most_trials: int | None = None,
+) -> np.ndarray:
+    """Return the vector (Z,) at which scipy's L-BFGS ends.
+
+    x            where it starts
+    most_trials  of one line search. One that needs more ends the descent with the lowest value that
+                 was met. None: scipy decides. It gives up after 20, and tries again from the
+                 gradient.
+    """
+    trials = -1  # the value at x is none
+    lowest, best = math.inf, x
+
+    def limited(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal trials, lowest, best
+        trials += 1
+        if most_trials is not None and trials > most_trials:
+            raise _StuckError
+        value, gradient = value_and_gradient(x)
+        if value < lowest:
+            lowest, best = value, x.copy()
+        return value, gradient
+
+    def begin_line_search(_: np.ndarray) -> None:
+        nonlocal trials
+        trials = 0
+
     options = {"maxiter": iterations, "maxfun": MOST_EVALUATIONS * iterations, "maxcor": 10}
-    return parts(minimize(value_and_gradient, x, jac=True, method="L-BFGS-B", options=options).x)
+    try:
+        return minimize(
+            limited, x, jac=True, method="L-BFGS-B", callback=begin_line_search, options=options
+        ).x
+    except _StuckError:
+        return best

@@ -26,6 +26,7 @@ Deviates  Eq. 6 names neither curve nor normalisation; sums over pixels and texe
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -204,6 +205,19 @@ def _unexplained_share(image: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
     return (image - nearest).norm(dim=-1) / (image.norm(dim=-1) + DARK)
 
 
+class Compared(NamedTuple):
+    """What a re-rendering is compared with at P pixels.
+
+    seen     (P, 3) the picture, compressed
+    clipped  (P, 3) shares that are clipped; None: nothing is
+    weights  (P, 1) of each pixel's misfit; None: all count alike
+    """
+
+    seen: torch.Tensor
+    clipped: torch.Tensor | None
+    weights: torch.Tensor | None
+
+
 class Energy:
     """The energy of one picture.
 
@@ -237,6 +251,7 @@ class Energy:
             labels = label_weights(picture, self.segments[0] * inside, whole, LABEL_RADIUS)
             weights = torch.minimum(weights, labels[inside])
             self.weights = count_mirrored(weights, regions, to_numpy(start.label[0].detach()))
+        self._compared: tuple[torch.Tensor, Compared] | None = None
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()
         self.share = solid_angles(start.light)
@@ -277,13 +292,21 @@ class Energy:
             self.elevation,
             Policy(method, tolerance),
         )
-        shown = picture.flatten(0, 2)[where] if whole else picture.flatten(0, 2)
-        clipped = None if self.clipped is None else self.clipped[where]
-        cost = misfit(compress(shown * self.exposure), self.seen[where], clipped)
-        if self.weights is None:
-            return cost.mean()
-        at = torch.searchsorted(self.inside, where)
-        return (cost * self.weights[at][:, None]).mean()
+        shown = picture.flatten(0, 2)
+        shown = shown.index_select(0, where) if whole else shown
+        compared = self.targets(where)
+        cost = misfit(compress(shown * self.exposure), compared.seen, compared.clipped)
+        return cost.mean() if compared.weights is None else (cost * compared.weights).mean()
+
+    def targets(self, where: torch.Tensor) -> Compared:
+        """Return what the pixels `where` are compared with; that of the last ones is kept."""
+        if self._compared is None or self._compared[0] is not where:
+            clipped = None if self.clipped is None else self.clipped[where]
+            weights = None
+            if self.weights is not None:
+                weights = self.weights[torch.searchsorted(self.inside, where)][:, None]
+            self._compared = where, Compared(self.seen[where], clipped, weights)
+        return self._compared[1]
 
     def terms(
         self,

@@ -46,6 +46,8 @@ class RefinementSettings:
     method      of the layer in the finest energy, which accepts or rejects a step: "auto" is the
                 paper's sum over texels, "quadrature" the integral, which narrow lobes need
     tolerance   of the layer in that energy
+    most_trials  evaluations in one line search, after which the step of the descent ends; None: as
+                many as scipy allows, which then tries once more from the gradient
     outer_iterations  how often all levels are run, each time held to the result of the time before
     """
 
@@ -59,6 +61,7 @@ class RefinementSettings:
     trust_region: float = 0.3
     method: str = "auto"
     tolerance: float = 5e-3
+    most_trials: int | None = None
     outer_iterations: int = 2
     levels: tuple[Level, ...] = (
         Level(pixels=0, light=(32, 64), method="auto", rounds=1, iterations=6, joint_iterations=30),
@@ -75,8 +78,13 @@ PAPER = RefinementSettings(a=1.0, b=10.0, c=0.0, outer_iterations=1)
 # Of users' photographs. On 8-bit pictures the second outer iteration doubles the time and gains
 # nothing (docs/results/edit-cost). Objects have colours that no material of the catalogue has, and
 # prints: unless the light is held to its colours it takes them on, and prints become relief
-# (docs/results/painted-photographs)
+# (docs/results/painted-photographs). Where the layer changes its plan, the energy jumps by two per
+# cent, and a line search may take smaller and smaller steps in vain
 PHOTOGRAPHS = replace(
-    RefinementSettings(), b_colour=0.2, unexplained_share_at_half_weight=0.1, outer_iterations=1
+    RefinementSettings(),
+    b_colour=0.2,
+    unexplained_share_at_half_weight=0.1,
+    most_trials=5,
+    outer_iterations=1,
 )
 NAMED = {"default": RefinementSettings(), "paper": PAPER}

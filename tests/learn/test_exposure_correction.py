@@ -8,10 +8,14 @@ import torch
 from PIL import Image
 
 from learn.data import framing
+from learn.data.batch import ExampleBatch
 from learn.data.photographs import read
 from learn.editing import decomposition, exposure, photograph
 from learn.editing.exposure import Cues
+from learn.figures import spheres
+from learn.layer import predictions
 from learn.networks.prediction import Prediction
+from manifests.materials import load_catalogue
 
 SIZE = 32
 
@@ -109,6 +113,29 @@ class Grey(torch.nn.Module):
         label = torch.full((1, 1, 108), math.log(1e-6))
         label[..., 0::2] = math.log(math.log(1 + 0.01))
         return Prediction(n, None, label, None, torch.ones(1, 3, 64, 128))
+
+
+def test_a_prediction_of_two_regions_is_rendered_as_the_layer_does() -> None:
+    names = ("brass", "white-fabric")
+    label = torch.tensor(np.stack([load_catalogue()[name].label.ravel() for name in names])).float()
+    n = torch.from_numpy(spheres.sphere_normals(SIZE)).movedim(-1, 0)[None].contiguous()
+    segments = (n[0].abs().sum(0) > 0).long()[None]
+    segments[:, :, SIZE // 2 :] *= 2
+    light = torch.full((1, 3, 64, 128), 0.5)
+    light[:, :, 8:20, 30:60] = 6.0
+    image = torch.zeros(1, 3, SIZE, SIZE)
+    batch = ExampleBatch(
+        image, image[:, :1], image, segments, label[None], light, label[None], ("picture",), 0.35
+    )
+    again = exposure.render_prediction(batch, Prediction(n, None, label[None], None, light))
+    picture = predictions.picture(n, label[None], light, segments, 0.35, predictions.SHOWN)
+    whole = picture[0].numpy()
+    assert not again[segments[0].numpy() == 0].any()
+    for number in (1, 2):
+        inside = segments[0].numpy() == number
+        error = np.abs(again[inside] - whole[inside]).mean() / whole[inside].mean()
+        assert error < predictions.SHOWN.tolerance
+        assert again[inside].mean() == pytest.approx(whole[inside].mean(), rel=5e-3)
 
 
 @pytest.mark.parametrize("given", [None, 0.7])

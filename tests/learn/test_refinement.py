@@ -176,14 +176,12 @@ def test_a_second_pass_that_ends_above_the_start_counts_for_nothing(scene, monke
     once = refine(batch, start, replace(QUICK, outer_iterations=1))
     plain, calls = descent.run_outer_iteration, []
 
-    def lost(batch, state, *rest):
-        calls.append(state)
-        result, report = plain(batch, state, *rest)
-        return (
-            (replace(result, light=result.light.roll(64, -1) ** 4), report)
-            if len(calls) == 2
-            else (result, report)
-        )
+    def lost(*arguments):
+        calls.append(arguments)
+        result, *rest = plain(*arguments)
+        if len(calls) == 2:
+            result = replace(result, light=result.light.roll(64, -1) ** 4)
+        return result, *rest
 
     monkeypatch.setattr(descent, "run_outer_iteration", lost)
     result = refine(batch, start, replace(QUICK, outer_iterations=2))
@@ -474,3 +472,50 @@ def test_the_command_measures_and_goes_on(tmp_path, rng, capsys, monkeypatch):
         with pytest.raises(SystemExit):
             main("learn.experiments", "t", COMMANDS, [*words, *wrong])
     capsys.readouterr()
+
+
+def cliff(x):
+    """A bowl with a middle that lies higher: at its rim the value jumps, the gradient does not."""
+    scales = np.array([1.0, 7.0, 30.0])
+    return float((scales * x**2).sum() + 100 * (x[0] < 1.5)), 2 * scales * x
+
+
+def test_a_line_search_of_too_many_trials_ends_the_descent_at_the_lowest_value_met():
+    start, values = np.array([3.0, -2.0, 0.5]), []
+
+    def counted(x):
+        values.append(cliff(x)[0])
+        return cliff(x)
+
+    descent.run_lbfgs(counted, start, 20)
+    assert len(values) > 40  # line searches towards the cliff
+    values.clear()
+    lowest = descent.run_lbfgs(counted, start, 20, 5)
+    assert len(values) < 15
+    assert cliff(lowest)[0] == min(values) < 0.2 * values[0]
+
+
+def test_a_descent_whose_line_searches_are_short_is_the_same_with_a_limit():
+    start = np.array([3.0, -2.0, 0.5])
+    scales = np.array([1.0, 4.0, 9.0])
+
+    def bowl(x):
+        return float((scales * x**2).sum()), 2 * scales * x
+
+    np.testing.assert_array_equal(
+        descent.run_lbfgs(bowl, start, 8), descent.run_lbfgs(bowl, start, 8, 5)
+    )
+
+
+@pytest.mark.parametrize("most", [None, 4])
+def test_each_step_of_refinement_has_the_settings_limit_on_line_searches(scene, monkeypatch, most):
+    batch, truth = scene
+    limits, plain = [], descent.run_lbfgs
+
+    def recorded(function, x, iterations, most_trials=None):
+        limits.append(most_trials)
+        return plain(function, x, iterations, most_trials)
+
+    monkeypatch.setattr(descent, "run_lbfgs", recorded)
+    refine(batch, perturbed(truth, 1), replace(QUICK, outer_iterations=1, most_trials=most))
+    assert len(limits) > 2 and set(limits) == {most}
