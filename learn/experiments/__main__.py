@@ -43,6 +43,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "photographed-edits": "measure edits of photographs, and how to expose them",
         "room-photographs": "measure edits of photographs of objects that stand in rooms",
         "mask-edges": "measure how much fitting a mask's edge to its photograph improves edits",
+        "named-shapes": "measure normals of objects that are said to be a box, cylinder or ball",
         "exposure-line": "fit how photographs are exposed to several sets of them at once",
         "painted-photographs": "measure edits of objects in colours that no catalogue has",
         "outer-iterations": "measure what refinement gains by its last outer iteration",
