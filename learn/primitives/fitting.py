@@ -1,8 +1,8 @@
 """Fits a primitive to a mask and to predicted normals.
 
 The picture is the square that the network sees, with x to the right and y up from −1 to 1. A point
-(x, y, z) of the view frame, z towards the viewer, appears at (x, y)/(1 − q z) + centre, where 1/q is
-the viewer's distance. What is minimised:
+(x, y, z) of the view frame, z towards the viewer, appears at (x, y)/(1 − q z) + centre, where 1/q
+is the viewer's distance. What is minimised:
 
     Σ (coverage − mask)² / Σ mask  +  NORMALS · mean (1 − cos angle between both normals)
         + terms that prefer a plausible perspective and lengths that do not differ much
@@ -65,7 +65,7 @@ def fit_primitive(name: str, coverage: np.ndarray, predicted: np.ndarray) -> Pri
         mean = predicted[inside].sum(0)
         n = np.broadcast_to(mean / np.linalg.norm(mean), predicted.shape)
         return PrimitiveFit(n.astype(np.float32), 1.0)
-    solid, size = SOLIDS[name], len(coverage)
+    solid = SOLIDS[name]
     mask, normals = _reduce(coverage, np.where(inside[..., None], predicted, 0), WORKING_SIZE)
     work = _Picture(mask, normals)
     begun = sorted(
@@ -165,7 +165,7 @@ def _residuals(solid: Solid, work: _Picture, p: _Parameters) -> np.ndarray:
         0.14 * p.q,
         0.55 * max(p.q - LARGEST_PERSPECTIVE, 0),
         0.55 * min(p.q, 0),
-        0.025 * (logs - logs.mean()),
+        solid.even * (logs - logs.mean()),
     ]
     return np.concatenate([outline.ravel(), shade.ravel(), plausible])
 

@@ -17,9 +17,11 @@ class Solid(Protocol):
     """A convex solid.
 
     count  number of its sizes
+    even   how firmly they are held together: weight of the deviations of their logarithms
     """
 
     count: int
+    even: float
 
     def points(self, sizes: np.ndarray) -> np.ndarray:
         """Return points (V, 3) whose convex hull is the solid, or close to it."""
@@ -43,7 +45,7 @@ class Solid(Protocol):
 class Box:
     """A box; sizes are half its edges."""
 
-    count = 3
+    count, even = 3, 0.025
 
     def points(self, sizes: np.ndarray) -> np.ndarray:
         return CORNERS * sizes
@@ -61,9 +63,12 @@ class Box:
 
 
 class Cylinder:
-    """A cylinder or truncated cone about its own z; sizes: both radii (at −z, at +z), half height."""
+    """A cylinder or truncated cone about its own z.
 
-    count = 3
+    Its sizes are the radii at −z and at +z, and half its height.
+    """
+
+    count, even = 3, 0.025
 
     def points(self, sizes: np.ndarray) -> np.ndarray:
         angle = 2 * np.pi * np.arange(AROUND) / AROUND
@@ -106,10 +111,11 @@ class Cylinder:
 class Ball:
     """A ball, flattened or lengthened along its own z; sizes: radius, half length along z.
 
-    With three different axes its depth would not follow from its outline.
+    With three different axes its depth would not follow from its outline. Even so, normals that
+    face the viewer too much would flatten it towards the viewer, were it not held round.
     """
 
-    count = 2
+    count, even = 2, 0.2
 
     def points(self, sizes: np.ndarray) -> np.ndarray:
         return _sphere() * sizes[[0, 0, 1]]

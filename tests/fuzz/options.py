@@ -126,6 +126,9 @@ BASES = {
     "learn.experiments refinement-methods": "--data {seeds}/nothing --out {out}",
     "learn.experiments room-photographs": "--data {seeds}/nothing --out {out}",
     "learn.experiments mask-edges": "--data {seeds}/nothing --out {out}",
+    "learn.experiments named-shapes": (
+        "--data {seeds}/nothing --shapes {seeds}/run.json --out {out}"
+    ),
     "learn.experiments exposure-line": "--fit a={seeds}/nothing --out {out}",
     "learn.experiments stereo-normals": "--pictures {seeds}/nothing --out {out}",
     "learn.experiments edit-summary": "--out {out}",

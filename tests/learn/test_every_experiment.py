@@ -332,6 +332,17 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             )
         ),
     ),
+    "named-shapes": (
+        "--data {room}/pictures --shapes {room}/shapes.json --weights {room}/weights.safetensors"
+        " --pictures 2",
+        lambda r: (
+            len(r["rows"]) == r["all"] == 2
+            and all(row["named"] == "ball" for row in r["rows"])
+            # an untrained network's normals are worse than a ball's
+            and all(row["primitive"] < 0.7 * row["predicted"] for row in r["rows"])
+            and all(row["overlap"] > 0.5 for row in r["rows"])
+        ),
+    ),
     "exposure-line": (
         "--fit rooms={root}/room-photographs/report.json"
         " metals={root}/photographed-edits-other-metals/report.json"
@@ -429,6 +440,7 @@ def room(tmp_path_factory):
     ladder_rungs.written(room / "glossy", SIZE, glossy(split="test"))
     stereo_sphere.written(room / "sphere", size=4 * SIZE)
     room_scenes.written(room / "rooms")
+    (room / "shapes.json").write_text('{"shapes": {"sphere:0": "ball", "sphere": "ball"}}')
     torch.manual_seed(0)
     network = Compact(Ranges.of(torch.tensor([each.label for each in both])))
     save_weights(
@@ -506,6 +518,27 @@ def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, t
     words = f"--data {tmp_path}/others --weights {room}/weights.safetensors"
     assert run("room-photographs", f"{words} --no-refine {beside}", tmp_path / "c") == 1
     assert "expected the same photographs" in capsys.readouterr().err
+
+
+def test_edits_in_rooms_can_be_told_the_shapes_of_their_objects(room, tmp_path, capsys):
+    words = f"--data {room}/rooms --weights {room}/weights.safetensors --no-refine"
+    named = f"{words} --shapes {room}/shapes.json"
+    l2 = []
+    for folder, each in (("a", words), ("b", named), ("c", f"{named} --use-shapes")):
+        assert run("room-photographs", each, tmp_path / folder) == 0
+        report = json.loads((tmp_path / folder / "report.json").read_text())
+        l2.append([row["edits"][0]["l2"] for row in report["rows"]])
+    assert l2[0] == l2[1] != l2[2]
+    assert run("room-photographs", named, tmp_path / "c") == 1
+    assert "use_shapes" in capsys.readouterr().err
+    assert run("room-photographs", f"{words} --use-shapes", tmp_path / "d") == 1
+    assert "--shapes FILE" in capsys.readouterr().err
+    others, wrong = tmp_path / "others.json", tmp_path / "wrong.json"
+    others.write_text('{"shapes": {"carton": "box"}}')
+    wrong.write_text('{"shapes": {"sphere": "teapot"}}')
+    for file, found in ((others, "found sphere"), (wrong, "found sphere: teapot")):
+        assert run("room-photographs", f"{words} --shapes {file}", tmp_path / "e") == 1
+        assert found in capsys.readouterr().err
 
 
 def test_a_summary_needs_reports_and_their_words(tmp_path, capsys):

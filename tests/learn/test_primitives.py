@@ -42,7 +42,8 @@ def angle(a, b):
 
 def blurred(n, coverage):
     """Normals as a network might predict them: smooth, and turned towards the viewer."""
-    poor = gaussian_filter(n * (coverage >= 0.5)[..., None], (8, 8, 0)) + [0, 0, 0.15]
+    poor = gaussian_filter(n * (coverage >= 0.5)[..., None], (8, 8, 0))
+    poor = poor + np.array([0, 0, 0.15])
     return poor / np.linalg.norm(poor, axis=-1, keepdims=True)
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from factory.shapes.catalogue import load
 def test_shapes_take_turns_and_an_attempt_changes_the_place_alone():
     shapes = [objects_in_rooms.planned(k, 0, 1, []).shape.split(":")[0] for k in range(4)]
     assert shapes == ["chair", "dish", "sofa", "knot"]
+    files = [Path("a.obj"), Path("b.obj")]
+    alone = [objects_in_rooms.planned(k, 0, 1, files, only_meshes=True).shape for k in range(3)]
+    assert alone == ["a.obj", "b.obj", "a.obj"]
     first, second = (objects_in_rooms.planned(3, attempt, 1, []) for attempt in (0, 1))
     assert (first.shape, first.materials) == (second.shape, second.materials)
     assert first.place != second.place and first.azimuths != second.azimuths

@@ -121,13 +121,17 @@ def planned(
     seed: int,
     meshes: Sequence[Path],
     look: str = SURROUNDINGS[0],
+    only_meshes: bool = False,
 ) -> Plan:
     """Return scene `number` of a seed; each attempt has another place and camera.
 
-    look  the Plan's surroundings, on which nothing else of it depends
+    look         the Plan's surroundings, on which nothing else of it depends
+    only_meshes  whether to show meshes alone, instead of the program's own shapes beside them
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     groups: list[Sequence[Any]] = [OWN, HELD_OUT, *([meshes] if meshes else [])]
+    if only_meshes:
+        groups = [meshes]
     group = groups[number % len(groups)]
     shape = str(group[number // len(groups) % len(group)])
     names = tuple(str(name) for name in rng.permutation(MATERIALS)[:EACH])
@@ -362,11 +366,19 @@ def main() -> None:
     parser.add_argument(
         "--samples", type=positive, default=SAMPLES, metavar="N", help="of each pixel"
     )
+    parser.add_argument(
+        "--only-meshes", action="store_true", help="show the meshes alone, each as often"
+    )
     options = command_line.parse(parser, what="of the scenes' folders")
     meshes = meshes_of(options.meshes)
+    if options.only_meshes and not meshes:
+        parser.error("--only-meshes: expected meshes, found none; give --meshes FOLDER")
     folders = [options.out / f"{number:04d}" for number in range(options.scenes)]
     attempts = [
-        [planned(number, k, options.seed, meshes, options.surroundings) for k in range(PLACES)]
+        [
+            planned(number, k, options.seed, meshes, options.surroundings, options.only_meshes)
+            for k in range(PLACES)
+        ]
         for number in range(options.scenes)
     ]
     done = [(folder / "scene.json").exists() for folder in folders]

@@ -161,4 +161,10 @@ def _line(title: str, rows: list[dict[str, Any]]) -> list[str]:
         for column in COLUMNS
     ]
     better = np.mean([row["primitive"] < row["predicted"] for row in rows])
-    return [title, str(len({row["shape"] for row in rows})), str(len(rows)), *cells, f"{better:.0%}"]
+    return [
+        title,
+        str(len({row["shape"] for row in rows})),
+        str(len(rows)),
+        *cells,
+        f"{better:.0%}",
+    ]

@@ -234,11 +234,13 @@ def figures_of(
     network: torch.nn.Module,
     size: int,
     settings: RefinementSettings | None,
+    shape: str | None = None,
 ) -> dict[str, Any]:
     """Return what a photograph's cues and its edits are worth.
 
     name      for messages
     settings  of refinement; None: none
+    shape     of the object, as `learn.editing.decomposition.decompose` takes it
 
     {"exposure": {"true", "used"} in stops, "light_green": of the light that was read, before it was
     taken back, "cues": of learn.editing.exposure, "edits": [{"target", "family", "narrow": share of
@@ -260,7 +262,7 @@ def figures_of(
 
     try:
         read = photograph.from_arrays(photo.pixels, photo.mask, name=name)
-        parts = decomposition.decompose(read, network, size, settings)
+        parts = decomposition.decompose(read, network, size, settings, shape=shape)
     except InputError as error:  # an object that is black or white in the photograph
         return {"refused": str(error), "edits": []}
     if parts.cues is None:

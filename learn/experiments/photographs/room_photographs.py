@@ -58,12 +58,14 @@ class Case(NamedTuple):
     """A photograph: a scene's folder, its RoomScene, and the material that it shows.
 
     balances  whether the camera balances white
+    shape     of learn.primitives.PRIMITIVES, if edits are told what the object is; else None
     """
 
     folder: Path
     scene: RoomScene
     source: str
     balances: bool = False
+    shape: str | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,6 +77,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--white-balance",
         action="store_true",
         help="photograph with a camera that balances white, as most do",
+    )
+    parser.add_argument(
+        "--shapes",
+        type=Path,
+        metavar="FILE",
+        help=(
+            'photograph only objects that this JSON file names: {"shapes": {mesh: box, cylinder,'
+            " ball or flat}}"
+        ),
+    )
+    parser.add_argument(
+        "--use-shapes",
+        action="store_true",
+        help="edit them as the shapes that the file names, instead of guessing",
     )
     parser.add_argument(
         "--no-refine",
@@ -103,10 +119,15 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from learn.networks import weights as checkpoint
     from learn.refinement import PHOTOGRAPHS
     from manifests import outputs
+    from manifests.errors import InputError
     from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
     cases = cases_of(arguments.data, arguments.scenes, arguments.after, arguments.white_balance)
+    if arguments.shapes:
+        cases = named_cases(cases, arguments.shapes, arguments.use_shapes)
+    elif arguments.use_shapes:
+        raise InputError("--use-shapes", "--shapes FILE", "none", "name the objects' shapes")
     settings = None if arguments.no_refine else PHOTOGRAPHS
     seen = overlap.sentences([arguments.weights], tested(cases), arguments.data, True)
     about = {
@@ -114,7 +135,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "data": file_hash(cases[0].folder / "scene.json"),
         "weights": file_hash(arguments.weights),
         "refinement": None if settings is None else asdict(settings),
-        "white_balance": arguments.white_balance or None,  # earlier folders lack the key
+        "white_balance": arguments.white_balance or None,  # earlier folders lack these keys
+        "shapes": file_hash(arguments.shapes) if arguments.shapes else None,
+        "use_shapes": arguments.use_shapes or None,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -196,6 +219,22 @@ def cases_of(
     return result
 
 
+def named_cases(cases: Sequence[Case], file: Path, use: bool) -> list[Case]:
+    """Return those of which a JSON file names the shape; use: whether edits are told the shape.
+
+    Raises InputError: the file is none, or names none of the shapes
+    """
+    from learn.experiments.photographs.named_shapes import read_shapes
+    from manifests.errors import InputError
+
+    shapes = read_shapes(file)
+    named = [case for case in cases if case.scene.shape in shapes]
+    if not named:
+        found = ", ".join(sorted({case.scene.shape for case in cases})[:3])
+        raise InputError(file, "shapes of the scenes' objects", found, "name them")
+    return [case._replace(shape=shapes[case.scene.shape] if use else None) for case in named]
+
+
 def row_of(
     case: Case, network: torch.nn.Module, size: int, settings: RefinementSettings | None
 ) -> dict[str, Any]:
@@ -215,7 +254,9 @@ def row_of(
     }
     targets = (_truth(case, other) for other in scene.materials if other != case.source)
     name = name_of(case)
-    return about | photographed_edits.figures_of(photo, name, targets, network, size, settings)
+    return about | photographed_edits.figures_of(
+        photo, name, targets, network, size, settings, case.shape
+    )
 
 
 def write_sheet(
@@ -244,7 +285,7 @@ def write_sheet(
         photo, truth = _photograph(case), _truth(case, case.scene.materials[1])
         try:
             read = photograph.from_arrays(photo.pixels, photo.mask, name=name_of(case))
-            parts = decomposition.decompose(read, network, size, settings)
+            parts = decomposition.decompose(read, network, size, settings, shape=case.shape)
         except InputError:
             continue
         edited = tone.display(Compositor(parts).edited([truth.label]), 1.0)
