@@ -20,10 +20,12 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
     judged = json.loads((folder / "judged.json").read_text())
     picture = r"<img src=['\"]data:image/jpeg;base64,([^'\"]+)"
     rows = dict(re.findall(rf"<h2>([^<]+)</h2>\s*(?:<div[^>]*>)?{picture}", text))
-    if set(rows) != set(known["photographs"]):
+    shaped = {f"{name} as {shape}": name for name, shape in known["shapes"].items()}
+    if set(rows) != {*known["photographs"], *shaped}:
         raise KeyError("docs/results/photographs: index.html and sources.json name other pictures")
     materials, made = report["materials"], report["made"]
-    verdicts = {name: judged[name].partition(":")[0].partition(" for ")[0] for name in rows}
+    first = [name for name in rows if name not in shaped]
+    verdicts = {name: judged[name].partition(":")[0].partition(" for ")[0] for name in first}
     counts = {verdict: list(verdicts.values()).count(verdict) for verdict in VERDICTS}
     summary = ", ".join(
         f"{count} photographs {VERDICTS[verdict]}" for verdict, count in counts.items()
@@ -31,7 +33,7 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
     refined = "refined" if report["refined"] else "not refined"
     page = [
         "# Gallery",
-        f"{len(rows) * len(materials)} edits of {len(rows)} photographs by other people, in"
+        f"{len(rows) * len(materials)} edits of {len(first)} photographs by other people, in"
         f" {', '.join(materials[:-1])} and {materials[-1]}."
         " Whether an edit works was judged by eye, by those who wrote the program:"
         f" {summary}. None was left out.",
@@ -46,16 +48,23 @@ def gallery(folder: Path) -> dict[str, str | bytes]:
         " [Editing a photograph](editing.md#limitations) says what to expect.",
     ]
     files: dict[str, str | bytes] = {}
-    for verdict, title in TITLES.items():
+    groups = {
+        title: [name for name in first if verdicts[name] == verdict]
+        for verdict, title in TITLES.items()
+    }
+    if shaped:
+        groups["Some of them again, with their shape given"] = list(shaped)
+    for title, names in groups.items():
         page.append(f"## {title}")
-        for name in (name for name in rows if verdicts[name] == verdict):
-            package, source = known["photographs"][name]
+        for name in names:
+            package, source = known["photographs"][shaped.get(name, name)]
             about = known["packages"][package]
-            files[f"gallery/{name}.jpg"] = base64.b64decode(rows[name])
+            file = f"gallery/{name.replace(' ', '-')}.jpg"
+            files[file] = base64.b64decode(rows[name])
             page += [
                 f"### {name.replace('-', ' ').capitalize()}",
-                f"[![{name}: photograph, decomposition and edits](gallery/{name}.jpg)"
-                f"{{ loading=lazy }}](gallery/{name}.jpg)",
+                f"[![{name}: photograph, decomposition and edits]({file}){{ loading=lazy }}]"
+                f"({file})",
                 cell(judged[name]),
                 f"*Photograph:* {cell(source)} of {package} {about['version']};"
                 f" {cell(_licence(about['licence'], source))}; {cell(about['credit'])}.",

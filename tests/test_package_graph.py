@@ -9,6 +9,7 @@ import pytest
 
 LAYERS = {  # from the bottom up
     "learn": (
+        "primitives",
         "engines",
         "methods",
         "layer",

@@ -72,11 +72,11 @@ def fit_primitive(name: str, coverage: np.ndarray, predicted: np.ndarray) -> Pri
         (_start(solid, R, work) for R in _rotations(name)),
         key=lambda p: float((_residuals(solid, work, p) ** 2).sum()),
     )
-    found = min((_descend(solid, work, p) for p in begun[:STARTS]), key=lambda pair: pair[0])[1]
+    best = min((_descend(solid, work, p) for p in begun[:STARTS]), key=lambda pair: pair[0])[1]
     whole = _Picture(coverage, predicted)
-    shown = _coverage(solid, whole, found)
+    shown = _coverage(solid, whole, best)
     overlap = np.minimum(shown, coverage).sum() / np.maximum(shown, coverage).sum()
-    return PrimitiveFit(_normals(solid, whole, found).astype(np.float32), float(overlap))
+    return PrimitiveFit(_normals(solid, whole, best).astype(np.float32), float(overlap))
 
 
 class _Picture:

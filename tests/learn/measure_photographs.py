@@ -12,7 +12,8 @@ PYTHONPATH=. python tests/learn/measure_photographs.py ROOT OUT [--no-refine] [-
 
 `make gallery` does so. docs/site_results.py makes the site's gallery of the committed index.html.
 
-OUT also gets hero.jpg, the README's picture: the photograph `example:espresso-cup` and two edits.
+OUT also gets hero.jpg, the README's picture: the photograph `example:espresso-cup` and two edits;
+and shapes.jpg, the manual's picture of edits without and with --shape.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 import brdfactory as bf
 from learn.commands.options import EDITING_WEIGHTS
@@ -38,6 +40,7 @@ from learn.networks import weights
 from learn.refinement import PHOTOGRAPHS
 from manifests import files
 from manifests.provenance import provenance, shorten
+from manifests.wording import number_of
 from shaders import tone
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "photographs"
@@ -45,8 +48,14 @@ MATERIALS = ("gold", "leather", "brass", "green-latex", "red-fabric")
 TILE = 150
 
 
+def shaped():
+    """{name of a row: (photograph, shape)} of photographs edited once more with --shape."""
+    named = json.loads((FOLDER / "sources.json").read_text())["shapes"]
+    return {f"{name} as {shape}": (name, shape) for name, shape in named.items()}
+
+
 def sources(root):
-    """{name: (path of the picture, path of its mask, credit)}"""
+    """{name: (path of the picture, path of its mask, credit)}, those with a shape after others"""
     known = json.loads((FOLDER / "sources.json").read_text())
     result = {}
     for name, (package, file) in known["photographs"].items():
@@ -54,7 +63,7 @@ def sources(root):
         credit = f"{package} {about['version']}, {file}: {about['licence']}, {about['credit']}"
         path = Path(root) / about["folder"] / file
         result[name] = (path, FOLDER / "masks" / f"{name}.png", credit)
-    return result
+    return result | {row: result[name] for row, (name, _) in shaped().items()}
 
 
 def download(root):
@@ -80,11 +89,11 @@ def download(root):
                 zipfile.ZipFile(package).extractall(root)
 
 
-def row(name, path, mask, network, size, settings):
+def row(name, path, mask, network, size, settings, shape=None):
     """A row of the sheet, and seconds: all steps but reading the weights."""
     start = time.perf_counter()
     opened = photograph.open_photograph(path, [mask], None, fit_mask=None)
-    result = decomposition.decompose(opened, network, size, settings)
+    result = decomposition.decompose(opened, network, size, settings, shape=shape)
     compositor = Compositor(result, detail=0.25)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
     again = tone.display(compositor.rendered_again(), 1.0)
@@ -118,7 +127,9 @@ def page(rows, credits, judged, about):
     telephone could not be recognised.
     """
     made = about["made"]
-    verdicts = [judged.get(name, "").partition(":")[0].partition(" for ")[0] for name in rows]
+    again = [name for name in rows if name in shaped()]
+    first = [name for name in rows if name not in again]
+    verdicts = [judged.get(name, "").partition(":")[0].partition(" for ")[0] for name in first]
     counts = [
         f"{text} for {verdicts.count(verdict)}"
         for verdict, text in VERDICTS.items()
@@ -126,7 +137,7 @@ def page(rows, credits, judged, about):
     ]
     body = [
         html.paragraph(
-            f"{len(rows) * len(MATERIALS)} edits of {len(rows)} photographs by other people. Each"
+            f"{len(rows) * len(MATERIALS)} edits of {len(first)} photographs by other people. Each"
             " row shows the photograph, the same picture rendered again from what was read from it,"
             f" its shape (as colours), its light, and the object in {', '.join(MATERIALS[:-1])} and"
             f" {MATERIALS[-1]}."
@@ -136,6 +147,12 @@ def page(rows, credits, judged, about):
             " out."
         )
         if counts
+        else "",
+        html.paragraph(
+            f"{number_of(len(again), 'object').capitalize()} at the end were edited once more, with"
+            " --shape, which says what they are: a box, a cylinder, or flat."
+        )
+        if again
         else "",
         html.paragraph("Move a row sideways to see all of it.", "hint"),
     ]
@@ -174,6 +191,20 @@ def hero(path, weights_path):
     files.write_image(path, montage.eight_bit(np.concatenate(row, 1)), "JPEG")
 
 
+def shapes_picture(path, rows):
+    """Write normals and leather with guessed normals above those with the shape given."""
+    pictures, tiles = [], 4 + len(MATERIALS)
+    for again, (name, _) in shaped().items():
+        parts = []
+        for row in (name, again):
+            whole = np.asarray(Image.open(rows[row]).convert("RGB"), np.float32)
+            width = whole.shape[1] // tiles
+            parts.append([whole[:, k * width : (k + 1) * width] for k in (0, 2, 5)])
+        pictures.append(np.concatenate([np.concatenate(part, 1) for part in parts]))
+    halves = [np.concatenate(pictures[:2], 1), np.concatenate(pictures[2:], 1)]
+    files.write_image(path, montage.eight_bit(np.concatenate(halves)), "JPEG")
+
+
 def main(arguments):
     """Write index.html, report.json and a row for each photograph into the folder OUT."""
     torch.set_num_threads(1)
@@ -206,12 +237,14 @@ def main(arguments):
         rows[name], credits[name] = kept / f"{name}.jpg", credit
         if name in seconds and rows[name].is_file():
             continue
-        tiles, seconds[name] = row(name, path, mask, network, metadata["size"], settings)
+        shape = shaped().get(name, (None, None))[1]
+        tiles, seconds[name] = row(name, path, mask, network, metadata["size"], settings, shape)
         sheet = montage.eight_bit(montage.contact_sheet([tiles], TILE))
         files.write_image(rows[name], sheet, "JPEG")
         files.write_json(report, about | {"seconds": seconds, "made": provenance(command)})
         print(f"{name}: {seconds[name]:.1f} s", flush=True)
     hero(arguments.out / "hero.jpg", arguments.weights)
+    shapes_picture(arguments.out / "shapes.jpg", rows)
     judged = FOLDER / "judged.json"
     sentences = json.loads(judged.read_text()) if judged.is_file() else {}
     about |= {"made": provenance(command)}

@@ -21,7 +21,7 @@ def test_the_published_page_is_what_its_command_writes(tmp_path: Path) -> None:
     for name, data in re.findall(r"<h2>([^<]+)</h2>.*?base64,([^']+)'", text, re.DOTALL):
         rows[name] = tmp_path / f"{name}.jpg"
         rows[name].write_bytes(base64.b64decode(data))
-    assert len(rows) == 20
+    assert len(rows) == 20 + len(measure_photographs.shaped()) == 24
     judged = json.loads((measure_photographs.FOLDER / "judged.json").read_text())
     about = json.loads((measure_photographs.FOLDER / "report.json").read_text())
     credits = {n: credit for n, (_, _, credit) in measure_photographs.sources(tmp_path).items()}

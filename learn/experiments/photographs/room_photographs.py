@@ -230,8 +230,8 @@ def named_cases(cases: Sequence[Case], file: Path, use: bool) -> list[Case]:
     shapes = read_shapes(file)
     named = [case for case in cases if case.scene.shape in shapes]
     if not named:
-        found = ", ".join(sorted({case.scene.shape for case in cases})[:3])
-        raise InputError(file, "shapes of the scenes' objects", found, "name them")
+        others = ", ".join(sorted({case.scene.shape for case in cases})[:3])
+        raise InputError(file, "shapes of the scenes' objects", others, "name them")
     return [case._replace(shape=shapes[case.scene.shape] if use else None) for case in named]
 
 
