@@ -176,7 +176,7 @@ class ObjectTab:
                 **QUIET,
             )
         for control, take in ((self.fit, self.take_fit), (self.shape, self.take_shape)):
-            # of several changes at once, as by arrow keys, the last one counts
+            # of changes that follow each other at once, the last one counts
             control.input(take, control, None, queue=False, trigger_mode="always_last", **QUIET)
         drawn = [self.marked, self.brush]
         self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
@@ -205,14 +205,15 @@ class ObjectTab:
         return (*self._shown(session, text), "", *others)
 
     def _shown(self, session: Session, text: str) -> tuple[Any, ...]:
-        shape = session.shape or GUESSED
-        return (*self._marks_of(session, text), canvas_of(session), session.fit_mask, shape)
+        return (*self._marks_of(session, text), canvas_of(session), *self._choices_of(session))
+
+    def _choices_of(self, session: Session) -> tuple[Any, ...]:
+        return session.fit_mask, session.shape or GUESSED
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
         """Return the values of `shown` for a page that was loaded again."""
         if session.photograph is None:
-            shape = session.shape or GUESSED
-            return (*(gr.skip() for _ in self.on_canvas), session.fit_mask, shape)
+            return (*(gr.skip() for _ in self.on_canvas), *self._choices_of(session))
         text = covered_text(session)
         if session.viewer is not None:
             text = f"Your edit is in step 2. {text}"
