@@ -45,11 +45,16 @@ class Progress:
 
 
 def decompose(
-    opened: Photograph, network: Network, refine: bool, stop: threading.Event
+    opened: Photograph,
+    network: Network,
+    refine: bool,
+    stop: threading.Event,
+    shape: str | None = None,
 ) -> Generator[Progress, None, Decomposition]:
     """Yield the progress of a decomposition, and return it.
 
     stop    ends it within a step when it is set
+    shape   as learn.editing.decomposition.decompose has it
     Raises  InputError; Stopped
     """
     reports: SimpleQueue[Progress | BaseException | Decomposition] = SimpleQueue()
@@ -73,7 +78,7 @@ def decompose(
             reports.put(Progress(0.08, "reading shape, light and material"))
             settings = PHOTOGRAPHS if refine else None
             size = metadata["size"]
-            reports.put(decomposition.decompose(opened, module, size, settings, watch))
+            reports.put(decomposition.decompose(opened, module, size, settings, watch, shape))
         except BaseException as error:
             reports.put(error)
 

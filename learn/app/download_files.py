@@ -96,7 +96,13 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
     edit_file.write(folder / "edit.json", edit)
     weights = session.network.weights
     command = edit_file.command_line(
-        edit, session.opened().name, masks, session.refined, session.fit_was_on, weights
+        edit,
+        session.opened().name,
+        masks,
+        session.refined,
+        session.fit_was_on,
+        weights,
+        session.shape_was,
     )
     files.write_text(folder / "command.txt", command + "\n")
     others = sorted(path for path in folder.iterdir() if path not in pictures)
@@ -144,7 +150,9 @@ def _write_work(session: Session, folder: Path, masks: list[str]) -> Path:
     path = folder / f"{stem_of(session)}-work.zip"
     made = session.folder / f"work-{secrets.token_hex(6)}"
     made.mkdir()
-    saved = Saved(opened.name, session.refined, len(session.kept), session.fit_was_on)
+    saved = Saved(
+        opened.name, session.refined, len(session.kept), session.fit_was_on, session.shape_was
+    )
     try:
         kept = [each.edit for each in session.kept]
         work_file.write(path, made, saved, parts, session.edit, kept)

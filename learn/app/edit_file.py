@@ -40,7 +40,13 @@ def mask_options(names: list[str]) -> list[str]:
 
 
 def command_line(
-    edit: Edit, photograph: str, masks: list[str], refined: bool, fit_mask: bool, weights: Path
+    edit: Edit,
+    photograph: str,
+    masks: list[str],
+    refined: bool,
+    fit_mask: bool,
+    weights: Path,
+    shape: str | None = None,
 ) -> str:
     """Return the command that repeats an edit, in a folder with the photograph and the files.
 
@@ -48,10 +54,12 @@ def command_line(
     masks       names of the files of the mask that are needed
     fit_mask    whether the mask's edge was fitted, if it was black and white
     weights     the file of the network that decomposed
+    shape       the object's, one of learn.primitives.PRIMITIVES; None: predicted
     """
     words = ["brdfactory"]
     left_out = ["--no-fit-mask"] * (not fit_mask) + ["--no-refine"] * (not refined)
-    kept = (*mask_options(masks), *left_out)
+    named = [] if shape is None else ["--shape", shape]
+    kept = (*mask_options(masks), *named, *left_out)
     plain = all(
         painted.second is None and (painted.first is None or painted.first.named)
         for painted in edit.regions

@@ -9,10 +9,12 @@ from learn.app.offline_gradio import gr
 from learn.app.page_html import figures, kept_tiles, without_markup
 from learn.app.session import Kept, Session
 from learn.app.viewer import Superseded
+from learn.editing.decomposition import shape_warning
 from learn.figures import montage
 
 QUICK_TEXT = "Quick view; the exact one follows."
 EXACT_TEXT = "Exact view."
+WITHOUT_SHAPE = "choose “Guess it” in step 1"
 UNCHANGED = (gr.skip(), gr.skip())
 
 
@@ -34,7 +36,7 @@ def first_values(session: Session) -> tuple[Any, ...]:
         *result,
         figures(tiles),
         kept_row(session),
-        "",
+        shape_line(session),
         gr.Radio(region_choices(count), value=1, visible=count > 1),
         *controls_of(session, 1),
     )
@@ -75,6 +77,14 @@ def kept_row(session: Session) -> str:
     kept, left = list(session.kept), session.beside
     beside = next((number for number, each in enumerate(kept) if each is left), None)
     return kept_tiles([(each.picture, each.edit.caption) for each in kept], beside)
+
+
+def shape_line(session: Session) -> str:
+    """Return a line if the shape that the user named does not suit the mask, else ""."""
+    viewer, _ = session.decomposed()
+    overlap = viewer.decomposition.shape_overlap
+    warning = shape_warning(session.shape_was, overlap, WITHOUT_SHAPE)
+    return warning and f"{warning}."
 
 
 def said(note: str, edit: Edit, beside: Kept | None) -> str:

@@ -12,7 +12,7 @@ from learn.app import choices, gallery
 from learn.app.background_decomposition import Stopped
 from learn.app.choices import OWN_LIGHT, Chosen, Edit, LightChoice, Painted, Principled
 from learn.app.edit_controls import SECOND, controls_of, painting, region_of, share_of
-from learn.app.edit_view import exact_view, first_values, kept_row, quick_view
+from learn.app.edit_view import exact_view, first_values, kept_row, quick_view, shape_line
 from learn.app.event_handling import (
     QUIET,
     SessionOf,
@@ -136,18 +136,20 @@ class MaterialTab:
         rest = (gr.skip(),) * (len(self.views) - 1)
         shown, hidden = gr.Button(visible=True), gr.Button(visible=False)
         if session.refined:
-            yield hidden, *rest, "Shape and light are improved already."
+            yield hidden, *rest, _with_doubt(f"{_refined(session)} are improved already.", session)
             return
         try:
             yield shown, *rest, progress_bar(0.01, "waiting until another user is served")
             for report in session.decompose(refine=True, goes_on=True):
                 yield shown, *rest, progress_bar(report.share, report.text)
-            done = "Shape and light are fitted more closely to the photograph now."
-            yield hidden, *first_values(session)[: len(rest)], done
+            done = f"{_refined(session)} are fitted more closely to the photograph now."
+            yield hidden, *first_values(session)[: len(rest)], _with_doubt(done, session)
         except (Stopped, InputError) as error:
             is_open = session.photograph is opened
             stopped = isinstance(error, Stopped)
-            said = "Stopped. The edit is as it was." if stopped and is_open else ""
+            said = ""
+            if stopped and is_open:
+                said = _with_doubt("Stopped. The edit is as it was.", session)
             yield hidden, *rest, said
             if is_open and not stopped:
                 raise
@@ -296,3 +298,13 @@ class MaterialTab:
         """Show the materials that match words."""
         matching, line = gallery.found_by(text)
         return self.layout.tiles(matching, text), line
+
+
+def _with_doubt(text: str, session: Session) -> str:
+    """Return a text, and what is said if the shape that was named does not suit the mask."""
+    return f"{text} {shape_line(session)}".rstrip()
+
+
+def _refined(session: Session) -> str:
+    """Return what a refinement adjusted, at the beginning of a sentence."""
+    return "Shape and light" if session.shape_was is None else "Light and material"

@@ -13,6 +13,7 @@ from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
 from learn.app.session import NEXT, Session
 from learn.app.superpixels import BACKGROUND
+from learn.primitives import PRIMITIVES
 from manifests.errors import InputError
 
 PARTS_OFFERED = 4
@@ -21,6 +22,19 @@ PHOTO_BUTTON, WORK_BUTTON = "Choose a photograph", "Or open saved work (.zip)"
 FIT_HELP = (
     "Moves the object's edge to where the colours change, by a few pixels at most. If the edge of"
     " an edit is frayed, switch this off and press “Next” again."
+)
+GUESSED = "guessed"  # in place of one of PRIMITIVES
+SHAPES = (
+    ("Guess it", GUESSED),
+    ("Box", "box"),
+    ("Cylinder or cone", "cylinder"),
+    ("Ball", "ball"),
+    ("Flat", "flat"),
+)
+SHAPE_LABEL = "Shape of the object"
+SHAPE_HELP = (
+    "If the whole object is one of these, say so: its shape then follows from its outline, and"
+    " prints on it do not become relief."
 )
 # Tabs that were an output of Python would be asked for all that they hold at each later change.
 OPEN_EDIT = """
@@ -43,6 +57,7 @@ class ObjectTab:
     those of the tabs that a photograph fills or empties.
 
     on_canvas  `marks`, and the picture to draw on
+    shown      `on_canvas`, and how the object is decomposed
     """
 
     def __init__(self, session_of: SessionOf):
@@ -54,6 +69,7 @@ class ObjectTab:
                 self._lay_out_picture()
         self.marks = [self.marking, self.status, self.decompose]
         self.on_canvas: list[Any] = [*self.marks, self.brush]
+        self.shown: list[Any] = [*self.on_canvas, self.fit, self.shape]
 
     def _lay_out_controls(self) -> None:
         self.photo = gr.UploadButton(PHOTO_BUTTON, variant="primary", elem_id="photo", size="md")
@@ -75,6 +91,9 @@ class ObjectTab:
             label="Fit the edge to the photograph",
             info=FIT_HELP,
             elem_id="fit",
+        )
+        self.shape = gr.Radio(
+            SHAPES, value=GUESSED, label=SHAPE_LABEL, info=SHAPE_HELP, elem_id="shape"
         )
         self.decompose = gr.Button(
             NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
@@ -140,7 +159,7 @@ class ObjectTab:
 
     def connect(self, materials: MaterialTab, download: DownloadTab) -> None:
         """Connect the events of this tab; `materials` and `download` show what they result in."""
-        on_load = [*self.on_canvas, self.fit, self.progress, *materials.views, *download.outputs]
+        on_load = [*self.shown, self.progress, *materials.views, *download.outputs]
         waiting = progress_on(self.marking)
         self.photo.upload(self.take_photo, self.photo, on_load, **waiting)
         self.example.click(self.take_example, None, on_load, **waiting)
@@ -156,7 +175,9 @@ class ObjectTab:
                 trigger_mode="multiple",
                 **QUIET,
             )
-        self.fit.input(self.take_fit, self.fit, None, queue=False, **QUIET)
+        for control, take in ((self.fit, self.take_fit), (self.shape, self.take_shape)):
+            # of changes that follow each other at once, the last one counts
+            control.input(take, control, None, queue=False, trigger_mode="always_last", **QUIET)
         drawn = [self.marked, self.brush]
         self.use_brush.click(self.stroke, drawn, self.on_canvas, **QUIET)
         self.use_line.click(self.line, drawn, self.on_canvas, **QUIET)
@@ -181,16 +202,22 @@ class ObjectTab:
 
     def _loaded(self, session: Session, text: str) -> tuple[Any, ...]:
         others = (*MaterialTab.EMPTY, *DownloadTab.EMPTY)
-        return (*self._marks_of(session, text), canvas_of(session), session.fit_mask, "", *others)
+        return (*self._shown(session, text), "", *others)
+
+    def _shown(self, session: Session, text: str) -> tuple[Any, ...]:
+        return (*self._marks_of(session, text), canvas_of(session), *self._choices_of(session))
+
+    def _choices_of(self, session: Session) -> tuple[Any, ...]:
+        return session.fit_mask, session.shape or GUESSED
 
     def shown_again(self, session: Session) -> tuple[Any, ...]:
-        """Return the values of `on_canvas` and `fit` for a page that was loaded again."""
+        """Return the values of `shown` for a page that was loaded again."""
         if session.photograph is None:
-            return (*(gr.skip() for _ in self.on_canvas), session.fit_mask)
+            return (*(gr.skip() for _ in self.on_canvas), *self._choices_of(session))
         text = covered_text(session)
         if session.viewer is not None:
             text = f"Your edit is in step 2. {text}"
-        return (*self._marks_of(session, text), canvas_of(session), session.fit_mask)
+        return self._shown(session, text)
 
     @one_line
     def take_photo(self, sent: str, request: gr.Request) -> tuple[Any, ...]:
@@ -261,6 +288,10 @@ class ObjectTab:
     def take_fit(self, is_on: bool, request: gr.Request) -> None:
         """Fit the mask's edge to the photograph from the next decomposition on, or leave it."""
         self.session_of(request).fit_mask = bool(is_on)
+
+    def take_shape(self, name: str, request: gr.Request) -> None:
+        """Use a shape for the object from the next decomposition on; GUESSED: the network's."""
+        self.session_of(request).shape = name if name in PRIMITIVES else None
 
     def canvas(self, request: gr.Request) -> Any:
         """Show what is marked by now where it is drawn."""

@@ -122,7 +122,7 @@ def page(sessions: Sessions) -> gr.Blocks:
         blocks.load(
             begun,
             key,
-            [key, *objects.on_canvas, objects.fit, *materials.filled],
+            [key, *objects.shown, *materials.filled],
             js=RECALL_KEY,
             **QUIET,
         ).success(None, key, js=KEEP_KEY, **QUIET)

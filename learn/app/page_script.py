@@ -1,6 +1,6 @@
 """What the page does in the browser, beside what Gradio does."""
 
-from learn.app.object_tab import FIT_HELP, PHOTO_BUTTON, WORK_BUTTON
+from learn.app.object_tab import FIT_HELP, PHOTO_BUTTON, SHAPE_HELP, SHAPE_LABEL, WORK_BUTTON
 from learn.app.session import MOST_BYTES
 
 # - asks before a page with a photograph is left, since it cannot be brought back, and tells the
@@ -218,6 +218,8 @@ SCRIPT = """
     ['#marking:has(img)', 'role', 'application'],
     ['#marking:has(img)', 'ariaLabel', 'The photograph to mark the object in'],
     ['#fit input', 'ariaDescription', "FIT_HELP"],
+    ['#shape', 'ariaLabel', "SHAPE_LABEL"],
+    ['#shape', 'ariaDescription', "SHAPE_HELP"],
     ['#editor img', 'alt', 'The photograph and its edit, divided by a line'],
     ['#brush canvas', 'ariaLabel', 'The photograph, to draw on'],
   ];
@@ -253,6 +255,8 @@ for name, text in (
     ("CROSS_KEYS", CROSS_KEYS),
     ("FIT_HELP", FIT_HELP),
     ("LINE_KEYS", LINE_KEYS),
+    ("SHAPE_HELP", SHAPE_HELP),
+    ("SHAPE_LABEL", SHAPE_LABEL),
     ("WORK", WORK_BUTTON),
     ("PHOTO", PHOTO_BUTTON),
     ("MEGABYTES", str(MOST_BYTES >> 20)),

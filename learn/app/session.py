@@ -62,6 +62,9 @@ class Session:
     refined     whether what was decomposed was refined
     fit_mask    whether the next decomposition fits the mask's edge (learn.editing.mask_edges)
     fit_was_on  the same of what was decomposed
+    shape       the object's in the next decomposition, one of learn.primitives.PRIMITIVES; None:
+                predicted
+    shape_was   the same of what was decomposed
     soft_mask   of what was decomposed: coverage (H, W) from a file, before it is softened, or None
     by_hand     whether clicks or strokes had a part in what was decomposed
     before      the file of the photograph as the view shows it
@@ -78,6 +81,8 @@ class Session:
     refined: bool = False
     fit_mask: bool = True
     fit_was_on: bool = True
+    shape: str | None = None
+    shape_was: str | None = None
     soft_mask: np.ndarray | None = None
     by_hand: bool = False
     viewer: Viewer | None = None
@@ -140,7 +145,8 @@ class Session:
         """
         opened, work = opening.open_work(sent, self.folder)
         self._take(opened)
-        self._saved, self.refined, self.fit_mask = work, work.refined, work.fit_mask
+        self._saved, self.refined = work, work.refined
+        self.fit_mask, self.shape = work.fit_mask, work.shape
         return (
             "Your saved work is open. Its edits follow in step 2 as soon as the object is analysed."
         )
@@ -153,6 +159,8 @@ class Session:
             self.kept, self.beside = [], None
             self.number += 1
             self.stop.set()
+            if self.photograph is not None:  # the shape was that of its object
+                self.shape = None
             self.viewer = self.edit = self.soft_mask = None
             self.photograph = opened
 
@@ -182,12 +190,13 @@ class Session:
 
         An earlier decomposition that still goes on is stopped: it may be of another mask.
 
-        The edit stays as it is if the same object is decomposed again with another `fit_mask`.
+        The edit stays as it is if the same object is decomposed again with another `fit_mask` or
+        `shape`.
 
         goes_on  whether it stays as it is wherever the regions are as many as before
         Raises   InputError; Stopped
         """
-        marked, fit_mask = self.opened(), self.fit_mask
+        marked, fit_mask, shape = self.opened(), self.fit_mask, self.shape
         opened, soft_mask, by_hand = marked.to_edit(fit_mask), marked.soft_mask, marked.by_hand
         with self._lock:
             if self.photograph is not marked:
@@ -196,15 +205,17 @@ class Session:
             self.stop = stop = threading.Event()
             self.number += 1
         decomposed = yield from background_decomposition.decompose(
-            opened, self.network, refine, stop
+            opened, self.network, refine, stop, shape
         )
         yield Progress(0.97, "preparing the view")
         viewer = Viewer(decomposed)
         with self._lock:
             if stop.is_set():
                 raise Stopped
-            goes_on = goes_on or (fit_mask != self.fit_was_on and self._shows(opened))
-            self.viewer, self.refined, self.fit_was_on = viewer, refine, fit_mask
+            is_changed = (fit_mask, shape) != (self.fit_was_on, self.shape_was)
+            goes_on = goes_on or (is_changed and self._shows(opened))
+            self.viewer, self.refined = viewer, refine
+            self.fit_was_on, self.shape_was = fit_mask, shape
             self.soft_mask, self.by_hand = soft_mask, by_hand
             before = self.edit
             self.edit, kept = self._edits_of(opened.count)

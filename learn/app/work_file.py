@@ -23,6 +23,7 @@ import msgspec
 
 from learn.app import edit_file
 from learn.app.choices import Edit
+from learn.primitives import PRIMITIVES
 from manifests import files, reading
 from manifests.errors import InputError
 
@@ -49,12 +50,14 @@ class Saved(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kept        number of kept edits
     fit_mask    whether the mask's edge is fitted to the photograph, as it always was in files that
                 do not say so
+    shape       of the object, one of PRIMITIVES; None: predicted
     """
 
     photograph: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
     refined: bool
     kept: Annotated[int, msgspec.Meta(ge=0, le=MOST_KEPT)] = 0
     fit_mask: bool = True
+    shape: str | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class Work:
     name: str
     refined: bool
     fit_mask: bool
+    shape: str | None
     edit: Edit
     kept: tuple[Edit, ...]
     photograph: Path | None
@@ -106,6 +110,9 @@ def read(path: Path, folder: Path) -> Work:
         if name not in names:
             raise InputError(path, f"saved work, with {name}", "none in it", REMEDY)
     saved = reading.read(folder / "work.json", Saved, LARGEST_MANIFEST)
+    if saved.shape is not None and saved.shape not in PRIMITIVES:
+        where, rule = f"{folder / 'work.json'}: shape", f"one of {', '.join(PRIMITIVES)}"
+        raise InputError(where, rule, f"{saved.shape[:80]!r}", REMEDY)
     # a name, never a path: files for download are named after it
     is_example = saved.photograph.startswith(EXAMPLE)
     name = saved.photograph if is_example else Path(saved.photograph).name
@@ -124,6 +131,7 @@ def read(path: Path, folder: Path) -> Work:
         name,
         saved.refined,
         saved.fit_mask,
+        saved.shape,
         edit_file.read(folder / "edit.json"),
         tuple(edits),
         photographs[0] if photographs else None,

@@ -61,6 +61,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         help="with --repeat: whether to refine, as “Improve” of the page does (default: yes)",
     )
     editing_options.add_fit_mask(parser, "; with --repeat")
+    editing_options.add_shape(parser, "; with --repeat")
     options.add_weights(parser)
     options.add_device(parser)
     options.add_overwrite(parser)
@@ -84,6 +85,9 @@ def run(arguments: argparse.Namespace) -> None:
         if chosen is not None:
             where = f"--{name}" if chosen else f"--no-{name}"
             raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
+    if arguments.shape is not None:
+        remedy = "choose it on the page"
+        raise InputError("--shape", "--repeat FILE with it", "none", remedy)
     if arguments.overwrite:
         remedy = "leave it out: the page writes into no folder"
         raise InputError("--overwrite", "--repeat FILE with it", "none", remedy)
@@ -157,11 +161,18 @@ def _repeat(arguments: argparse.Namespace) -> None:
     device = devices.choose(arguments.device)
     network, metadata = checkpoint.load_parts(arguments.weights, device)
     settings = None if arguments.refine is False else PHOTOGRAPHS
-    decomposed = decomposition.decompose(opened, network, metadata["size"], settings)
+    decomposed = decomposition.decompose(
+        opened, network, metadata["size"], settings, shape=arguments.shape
+    )
     linear, display = Viewer(decomposed).full(edit)
     photographs.require_finite(arguments.photo, linear)
     arguments.out.mkdir(parents=True, exist_ok=True)
     files.write_image(arguments.out / "edited.png", display, "PNG")
     opacity = opacity_of(opened, edit.hide_background)
     photographs.write_picture(arguments.out / "edited.exr", linear, opacity)
+    warning = decomposition.shape_warning(
+        arguments.shape, decomposed.shape_overlap, editing_options.WITHOUT_SHAPE
+    )
+    if warning:
+        print(warning)
     print(f"See {arguments.out / 'edited.png'}")

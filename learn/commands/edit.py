@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from learn.commands import editing_options, options
-from learn.primitives import PRIMITIVES
 from manifests import collection, other_threads
 from manifests.errors import InputError
 from manifests.help_format import HelpFormatter
@@ -17,8 +16,6 @@ EPILOG = """examples:
   python -m learn edit cut-out.png --material other-photo.png --out edited
   python -m learn edit example:espresso-cup --material dark-blue-paint+keep --out cup
   python -m learn edit carton.jpg --mask mask.png --shape box --material walnut --out carton"""
-
-LEAST_OVERLAP = 0.9  # of the fitted outline and the mask, below which a line warns
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -63,15 +60,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         ),
     )
     editing_options.add_fit_mask(parser)
-    parser.add_argument(
-        "--shape",
-        choices=PRIMITIVES,
-        help=(
-            "what the object is, if it is one of these; a truncated cone counts as a cylinder. Its"
-            " normals then follow from its outline, and a print on it is not taken for relief"
-            " (default: the network guesses the normals)"
-        ),
-    )
+    editing_options.add_shape(parser)
     parser.add_argument(
         "--material",
         nargs="+",
@@ -116,7 +105,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
     other_threads.let_waiting_threads_sleep()
     with collection.hold_while_loading():
-        from learn.editing import edit
+        from learn.editing import decomposition, edit
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
@@ -137,12 +126,11 @@ def run(arguments: argparse.Namespace) -> None:
             f"{text}: display L2 {error['mask']:.1f} over the object, {error['frame']:.1f} over the"
             " frame, against the rendered truth"
         )
-    overlap = report["shape_overlap"]
-    if overlap is not None and overlap < LEAST_OVERLAP:
-        print(
-            f"The outline of a {arguments.shape} overlaps the mask by only {overlap:.0%}: if edits"
-            " look wrong, correct the mask, or leave --shape out"
-        )
+    warning = decomposition.shape_warning(
+        arguments.shape, report["shape_overlap"], editing_options.WITHOUT_SHAPE
+    )
+    if warning:
+        print(warning)
     print(f"See {arguments.out / 'sheet.png'}")
     if arguments.interactive:
         print(f"Open {arguments.out / 'interactive.html'} in a browser")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learn.commands import options
+from learn.primitives import PRIMITIVES
 
 if TYPE_CHECKING:
     from learn.editing.edit import EditOptions
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 LARGEST_FACTOR = 100  # of a white balance
 ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
+WITHOUT_SHAPE = "leave --shape out"  # what to do if the named shape does not suit the mask
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +75,19 @@ def add_fit_mask(parser: argparse.ArgumentParser, note: str = "") -> None:
             "move the edge of a mask, by a few pixels at most, to where the object ends according"
             " to the photograph's colours, or leave it where it is (default: move it if the mask is"
             f" black and white; leave grey edges and transparency){note}"
+        ),
+    )
+
+
+def add_shape(parser: argparse.ArgumentParser, note: str = "") -> None:
+    """Add --shape to a parser; note: what the help says further."""
+    parser.add_argument(
+        "--shape",
+        choices=PRIMITIVES,
+        help=(
+            "what the object is, if it is one of these; a truncated cone counts as a cylinder. Its"
+            " normals then follow from its outline, and a print on it is not taken for relief"
+            f" (default: the network guesses the normals){note}"
         ),
     )
 

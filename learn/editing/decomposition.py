@@ -23,6 +23,8 @@ from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
 
+LEAST_OVERLAP = 0.9  # of a named shape's outline and the mask, below which a line warns
+
 
 class Parts(NamedTuple):
     """A complete Prediction: n, label and light, in the layout of learn.networks.prediction."""
@@ -70,6 +72,11 @@ class Decomposition:
     def exposure(self) -> np.ndarray:
         """Factors (3,) by which the photograph's radiance is multiplied for the network."""
         return self.framed.exposure * self.photograph.balance
+
+    @property
+    def shape_overlap(self) -> float | None:
+        """Intersection over union of the named shape's outline and the mask; None without one."""
+        return None if self.shape is None else self.shape.overlap
 
     @property
     def label(self) -> np.ndarray:
@@ -120,6 +127,21 @@ def decompose(
     labels: np.ndarray | None = getattr(network, "training_labels", None)
     refined = None if settings is None else refine(batch, start, settings, labels, watch)
     return Decomposition(photograph, framed, batch, start, refined, fitted, cues)
+
+
+def shape_warning(shape: str | None, overlap: float | None, remedy: str) -> str:
+    """Return a sentence without its stop if a named shape does not suit the mask, else "".
+
+    shape    the name; None: none was named
+    overlap  intersection over union of its outline and the mask
+    remedy   how to decompose without it
+    """
+    if shape is None or overlap is None or overlap >= LEAST_OVERLAP:
+        return ""
+    return (
+        f"The outline of a {shape} overlaps the mask by only {overlap:.0%}: if edits look wrong,"
+        f" correct the mask, or {remedy}"
+    )
 
 
 def _apply_shape(

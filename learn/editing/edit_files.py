@@ -146,7 +146,7 @@ def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
         "white_balance": [float(x) for x in opened.balance],
         "regions": opened.count,
         "mask_fitted": opened.given is not None,
-        "shape_overlap": None if decomposed.shape is None else decomposed.shape.overlap,
+        "shape_overlap": decomposed.shape_overlap,
         "refined": (
             None if refined is None else {"before": refined.before, "after": refined.after}
         ),

@@ -34,6 +34,7 @@ from learn.data import photographs, picture_decoding
 from learn.editing import brightness, decomposition, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
+from learn.primitives import PRIMITIVES
 from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
 from manifests.material_words import ALIKE
@@ -492,6 +493,9 @@ def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     assert text == (
         "brdfactory app a.png --mask mask.png --no-fit-mask --repeat edit.json --out edited"
     )
+    for edit, files in ((plain, ["regions.png"]), (blend, ["mask.png"])):
+        text = edit_file.command_line(edit, "a.png", files, True, True, default, "box")
+        assert f"{files[0]} --shape box --" in text
 
 
 @pytest.mark.parametrize("blended", [False, True])
@@ -651,13 +655,13 @@ def test_without_the_fit_the_masks_edge_stays_in_the_edit_in_saved_work_and_in_t
 
     session.fit_mask = False
     made = downloads_of(session)  # of what was decomposed, which is as it was
-    assert "--no-fit-mask" not in made.command and saved_fit(made.work)
+    assert "--no-fit-mask" not in made.command and saved_in(made.work)["fit_mask"]
     decompose(session, refine=False)
     kept = session.decomposed()[0].decomposition.photograph
     np.testing.assert_array_equal(kept.regions, marked)
     assert session.edit is not None and session.edit.caption == "brass"  # it goes on
     made = downloads_of(session)
-    assert "--no-fit-mask" in made.command and not saved_fit(made.work)
+    assert "--no-fit-mask" in made.command and not saved_in(made.work)["fit_mask"]
     other = sessions.of("two")
     other.load_work(made.work)
     assert other.fit_mask is False
@@ -666,14 +670,105 @@ def test_without_the_fit_the_masks_edge_stays_in_the_edit_in_saved_work_and_in_t
     np.testing.assert_array_equal(again.regions, marked)
 
 
-def saved_fit(work: Path) -> bool:
-    """Whether saved work says that the mask's edge is fitted."""
+def saved_in(work: Path) -> dict:
+    """What saved work says of the photograph and its decomposition."""
     with zipfile.ZipFile(work) as archive:
-        return json.loads(archive.read("work.json"))["fit_mask"]
+        return json.loads(archive.read("work.json"))
 
 
-def test_saved_work_that_says_nothing_of_the_fit_is_fitted_as_it_was(
-    sessions: Sessions, tmp_path: Path, plain_material_files: None
+def normals_in(session: Session) -> np.ndarray:
+    """The normals (N, 3) of what was decomposed, in the object."""
+    decomposed = session.decomposed()[0].decomposition
+    return decomposed.parts.n[0].movedim(0, -1).numpy()[decomposed.framed.mask]
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_named_shape_has_its_normals_in_the_edit_in_saved_work_and_in_the_command(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None, refine: bool
+) -> None:
+    session = sessions.of("one")
+    session.shape = "flat"  # chosen before the first photograph
+    session.load(photo_in(tmp_path))
+    assert session.shape == "flat"
+    session.shape = None
+    session.opened().selection.paint(disk(), 1)
+    decompose(session, refine=False)
+    session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
+    assert normals_in(session).std(0).max() > 0.2
+
+    session.shape = "flat"
+    made = downloads_of(session)  # of what was decomposed, which is as it was
+    assert "--shape" not in made.command and saved_in(made.work)["shape"] is None
+    decompose(session, refine)
+    assert normals_in(session).std(0).max() < 1e-3
+    assert session.edit is not None and session.edit.caption == "brass"  # it goes on
+    made = downloads_of(session)
+    assert "--shape flat" in made.command and saved_in(made.work)["shape"] == "flat"
+    other = sessions.of("two")
+    other.load_work(made.work)
+    assert other.shape == "flat"
+    decompose(other, refine)
+    np.testing.assert_array_equal(normals_in(other), normals_in(session))
+    session.load(tmp_path / "sent.png")  # another object, perhaps
+    assert session.shape is None
+
+
+def test_a_shape_that_does_not_suit_the_mask_is_said_beside_the_edit(
+    sessions: Sessions, tmp_path: Path
+) -> None:
+    pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
+    from learn.app.edit_view import first_values, shape_line
+    from learn.app.material_tab import MaterialTab
+    from learn.app.object_tab import GUESSED, SHAPES, ObjectTab
+
+    session = sessions.of("one")
+    session.load(photo_in(tmp_path))
+    oblong = np.zeros((80, 120), bool)
+    oblong[30:50, 20:100] = True
+    session.opened().selection.paint(oblong, 1)
+    session.fit_mask = False
+    lines = {}
+    tab = ObjectTab.__new__(ObjectTab)
+    tab.session_of = lambda request: session
+    for _, name in SHAPES:
+        tab.take_shape(name, None)
+        assert session.shape == (None if name == GUESSED else name)
+        decompose(session, refine=False)
+        lines[name] = shape_line(session)
+        assert first_values(session)[4] == lines[name]
+    assert [name for name in lines if name != GUESSED] == list(PRIMITIVES)
+    warned = lines.pop("ball")
+    assert warned.startswith("The outline of a ball overlaps the mask by only ")
+    assert warned.endswith("correct the mask, or choose “Guess it” in step 1.")
+    assert lines[GUESSED] == lines["flat"] == ""
+
+    session.shape = "ball"
+    edits = MaterialTab.__new__(MaterialTab)
+    edits.session_of, edits.views = tab.session_of, [None] * 5
+    *_, (*_, done) = edits.improved(None)
+    assert done == f"Light and material are fitted more closely to the photograph now. {warned}"
+    *_, (*_, again) = edits.improved(None)
+    assert again == f"Light and material are improved already. {warned}"
+
+
+@pytest.mark.parametrize(
+    ("shape", "overlap", "warns"),
+    [("box", 0.89, True), ("box", 0.9, False), ("flat", 1.0, False), (None, None, False)],
+)
+def test_only_a_shape_with_a_poor_outline_is_doubted(
+    shape: str | None, overlap: float | None, warns: bool
+) -> None:
+    line = decomposition.shape_warning(shape, overlap, "leave --shape out")
+    expected = (
+        "The outline of a box overlaps the mask by only 89%: if edits look wrong, correct the mask,"
+        " or leave --shape out"
+    )
+    assert line == (expected if warns else "")
+
+
+@pytest.mark.parametrize(("key", "meant"), [("fit_mask", True), ("shape", None)])
+def test_saved_work_that_says_nothing_of_the_fit_or_the_shape_is_decomposed_as_it_was(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None, key: str, meant: bool | None
 ) -> None:
     before = downloads_of(saved_by(sessions, tmp_path)).work
     old = tmp_path / "old.zip"
@@ -682,13 +777,13 @@ def test_saved_work_that_says_nothing_of_the_fit_is_fitted_as_it_was(
             data = archive.read(name)
             if name == "work.json":
                 manifest = json.loads(data)
-                del manifest["fit_mask"]
+                del manifest[key]
                 data = json.dumps(manifest).encode()
             written.writestr(name, data)
     session = sessions.of("two")
-    session.fit_mask = False
+    session.fit_mask, session.shape = False, "box"
     session.load_work(old)
-    assert session.fit_mask is True
+    assert getattr(session, key) is meant
 
 
 @pytest.mark.parametrize(("option", "is_fitted"), [([], True), (["--no-fit-mask"], False)])
@@ -713,6 +808,37 @@ def test_a_repeated_edit_fits_the_masks_edge_unless_told_not_to(
         opacity = np.asarray(picture)[..., 3]
     moved = ((opacity > 127) != small).sum()
     assert moved > 20 if is_fitted else moved == 0
+
+
+@pytest.mark.parametrize("command_name", ["app", "edit"])
+def test_a_repeated_edit_has_the_shape_that_is_named_and_says_where_it_does_not_suit(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    command_name: str,
+) -> None:
+    from brdfactory.command_line import run
+
+    monkeypatch.chdir(tmp_path)
+    photo_in(tmp_path)
+    oblong = np.zeros((80, 120), bool)
+    oblong[28:52, 15:105] = True
+    Image.fromarray(np.where(oblong, 255, 0).astype(np.uint8)).save("mask.png")
+    edit_file.write(Path("edit.json"), Edit((Painted(chosen("brass")),)))
+    material = ["--material", "brass"] if command_name == "edit" else ["--repeat", "edit.json"]
+    words = [command_name, "sent.png", "--mask", "mask.png", "--no-fit-mask", "--no-refine"]
+    pictures = {}
+    for shape in (None, "flat", "ball"):
+        named = [] if shape is None else ["--shape", shape]
+        assert run([*words, *material, *named, "--out", f"{shape}"]) == 0
+        said = capsys.readouterr().out
+        warns = "The outline of a ball overlaps the mask by only" in said
+        assert warns == (shape == "ball") and ("or leave --shape out" in said) == warns
+        (path,) = {*Path(f"{shape}").glob("edited.png"), *Path(f"{shape}").glob("*brass*.png")}
+        with Image.open(path) as picture:
+            pictures[shape] = np.asarray(picture.convert("RGB"), float)[34:46, 25:95]
+    differs = [np.abs(pictures[shape] - pictures[None]).mean() for shape in ("flat", "ball")]
+    assert min(differs) > 3
 
 
 def test_a_material_file_of_several_regions_gives_each_its_own_or_is_refused(
@@ -915,6 +1041,14 @@ def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path
     refused("one photograph, found 0")
     write({**good, "work.json": '{"photograph": "a.png", "refined": false, "kept": 13}'})
     refused("kept")
+    named = '{"photograph": "a.png", "refined": false, "shape": %s}'
+    write({**good, "work.json": named % '"teapot"'})
+    refused(
+        r"^work\.zip: work\.json: shape: expected one of box, cylinder, ball, flat, found 'teapot'"
+        r" \(choose a file that “Download” made, NAME-work\.zip\)$"
+    )
+    write({**good, "work.json": named % "5"})
+    refused(r"^work\.zip: work\.json: shape: expected")
     write({**good, "photograph.png": b"\0" * (130 << 20)})  # 130 KB as an archive
     refused("at most 128 MiB")
     write({**good, "photograph.png": b"no picture"})
@@ -1322,6 +1456,7 @@ def test_the_command_refuses_what_it_cannot_do(
         (["--refine"], "--refine: expected --repeat FILE with it"),
         (["--no-fit-mask"], "--no-fit-mask: expected --repeat FILE with it"),
         (["--fit-mask"], "--fit-mask: expected --repeat FILE with it"),
+        (["--shape", "box"], "--shape: expected --repeat FILE with it"),
         (["--overwrite"], "--overwrite: expected --repeat FILE with it"),
         ([*REPEATED, "--host", "127.0.0.1"], "--host: expected no --repeat"),
         ([*REPEATED, "--port", "0"], "--port: expected no --repeat"),

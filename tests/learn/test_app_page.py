@@ -890,6 +890,54 @@ def test_the_fit_of_the_masks_edge_is_switched_off_by_the_keyboard_and_for_later
         assert not window.run(f"return {switch}.checked")
 
 
+def test_the_shape_of_the_object_is_named_by_the_keyboard_and_for_later(served, photo, tmp_path):
+    tab, space = "\ue004", " "
+    chosen = "document.querySelector('#shape input:checked')?.value"
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        send(walk, "Choose a photograph", photo)
+        window.wait("document.querySelector('#marking img')?.naturalWidth")
+        walk.point(CUP)
+        group = window.run(
+            "const e = document.querySelector('#shape'); return [e.ariaLabel, e.ariaDescription]"
+        )
+        assert group[0] == "Shape of the object" and "prints on it do not become relief" in group[1]
+        assert window.run(f"return {chosen}") == "guessed"
+        window.run("document.querySelector('#fit input').focus()")
+        window.press(tab, tab, space, tab, tab, space)  # a box, then at once a ball
+        window.wait(f"{chosen} === 'ball'")
+        time.sleep(0.5)  # it is sent by itself
+        window.reload()
+        window.wait(f"{chosen} === 'ball'")
+        window.wait("!document.querySelector('#decompose').disabled")
+        walk.shot("ball")
+        window.click("#decompose")
+        walk.wait_for("#shown", "choose a material")
+        walk.wait_for("#improving", "The outline of a ball overlaps the mask by only")
+        walk.shot("warned")
+        window.run(
+            "[...document.querySelectorAll('[role=tab]')]"
+            ".find(e => e.innerText.includes('Download')).click()"
+        )
+        window.wait("document.querySelector('#make')?.checkVisibility()")
+        window.click("#make")
+        walk.wait_for("#made", "The picture is ready")
+        work, command = tmp_path / "work.zip", "document.querySelector('#command textarea').value"
+        (link,) = (link for link in walk.links() if link.endswith("cup-work.zip"))
+        work.write_bytes(urllib.request.urlopen(link, timeout=60).read())
+        assert "--shape ball" in window.run(f"return {command}")
+        assert walk.errors() == []
+    with Browser(1300, 1000) as window:
+        walk = opened(window, served, tmp_path)
+        window.wait(f"{chosen} === 'guessed'")
+        send(walk, "Or open saved work (.zip)", work)
+        walk.wait_for("#shown", "choose a material")
+        assert window.run(f"return {chosen}") == "ball"
+        window.run("document.querySelector('[role=tab]').click()")
+        window.click("#example")  # another object
+        window.wait(f"{chosen} === 'guessed'")
+
+
 def test_nothing_outside_this_computer_is_asked_for(served):
     with Browser() as window:
         window.visit(served)
