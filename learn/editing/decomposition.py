@@ -23,7 +23,7 @@ from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
 
-LEAST_OVERLAP = 0.9  # of a named shape's outline and the mask, below which a line warns
+LEAST_OVERLAP = 0.95  # of a named shape's outline and the mask, below which a line warns
 
 
 class Parts(NamedTuple):

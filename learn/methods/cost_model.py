@@ -54,7 +54,7 @@ def keeps_tolerance(error: np.ndarray, level: float, tolerance: float) -> bool:
     A margin by their spread stands for the pixels that are not in the sample.
     """
     by_pixel = error.mean(-1)
-    uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
+    uncertainty = _uncertainty(by_pixel)
     return (
         float(by_pixel.mean()) + uncertainty <= CHECK * tolerance * level
         and float(error.max()) <= 30 * tolerance * level
@@ -67,9 +67,18 @@ def excess(error: np.ndarray, level: float, tolerance: float) -> float:
     The margin is proportional to the error.
     """
     by_pixel = error.mean(-1)
-    uncertainty = float(by_pixel.std()) / math.sqrt(len(by_pixel))
+    uncertainty = _uncertainty(by_pixel)
     mean = float(by_pixel.mean())
     return mean - mean * AIM * tolerance * level / max(mean + uncertainty, 1e-30)
+
+
+def _uncertainty(by_pixel: np.ndarray) -> float:
+    """Return the standard error of the mean of errors (S,); inf where their squares overflow.
+
+    A line search of refinement may try materials of radiance 1e20.
+    """
+    with np.errstate(over="ignore"):
+        return float(by_pixel.std()) / math.sqrt(len(by_pixel))
 
 
 def next_larger_map(size: int, pixels: int, growth: float = GROWTH) -> int:

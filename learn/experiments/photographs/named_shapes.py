@@ -142,8 +142,8 @@ def tables(report: runner.Report) -> str:
     return "\n\n".join(
         [
             "# Normals of objects whose shape is named",
-            f"Relit pictures of {report['all']} views, {len(rows)} of them of meshes that are"
-            " named, taken by the camera model of training. Intervals are over meshes and"
+            f"{len(rows)} relit pictures of meshes that are named, taken by the camera model of"
+            f" training ({report['all'] - len(rows)} others left out). Intervals are over meshes and"
             " materials.",
             runner.table(head, [_line(title, part) for title, part in parts.items()]),
         ]

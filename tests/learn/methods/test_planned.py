@@ -3,6 +3,7 @@ pixels are picked as torch would.
 """
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -290,3 +291,13 @@ def test_a_map_can_be_read_at_all_nodes_of_a_larger_one(size):
     constant = np.ones((12**2, 4), np.float32)
     values = reflectance_map.read_values(normals.astype(np.float32), constant, 12)
     assert values == pytest.approx(1, abs=1e-5)
+
+
+def test_errors_too_large_to_square_break_the_tolerance_without_a_warning():
+    """A line search of refinement tries materials of such radiance."""
+    error = np.full((4, 3), 1e25, np.float32)
+    error[0] = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not cost_model.keeps_tolerance(error, 1.0, 1e-2)
+        assert cost_model.excess(error, 1.0, 1e-2) > 1e24
