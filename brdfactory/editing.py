@@ -221,8 +221,9 @@ def decompose(
     settings = refinement_of_photographs(refine, refinement_method, "refinement_method")
     check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
     check_exposure(exposure)
-    shapes = ", ".join(PRIMITIVES)
-    check("shape", shape is None or shape in PRIMITIVES, f"{shapes}, or None", shape)
+    if shape is not None and shape not in PRIMITIVES:
+        remedy = "leave it out, and the network guesses the shape"
+        raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", str(shape), remedy)
     chosen = _device(device)
     opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure, fit_mask)
     file = weights_file(str(weights))

@@ -52,5 +52,5 @@ class Picture:
 
             photographs.write_picture(path, self.linear, self.opacity)
         else:
-            files.write_image(path, self.display, "PNG")
+            files.write_image(path, self.display, "PNG", compress_level=4)
         return path

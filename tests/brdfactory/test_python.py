@@ -109,7 +109,7 @@ def test_refinement_renders_by_the_method_that_is_named(pictures, monkeypatch, t
     folder, _ = pictures
     seen, decompose = [], decomposition.decompose
 
-    def noted(opened, network, size, settings):
+    def noted(opened, network, size, settings, shape=None):
         seen.append(settings)
         return decompose(opened, network, size, None)
 
@@ -190,6 +190,7 @@ def test_rendering_of_own_normals_under_lights_by_name():
         (lambda f, a: bf.edit(f / "no.png"), "no such file"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], detail=2), "from 0 to 1"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], exposure=-1), "above 0"),
+        (lambda f, a: bf.decompose(a["photo"], a["mask"], shape="cone"), "found cone"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance="gray"), "found gray"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=(1, 1)), "three factors"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance=(0, 1, 1)), "from 0.01"),
@@ -275,7 +276,7 @@ def test_weights_that_were_trained_again_are_read_again(pictures, tmp_path, monk
     monkeypatch.setattr(
         editing.checkpoint, "load_parts", lambda *given: (read.append(given), {"size": 64})
     )
-    monkeypatch.setattr(editing.decomposing, "decompose", lambda *given: given)
+    monkeypatch.setattr(editing.decomposing, "decompose", lambda *given, shape: given)
     monkeypatch.setattr(editing, "Decomposition", lambda *given: given)
     weights = tmp_path / "weights.safetensors"
     for modified, count in ((1, 1), (1, 1), (2, 2)):

@@ -658,6 +658,8 @@ REPORTS = {
     "room-photographs-labels-ignored": "room-photographs",
     "room-photographs-others": "room-photographs",
     "room-photographs-others-balanced": "room-photographs",
+    "room-photographs-shapes-given": "room-photographs",
+    "room-photographs-shapes-guessed": "room-photographs",
     "room-photographs-two-encoders": "room-photographs",
     "room-photographs-unrefined": "room-photographs",
     "room-photographs-varied": "room-photographs",
