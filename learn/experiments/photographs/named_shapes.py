@@ -143,8 +143,8 @@ def tables(report: runner.Report) -> str:
         [
             "# Normals of objects whose shape is named",
             f"{len(rows)} relit pictures of meshes that are named, taken by the camera model of"
-            f" training ({report['all'] - len(rows)} others left out). Intervals are over meshes and"
-            " materials.",
+            f" training ({report['all'] - len(rows)} others left out). Intervals are over meshes"
+            " and materials.",
             runner.table(head, [_line(title, part) for title, part in parts.items()]),
         ]
     )
