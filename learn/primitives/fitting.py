@@ -84,7 +84,9 @@ class _Picture:
 
     def __init__(self, mask: np.ndarray, predicted: np.ndarray):
         self.mask, self.predicted = mask, predicted
-        self.inside = (mask >= 0.5) & ((predicted**2).sum(-1) > 0.5)
+        # an object thinner than a pixel covers none by half
+        self.mostly = mask >= 0.5 * mask.max()
+        self.inside = self.mostly & ((predicted**2).sum(-1) > 0.5)
         g = (np.arange(len(mask)) + 0.5) / len(mask) * 2 - 1
         self.at = np.stack(np.meshgrid(g, -g), -1)
 
@@ -125,7 +127,7 @@ def _about(axis: int, angle: float) -> np.ndarray:
 
 
 def _start(solid: Solid, R: np.ndarray, work: _Picture) -> _Parameters:
-    at = work.at[work.mask >= 0.5]
+    at = work.at[work.mostly]
     angle = np.arange(AXES) * np.pi / AXES
     axes = np.stack([np.cos(angle), np.sin(angle)], 1)
     low, high = np.quantile(at @ axes.T, (0.005, 0.995), axis=0)

@@ -71,6 +71,17 @@ def test_flat_is_one_direction_the_mean_of_the_predicted_normals():
     assert angle(fitted.normals[inside][0], mean / np.linalg.norm(mean)) < 0.1
 
 
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_a_thing_of_a_few_thin_pixels_gets_normals_too(name):
+    """Reduced, no pixel is covered by half."""
+    coverage = np.zeros((128, 128))
+    coverage[60:61, 40:90] = 0.6
+    n = np.broadcast_to([0.0, 0.0, 1.0], (128, 128, 3))
+    fitted = fitting.fit_primitive(name, coverage, n)
+    assert np.isfinite(fitted.normals).all() and 0 <= fitted.overlap <= 1
+    np.testing.assert_allclose(np.linalg.norm(fitted.normals, axis=-1), 1, atol=1e-5)
+
+
 def test_an_unknown_primitive_is_refused():
     with pytest.raises(ValueError, match="teapot"):
         fitting.fit_primitive("teapot", np.ones((16, 16)), np.ones((16, 16, 3)))
