@@ -59,6 +59,21 @@ def test_a_solid_is_found_again_from_its_mask_and_poor_normals(name):
     np.testing.assert_allclose(np.linalg.norm(fitted.normals[inside], axis=-1), 1, atol=1e-5)
 
 
+@pytest.mark.parametrize("tilt", [30, -30])
+def test_predicted_normals_decide_between_poses_of_one_outline(tilt):
+    """A cylinder that leans towards a distant viewer has the outline of one that leans away."""
+    solid, sizes = fitting.SOLIDS["cylinder"], np.array([0.4, 0.4, 0.5])
+    R = Rotation.from_euler("x", tilt - 90, degrees=True).as_matrix()
+    known = fitting._Parameters(R, sizes, np.zeros(2), 0.0)
+    empty = fitting._Picture(np.zeros((SIDE, SIDE)), np.zeros((SIDE, SIDE, 3)))
+    coverage = fitting._coverage(solid, empty, known)
+    n = fitting._normals(solid, empty, known)
+    fitted = fitting.fit_primitive("cylinder", coverage, blurred(n, coverage))
+    inside = coverage >= 0.5
+    assert (n[inside][:, 1] * np.sign(tilt) > 0.86).mean() > 0.2  # an end is seen
+    assert angle(fitted.normals, n)[inside].mean() < 8
+
+
 def test_flat_is_one_direction_the_mean_of_the_predicted_normals():
     coverage, n = drawn("ball")
     tilted = n @ Rotation.from_euler("y", 20, degrees=True).as_matrix().T
