@@ -753,14 +753,14 @@ def test_a_shape_that_does_not_suit_the_mask_is_said_beside_the_edit(
 
 @pytest.mark.parametrize(
     ("shape", "overlap", "warns"),
-    [("box", 0.89, True), ("box", 0.9, False), ("flat", 1.0, False), (None, None, False)],
+    [("box", 0.94, True), ("box", 0.95, False), ("flat", 1.0, False), (None, None, False)],
 )
 def test_only_a_shape_with_a_poor_outline_is_doubted(
     shape: str | None, overlap: float | None, warns: bool
 ) -> None:
     line = decomposition.shape_warning(shape, overlap, "leave --shape out")
     expected = (
-        "The outline of a box overlaps the mask by only 89%: if edits look wrong, correct the mask,"
+        "The outline of a box overlaps the mask by only 94%: if edits look wrong, correct the mask,"
         " or leave --shape out"
     )
     assert line == (expected if warns else "")

@@ -244,7 +244,7 @@ class Read(Exception):
 
 @pytest.mark.parametrize(("choice", "is_fitted"), [({}, True), ({"fit_mask": False}, False)])
 def test_python_passes_the_choice_on(monkeypatch, choice, is_fitted):
-    def decompose(read, *_):
+    def decompose(read, *_, **__):
         raise Read(read)
 
     monkeypatch.setattr(decomposition, "decompose", decompose)
