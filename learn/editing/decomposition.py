@@ -7,7 +7,7 @@ The network sees a square around the object, scaled to the size of its training 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -18,10 +18,12 @@ from learn.editing import exposure, light_colour
 from learn.editing.photograph import Photograph
 from learn.layer.inputs import LENGTH_TOLERANCE
 from learn.networks.prediction import Prediction
-from learn.primitives.fitting import PrimitiveFit, fit_primitive
 from learn.refinement import RefinementResult, RefinementSettings, refine
 from manifests.errors import InputError
 from shaders.frames import ELEVATION
+
+if TYPE_CHECKING:
+    from learn.primitives.fitting import PrimitiveFit
 
 LEAST_OVERLAP = 0.95  # of a named shape's outline and the mask, below which a line warns
 
@@ -59,7 +61,7 @@ class Decomposition:
     batch: ExampleBatch
     start: Prediction
     refined: RefinementResult | None
-    shape: PrimitiveFit | None = None
+    shape: "PrimitiveFit | None" = None
     cues: exposure.Cues | None = None
 
     @cached_property
@@ -146,8 +148,11 @@ def shape_warning(shape: str | None, overlap: float | None, remedy: str) -> str:
 
 def _apply_shape(
     name: str, photograph: Photograph, framed: framing.Framed, start: Prediction
-) -> tuple[PrimitiveFit, Prediction]:
+) -> "tuple[PrimitiveFit, Prediction]":
     """Return the fit of a primitive to the object, and the prediction with its normals."""
+    # scipy's geometry takes time to import, and most edits name no shape
+    from learn.primitives.fitting import fit_primitive
+
     size = len(framed.mask)
     coverage = framing.resize_square(
         framing.cut_square(photograph.coverage.astype(np.float32), framed.box), size

@@ -22,7 +22,7 @@ from shaders.frames import turned_to_viewer
 SOLIDS: dict[str, Solid] = {"box": Box(), "cylinder": Cylinder(), "ball": Ball()}
 NORMALS = 0.3  # weight of the predicted normals beside the outline
 FURTHEST = 1.2  # |difference of two unit normals| from which a pixel does not count more
-WORKING_SIZE = 48  # side of the square in which a solid is fitted, in pixels
+WORKING_SIZE = 48  # least side of the reduced square in which a solid is fitted: 64 of 128
 STARTS, EVALUATIONS = 4, 24  # descents, and the iterations of each
 LARGEST_PERSPECTIVE = 0.45  # q that is usual: the viewer is 2.2 half squares away
 AXES = 8  # directions in the picture along which extents are compared

@@ -58,7 +58,7 @@ class Case(NamedTuple):
     """A photograph: a scene's folder, its RoomScene, and the material that it shows.
 
     balances  whether the camera balances white
-    shape     of learn.primitives.PRIMITIVES, if edits are told what the object is; else None
+    shape     of learn.primitives.PRIMITIVES, if edits use the object's named shape; else None
     """
 
     folder: Path
@@ -220,7 +220,7 @@ def cases_of(
 
 
 def named_cases(cases: Sequence[Case], file: Path, use: bool) -> list[Case]:
-    """Return those of which a JSON file names the shape; use: whether edits are told the shape.
+    """Return those of which a JSON file names the shape; use: whether edits use it.
 
     Raises InputError: the file is none, or names none of the shapes
     """
