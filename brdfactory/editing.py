@@ -15,8 +15,8 @@ from brdfactory.pictures import Picture
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.data import devices, photographs
 from learn.data.devices import to_numpy
+from learn.editing import DETAIL, drawing, photograph
 from learn.editing import decomposition as decomposing
-from learn.editing import drawing, photograph
 from learn.editing.compositor import Compositor
 from learn.editing.photograph import Photograph
 from learn.layer import predictions
@@ -31,7 +31,6 @@ from shaders import tone
 
 MaterialSource = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
-KEPT = 0.25  # share of the fine shading that edits keep, the default of `edit --detail`
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Decomposition:
 
     photograph  learn.editing.photograph.Photograph that was decomposed
     computed    learn.editing.decomposition.Decomposition of it
-    detail      share of the photograph's fine shading that edits keep
+    detail      share of the photograph's residual shading that edits keep
     """
 
     def __init__(self, photograph: Photograph, computed: decomposing.Decomposition, detail: float):
@@ -180,7 +179,7 @@ def decompose(
     shape: str | None = None,
     refine: bool = True,
     refinement_method: str | None = None,
-    detail: float = KEPT,
+    detail: float = DETAIL,
     exposure: float | None = None,
     white_balance: str | Sequence[float] = "none",
     weights: str | Path = EDITING_WEIGHTS,
@@ -203,7 +202,7 @@ def decompose(
     refine         whether to adjust the prediction until its rendering looks like the photograph
     refinement_method  how refinement renders: "auto" (also None) sums over the light map's texels;
                    "quadrature" integrates, which is more accurate for narrow highlights and slower
-    detail         share of the photograph's fine shading that edits keep, 0 to 1
+    detail         share that edits keep of the photograph's shading beyond `rendering`, 0 to 1
     exposure       factor by which the photograph's radiance is multiplied for the network; larger
                    values make edits darker; None: estimated
     white_balance  "none", "grey", or three factors

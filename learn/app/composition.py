@@ -16,7 +16,7 @@ def composed(compositor: Compositor, object_: np.ndarray, edit: Edit) -> np.ndar
     unchanged = None
     if edit.light.unchanged:
         if compositor.detail:
-            object_ = object_ * compositor.fine_shading() ** compositor.detail
+            object_ = object_ * compositor.kept_shading()
         kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
         unchanged = np.isin(compositor.filled, kept)
     return compositor.put_back(object_.astype(np.float32), unchanged, edit.hide_background)
@@ -49,7 +49,7 @@ class Covered(NamedTuple):
     rows, columns  in the photograph
     share          (N, 1) of the object in a pixel's colour, as Compositor.share has it
     regions        numbers of their regions, 1 the first
-    detail         (N, 3) factors of the fine shading
+    detail         (N, 3) factors of the residual shading that is kept
     photograph     (N, 3) its radiance times the display's exposure
     behind         (N, 3) the same of the background
     display        (h, w, 3) uint8 of the photograph
@@ -84,9 +84,7 @@ def covered_pixels(compositor: Compositor, exposure: float) -> Covered:
         soft = inside < 1 - CLEAR
         behind = np.where(soft, compositor.background().reshape(-1, 3)[at] * factor, seen)
     detail = (
-        compositor.fine_shading().reshape(-1, 3)[at] ** np.float32(compositor.detail)
-        if compositor.detail
-        else np.ones_like(seen)
+        compositor.kept_shading().reshape(-1, 3)[at] if compositor.detail else np.ones_like(seen)
     )
     return Covered(
         at,

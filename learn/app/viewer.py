@@ -26,7 +26,7 @@ from learn.app.choices import Edit, LightChoice, Painted
 from learn.app.composition import Covered, composed, covered_pixels, displayed, with_opacity
 from learn.data import framing
 from learn.data.devices import to_numpy
-from learn.editing import drawing, interactive, reflectance_store
+from learn.editing import DETAIL, drawing, interactive, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.figures import montage
@@ -36,7 +36,6 @@ from shaders import tone
 LONGEST = 640  # pixels of the longer side of what is shown while choosing
 QUICK = 64  # intervals of a quick map
 KEPT_MAPS = 96  # of 0.8 MB at most, for each user
-DETAIL = 0.25  # of the fine shading, as `learn edit --detail`
 
 
 class Superseded(Exception):

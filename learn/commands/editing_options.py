@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learn.commands import options
+from learn.editing import DETAIL
 from learn.primitives import PRIMITIVES
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     finer.add_argument(
         "--detail",
         type=float,
-        default=0.25,
+        default=DETAIL,
         metavar="D",
         help=(
-            "how much of the photograph's fine shading to keep, from 0 (none) to 1 (all, including"
-            " fine highlights); default 0.25"
+            "how much to keep of the photograph's own shading, such as shadows in gaps, folds and"
+            " texture: from 0 (none) to 1 (all, unless it looks like a print); default %(default)s"
         ),
     )
     options.add_exposure(finer, "photograph")

@@ -1,9 +1,9 @@
 """Compositing: renders an object in other materials and puts it back into its photograph.
 
-    edited = share · O / (exposure · balance) + (1 − share) · background
+    edited = share · S · O / (exposure · balance) + (1 − share) · background
 
 where O is the layer's picture of normals, light and target material, times the correction of
-learn.editing.brightness.
+learn.editing.brightness, and S the residual shading that is kept (learn.editing.residual_shading).
 
 - Background behind the object's soft edge: the mean of nearby pixels that the object does not
   cover, corrected so that its mixture with the object's colour is closer to the photograph.
@@ -18,11 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt
 
 from learn.data import framing
 from learn.data.devices import to_numpy
-from learn.editing import brightness, reflectance_store
+from learn.editing import brightness, reflectance_store, residual_shading
 from learn.editing.backgrounds import background_behind, fill_from_near, fill_from_nearest
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
@@ -33,15 +33,13 @@ from shaders import tone
 
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
 COARSEST, FINEST = 256, 1024
-DETAIL_WIDTH = 1.5  # network pixels: normals have no detail finer than this
-LARGEST_DETAIL = 1.5  # factor by which fine shading may brighten or darken a pixel
 
 
 class Compositor:
     """Renders the object of a Decomposition in other materials, and puts it into its photograph.
 
     tolerance  largest relative error of the rendering layer
-    detail     how much of the shading finer than the network's pixels to keep: 0 none, 1 all
+    detail     how much of the photograph's residual shading to keep: 0 none, 1 all
     """
 
     def __init__(
@@ -63,7 +61,8 @@ class Compositor:
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
         self._own_radiance: np.ndarray | None = None
-        self._fine_shading: np.ndarray | None = None
+        self._residual: np.ndarray | None = None
+        self._unlabelled: np.ndarray | None = None
         self._background: np.ndarray | None = None
         self._share: np.ndarray | None = None
 
@@ -157,7 +156,7 @@ class Compositor:
         )
         object_ = self.radiance(label, read)
         if self.detail:
-            object_ = object_ * self.fine_shading() ** self.detail
+            object_ = object_ * self.kept_shading()
         unchanged = [s + 1 for s in range(regions) if requested[s] is None]
         return self.put_back(object_, np.isin(self.filled, unchanged))
 
@@ -231,44 +230,47 @@ class Compositor:
             self._own_radiance = self.radiance(self.own)
         return self._own_radiance
 
-    def fine_shading(self) -> np.ndarray:
-        """Return factors (side, side, 3): shading of the photograph that is finer than the normals.
+    def residual(self) -> np.ndarray:
+        """Return the residual shading (side, side, 3), natural logarithms, float32.
 
-        They are the fine part of the photograph divided by its re-rendering, and 1 on printed
-        labels, because a print is not shading.
+        Its coarse part is weakened where it has colours, and left out if the user named the shape:
+        these normals are right, and what they do not explain is mostly print.
         """
-        if self._fine_shading is None:
-            again = self.own_radiance()
-            seen = framing.cut_square(
-                self.decomposition.photograph.radiance, self.decomposition.framed.box
-            )
-            floor = 0.02 * max(float(seen[self.regions > 0].mean()), 1e-6)
-            log = np.log(np.maximum(seen, floor)) - np.log(np.maximum(again, floor))
-            width = DETAIL_WIDTH * self.side / len(self.decomposition.framed.mask)
-            weight = (self.coverage > 1 - CLEAR) * self._unlabelled(seen)
-            share = np.maximum(gaussian_filter(weight, width), 1e-3)
-            limit = np.log(LARGEST_DETAIL)
-            fine = [
-                np.clip(
-                    log[..., k] - gaussian_filter(log[..., k] * weight, width) / share,
-                    -limit,
-                    limit,
-                )
-                * weight
-                for k in range(3)
-            ]
-            self._fine_shading = np.exp(np.stack(fine, -1))
-        return self._fine_shading
+        if self._residual is None:
+            seen, again, weights = self._seen(), self.own_radiance(), self._label_weights()
+            inside = (self.regions > 0) & (self.coverage > 1 - CLEAR)
+            whole = residual_shading.complete_residual(seen, again, inside, weights)
+            share = 0.0
+            if self.decomposition.shape is None:
+                regions = np.where(inside, self.regions, 0)
+                share = residual_shading.coarse_share(seen, again, regions, weights)
+            width = residual_shading.FINE_WIDTH * self.side / len(self.decomposition.framed.mask)
+            self._residual = residual_shading.weaken(whole, inside, share, width)
+        return self._residual
 
-    def _unlabelled(self, seen: np.ndarray) -> np.ndarray:
+    def kept_shading(self) -> np.ndarray:
+        """Return the factors (side, side, 3) float32 of the residual shading that edits keep."""
+        return np.exp(np.float32(self.detail) * self.residual())
+
+    def _seen(self) -> np.ndarray:
+        """Return linear radiance (side, side, 3) of the photograph in the object's square."""
+        return framing.cut_square(
+            self.decomposition.photograph.radiance, self.decomposition.framed.box
+        )
+
+    def _label_weights(self) -> np.ndarray:
         """Return weights (side, side) of refinement's `label_weights`, 0 beyond the object.
 
         Of a square above FINEST pixels, every second, third, … pixel is looked at, for each takes
         about 100 bytes.
-
-        seen  (side, side, 3) linear radiance of the photograph
         """
-        photograph, framed = self.decomposition.photograph, self.decomposition.framed
+        if self._unlabelled is not None:
+            return self._unlabelled
+        photograph, framed, seen = (
+            self.decomposition.photograph,
+            self.decomposition.framed,
+            self._seen(),
+        )
         step = -(-self.side // FINEST)
         regions = self.regions[::step, ::step]
         inside, seen = regions > 0, seen[::step, ::step]
@@ -284,7 +286,8 @@ class Compositor:
         result = np.zeros(inside.shape, np.float32)
         result[inside] = to_numpy(count_mirrored(weights, numbers[inside], predicted))
         whole = result.repeat(step, 0).repeat(step, 1)[: self.side, : self.side]
-        return np.where(self.regions > 0, whole, 0)
+        self._unlabelled = np.where(self.regions > 0, whole, 0)
+        return self._unlabelled
 
 
 def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tensor:

@@ -29,7 +29,7 @@ class EditOptions:
     weights    file of the network's weights
     settings   how to refine; None: do not refine
     tolerance  largest relative error of the rendering layer
-    detail     share of the photograph's fine shading that edits keep, 0 to 1
+    detail     share of the photograph's residual shading that edits keep, 0 to 1
     exposure   factor by which the photograph's radiance, after white balance, is multiplied for the
                network; None: estimated
     balance    "none", "grey", or three factors by which colours are multiplied

@@ -36,8 +36,9 @@ from learn.data.devices import to_numpy
 from learn.editing import drawing, interactive_maps, material_list, reflectance_store, targets
 from learn.editing.backgrounds import fill_from_nearest
 from learn.editing.chunks import Chunks, differences, split_bytes
-from learn.editing.compositor import LARGEST_DETAIL, Compositor
+from learn.editing.compositor import Compositor
 from learn.editing.photograph import CLEAR
+from learn.editing.residual_shading import LARGEST
 from learn.figures import html, montage, spheres
 from manifests.errors import InputError
 from manifests.progress import tqdm
@@ -75,7 +76,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     header = {
         "title": decomposed.photograph.name,
         "detail": edit_options.detail,
-        "largestDetail": LARGEST_DETAIL,
+        "largestDetail": LARGEST,
         "regions": decomposed.photograph.count,
         "steps": reflectance_store.STEPS,
         "bend": reflectance_store.BEND,
@@ -134,7 +135,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
 
 
 def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
-    """Add the photograph, coverage, regions, fine shading and normals.
+    """Add the photograph, coverage, regions, residual shading and normals.
 
     A photograph with transparency adds its opacity, and the object's share of each pixel's colour.
 
@@ -159,9 +160,9 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
     cut = np.where(soft[..., None], compositor.background(), cut).astype(np.float32)
     behind = small(tone.display(framing.paste_square(opened.radiance, cut, box), exposure))
     photo = small(tone.display(opened.radiance, exposure))
-    fine = np.log(np.maximum(compositor.fine_shading(), 1e-6)) / np.log(LARGEST_DETAIL)
-    fine = framing.paste_square(
-        np.full((height, width, 3), 127.5), (fine + 1).clip(0, 2) * 127.5, box
+    residual = compositor.residual() / np.log(LARGEST)
+    residual = framing.paste_square(
+        np.full((height, width, 3), 127.5), (residual + 1).clip(0, 2) * 127.5, box
     )
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
@@ -170,7 +171,7 @@ def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarr
         behind - photo,  # modulo 256: 0 but along the edge
         small(255 * coverage[..., None]),
         regions[rows][:, columns][..., None],
-        small(fine),
+        small(residual),
     ]
     if opened.opacity is not None:
         share = framing.paste_square(frame, share, box)

@@ -36,7 +36,14 @@ def main() -> None:
 
     import learn.__main__ as program
     from learn.commands.options import EDITING_WEIGHTS
-    from learn.editing import decomposition, drawing, photograph, reflectance_store, targets
+    from learn.editing import (
+        DETAIL,
+        decomposition,
+        drawing,
+        photograph,
+        reflectance_store,
+        targets,
+    )
     from learn.editing.compositor import Compositor
     from learn.networks import weights
     from learn.refinement import PHOTOGRAPHS
@@ -53,7 +60,7 @@ def main() -> None:
     print(f"{'prediction':24}{seconds:7.2f}")
     result, both = timed(lambda: decomposition.decompose(opened, parts, 128, PHOTOGRAPHS))
     print(f"{'refinement':24}{both - seconds:7.2f}")
-    painter = Compositor(result, detail=0.25)
+    painter = Compositor(result, detail=DETAIL)
 
     def measure_rendered(stage: Callable[[], Any]) -> tuple[Any, float]:
         """Return as `timed`, of a stage that renders each pixel with all lobes at once."""

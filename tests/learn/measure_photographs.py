@@ -33,7 +33,7 @@ from PIL import Image
 
 import brdfactory as bf
 from learn.commands.options import EDITING_WEIGHTS
-from learn.editing import decomposition, drawing, photograph, targets
+from learn.editing import DETAIL, decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
 from learn.figures import html, montage
 from learn.networks import weights
@@ -94,7 +94,7 @@ def row(name, path, mask, network, size, settings, shape=None):
     start = time.perf_counter()
     opened = photograph.open_photograph(path, [mask], None, fit_mask=None)
     result = decomposition.decompose(opened, network, size, settings, shape=shape)
-    compositor = Compositor(result, detail=0.25)
+    compositor = Compositor(result, detail=DETAIL)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
     again = tone.display(compositor.rendered_again(), 1.0)
     tiles = [

@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 from learn.commands.options import EDITING_WEIGHTS
-from learn.editing import decomposition, drawing, photograph, targets
+from learn.editing import DETAIL, decomposition, drawing, photograph, targets
 from learn.editing.compositor import Compositor
 from learn.figures import montage
 from learn.layer.display_method import method_for
@@ -41,7 +41,7 @@ def by_method(path, mask, network, size):
         began = time.process_time()
         result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.with_method(method))
         seconds = time.process_time() - began
-        compositor = Compositor(result, detail=0.25)
+        compositor = Compositor(result, detail=DETAIL)
         again = compositor.rendered_again()
         edits[method] = {
             material: compositor.edited([targets.resolve_labels(material, lambda picture: None)[0]])

@@ -34,7 +34,7 @@ let at = 0;
 for (const channels of H.planes) {
   planes.push(summed(data.subarray(at, at += W * HT * channels), HT, W, channels, false));
 }
-const [photo, behind, coverage, region, fine, opacity, share = coverage] = planes;  // share: of a pixel's colour
+const [photo, behind, coverage, region, residual, opacity, share = coverage] = planes;  // share: of a pixel's colour
 for (let i = 0; i < photo.length; i++) behind[i] += photo[i];
 
 // points of the disk at each pixel: normals, interpolated between the network's pixels
@@ -179,7 +179,7 @@ function webgl() {
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   const uniform = name => gl.getUniformLocation(program, name);
   const where = Object.fromEntries(["region", "unchanged", "ground", "blend", "detail", "split", "contrast", "gain", "groundColor"].map(n => [n, uniform(n)]));
-  const names = ["photo", "behind", "geometry", "fine", "first", "second"], textures = {};
+  const names = ["photo", "behind", "geometry", "residual", "first", "second"], textures = {};
   names.forEach((name, unit) => {
     gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(gl.TEXTURE_2D, textures[name] = gl.createTexture());
@@ -204,7 +204,7 @@ function webgl() {
   }
   upload(1, gl.RGBA8, W, HT, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
   upload(2, gl.RGBA32F, W, HT, gl.RGBA, gl.FLOAT, geometry);
-  upload(3, gl.RGB8, W, HT, gl.RGB, gl.UNSIGNED_BYTE, fine);
+  upload(3, gl.RGB8, W, HT, gl.RGB, gl.UNSIGNED_BYTE, residual);
   // a region's maps stay on the GPU until another material or light is chosen
   const held = new Map();
   const mapTexture = (unit, r, m) => {
@@ -286,7 +286,7 @@ function plain() {
           const px = geometry[4 * i], py = geometry[4 * i + 1], blend = mixed[r][2];
           object = look(maps[r][0], px, py, k);
           if (blend) object += blend * (look(maps[r][1], px, py, k) - object);
-          if (detail) object *= Math.exp((fine[j] / 127.5 - 1) * contrast * detail);
+          if (detail) object *= Math.exp((residual[j] / 127.5 - 1) * contrast * detail);
           object *= gain;
         }
         const covered = state.ground ? c : share[i] / 255;

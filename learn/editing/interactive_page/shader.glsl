@@ -2,7 +2,7 @@
 // One part of the object: radiance by normal, before the background.
 precision highp float;
 precision highp sampler2D;
-uniform sampler2D photo, behind, geometry, fine, first, second;
+uniform sampler2D photo, behind, geometry, residual, first, second;
 uniform int region, unchanged, ground;
 uniform float blend, detail, split, contrast, gain;
 uniform vec3 groundColor;
@@ -36,7 +36,7 @@ void main() {
     object = unchanged == 1 ? linear(before.rgb) : lookUp(first, place.xy);
     if (blend > 0.0) object = mix(object, lookUp(second, place.xy), blend);
     if (detail > 0.0 && unchanged == 0)
-      object *= exp((texelFetch(fine, at, 0).rgb * 2.0 - 1.0) * contrast * detail);
+      object *= exp((texelFetch(residual, at, 0).rgb * 2.0 - 1.0) * contrast * detail);
     if (unchanged == 0) object *= gain;
   }
   float share = ground == 1 ? coverage : around.a;

@@ -17,6 +17,7 @@ import argparse
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
+from learn.editing import DETAIL
 from learn.experiments import runner
 from learn.experiments.photographs import photographed_edits
 from learn.experiments.photographs.photographed_edits import Case
@@ -65,7 +66,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
-        lambda of: row_of(opened.records, opened.network, opened.size, *of),
+        lambda of: row_of(
+            opened.records, opened.network, opened.size, *of, detail=arguments.detail
+        ),
         "photograph",
     )
     return {"rows": rows, "weights": arguments.weights.name, "seen": opened.seen}
@@ -77,7 +80,13 @@ def _as_json(method: str) -> dict[str, Any] | None:
 
 
 def row_of(
-    records: Records, network: torch.nn.Module, size: int, case: Case, paint: str, method: str
+    records: Records,
+    network: torch.nn.Module,
+    size: int,
+    case: Case,
+    paint: str,
+    method: str,
+    detail: float = DETAIL,
 ) -> dict[str, Any]:
     """Return the row of `photographed_edits.row_of` for a painted object and one method."""
     from learn.experiments.photographs import painting
@@ -85,7 +94,9 @@ def row_of(
     def in_paint(sample: Sample) -> np.ndarray:
         return painting.painted(paint, sample, case.source.id)
 
-    return photographed_edits.row_of(records, network, size, case, settings_of(method), in_paint)
+    return photographed_edits.row_of(
+        records, network, size, case, settings_of(method), in_paint, detail
+    )
 
 
 def tables(report: runner.Report) -> str:

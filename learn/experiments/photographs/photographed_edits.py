@@ -17,6 +17,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from learn.commands import options
+from learn.editing import DETAIL
 from learn.experiments import runner
 from manifests.option_types import positive
 
@@ -54,6 +55,18 @@ def add_arguments(parser: argparse.ArgumentParser, photographs: int = 200) -> No
         help="number of photographs (default %(default)s)",
     )
     options.add_seed(parser, "seed by which photographs and target materials are drawn")
+    add_detail(parser)
+
+
+def add_detail(parser: argparse.ArgumentParser) -> None:
+    """Add --detail, as `edit` has it."""
+    parser.add_argument(
+        "--detail",
+        type=float,
+        default=DETAIL,
+        metavar="D",
+        help="residual shading that edits keep, 0 to 1, as of `edit` (default %(default)s)",
+    )
 
 
 class Opened(NamedTuple):
@@ -86,7 +99,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
-        lambda case: row_of(records, network, size, case, PHOTOGRAPHS),
+        lambda case: row_of(records, network, size, case, PHOTOGRAPHS, detail=arguments.detail),
         "photograph",
     )
     return {"rows": rows, "weights": arguments.weights.name, "seen": seen}
@@ -122,6 +135,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         "weights": file_hash(arguments.weights),
         "seed": arguments.seed,
         "refinement": refinement,
+        "detail": arguments.detail,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -175,11 +189,13 @@ def row_of(
     case: Case,
     settings: RefinementSettings | None,
     paint: Callable[[Sample], np.ndarray] | None = None,
+    detail: float = DETAIL,
 ) -> dict[str, Any]:
     """Return what a photograph shows, its cues, and the figures of its edits.
 
     settings  of refinement; None: none
     paint     from the picture to the radiance (H, H, 3) that is photographed; None: its own
+    detail    of edits, as learn.editing.compositor takes it
 
     {"shape", "group", "light", "source"} with the figures of `figures_of`.
     """
@@ -210,7 +226,7 @@ def row_of(
         "source": record.materials[0],
     }
     targets = map(truth, case.targets)
-    return about | figures_of(photo, record.id, targets, network, size, settings)
+    return about | figures_of(photo, record.id, targets, network, size, settings, detail=detail)
 
 
 class Truth(NamedTuple):
@@ -235,12 +251,14 @@ def figures_of(
     size: int,
     settings: RefinementSettings | None,
     shape: str | None = None,
+    detail: float = DETAIL,
 ) -> dict[str, Any]:
     """Return what a photograph's cues and its edits are worth.
 
     name      for messages
     settings  of refinement; None: none
     shape     of the object, as `learn.editing.decomposition.decompose` takes it
+    detail    of edits, as learn.editing.compositor takes it
 
     {"exposure": {"true", "used"} in stops, "light_green": of the light that was read, before it was
     taken back, "cues": of learn.editing.exposure, "edits": [{"target", "family", "narrow": share of
@@ -270,7 +288,7 @@ def figures_of(
     light = decomposition.require_parts(
         parts.refined.prediction if parts.refined else parts.start
     ).light
-    compositor = Compositor(parts)
+    compositor = Compositor(parts, detail=detail)
     return {
         "exposure": {
             "true": -float(np.log2(photo.exposure)),

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import msgspec
 
 from learn.commands import options
+from learn.editing import DETAIL
 from learn.experiments import runner
 from learn.experiments.photographs import exposure_line, photographed_edits
 
@@ -97,6 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="edit what the network predicts, without refinement",
     )
+    photographed_edits.add_detail(parser)
     parser.add_argument(
         "--beside",
         type=Path,
@@ -138,6 +140,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "white_balance": arguments.white_balance or None,  # earlier folders lack these keys
         "shapes": file_hash(arguments.shapes) if arguments.shapes else None,
         "use_shapes": arguments.use_shapes or None,
+        "detail": arguments.detail,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
@@ -145,10 +148,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
-        lambda case: row_of(case, network, metadata["size"], settings),
+        lambda case: row_of(case, network, metadata["size"], settings, arguments.detail),
         "photograph",
     )
-    write_sheet(arguments.out, cases, network, metadata["size"], settings)
+    write_sheet(arguments.out, cases, network, metadata["size"], settings, arguments.detail)
     report: runner.Report = {"rows": rows, "weights": arguments.weights.name, "seen": seen}
     if arguments.beside:
         report["beside"] = compared(report, arguments.beside)
@@ -236,11 +239,16 @@ def named_cases(cases: Sequence[Case], file: Path, use: bool) -> list[Case]:
 
 
 def row_of(
-    case: Case, network: torch.nn.Module, size: int, settings: RefinementSettings | None
+    case: Case,
+    network: torch.nn.Module,
+    size: int,
+    settings: RefinementSettings | None,
+    detail: float = DETAIL,
 ) -> dict[str, Any]:
     """Return the row of `photographed_edits.row_of` for a photograph in a room.
 
     settings  of refinement; None: none
+    detail    of edits, as learn.editing.compositor takes it
     """
     from learn.evaluation.ladder_design import group_of
 
@@ -255,7 +263,7 @@ def row_of(
     targets = (_truth(case, other) for other in scene.materials if other != case.source)
     name = name_of(case)
     return about | photographed_edits.figures_of(
-        photo, name, targets, network, size, settings, case.shape
+        photo, name, targets, network, size, settings, case.shape, detail
     )
 
 
@@ -265,6 +273,7 @@ def write_sheet(
     network: torch.nn.Module,
     size: int,
     settings: RefinementSettings | None,
+    detail: float = DETAIL,
 ) -> None:
     """Write sheet.jpg: of some scenes the photograph, its edit into another material, the truth.
 
@@ -288,7 +297,7 @@ def write_sheet(
             parts = decomposition.decompose(read, network, size, settings, shape=case.shape)
         except InputError:
             continue
-        edited = tone.display(Compositor(parts).edited([truth.label]), 1.0)
+        edited = tone.display(Compositor(parts, detail=detail).edited([truth.label]), 1.0)
         rows += [
             [
                 (f"photograph: {case.source}", photo.pixels.astype(np.float32)),
