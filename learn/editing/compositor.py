@@ -237,15 +237,17 @@ class Compositor:
         these normals are right, and what they do not explain is mostly print.
         """
         if self._residual is None:
-            seen, again, weights = self._seen(), self.own_radiance(), self._label_weights()
-            inside = (self.regions > 0) & (self.coverage > 1 - CLEAR)
-            whole = residual_shading.complete_residual(seen, again, inside, weights)
-            share = 0.0
+            parts = (
+                self._seen(),
+                self.own_radiance(),
+                np.where(self.coverage > 1 - CLEAR, self.regions, 0),
+                self._label_weights(),
+            )
+            whole, share = residual_shading.complete_residual(*parts), 0.0
             if self.decomposition.shape is None:
-                regions = np.where(inside, self.regions, 0)
-                share = residual_shading.coarse_share(seen, again, regions, weights)
+                share = residual_shading.coarse_share(*parts)
             width = residual_shading.FINE_WIDTH * self.side / len(self.decomposition.framed.mask)
-            self._residual = residual_shading.weaken(whole, inside, share, width)
+            self._residual = residual_shading.weaken(whole, parts[2] > 0, share, width)
         return self._residual
 
     def kept_shading(self) -> np.ndarray:

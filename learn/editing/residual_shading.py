@@ -1,11 +1,12 @@
 """Residual shading: what a photograph shows beyond the rendering of its decomposition.
 
-    residual = log(photograph / its re-rendering)
+    residual = log(photograph / its re-rendering) − its mean over the region
 
 One light far away, a smooth shape and one material do not explain contact shadows, light that
 bounces between parts, folds and texture. An edit shows them too if it is multiplied by
 exp(D · residual). D would be 1 if normals, light and material were right. They are estimates, so a
-part of the residual is their error, and edits keep half of it (learn.editing.DETAIL).
+part of the residual is their error, and edits keep half of it (learn.editing.DETAIL). The mean is
+removed because it says how the brightness and colour of light or material were misjudged.
 
 Shading changes brightness more than colour. Where the residual varies in colour over the object, it
 is more likely to be a print, or the mirror image of something coloured: `coarse_share` is then
@@ -23,7 +24,8 @@ from shaders.tone import LUMINANCE
 # spread of the residual's colour, natural logarithms, at which half of its coarse part is left, and
 # how sharply that falls there (docs/editing-measurements.md)
 COLOURED, STEEPNESS = 0.15, 4
-LEAST_FINE = 0.5  # share of the fine part that is always left
+LEAST_FINE = 0.5  # share of the fine part that is always left, LARGEST_FINE of it at most
+LARGEST_FINE = 1.5  # factor by which this fine part may brighten or darken a pixel
 FINE_WIDTH = 1.5  # network pixels: what a Gaussian of this width removes is fine
 LARGEST = 4.0  # factor by which the whole residual may brighten or darken a pixel
 FLOOR = 0.02  # of the object's mean radiance: what is darker counts as this dark
@@ -31,10 +33,10 @@ FLOOR_OF_COLOURS = 0.05  # the same where colours are compared, which the dark s
 FILL_SIDE, FILL_WIDTH = 128, 6.0  # residual behind a label: pixels along the square, and of a blur
 
 
-def residual_of(
+def log_ratio(
     seen: np.ndarray, again: np.ndarray, inside: np.ndarray, floor: float = FLOOR
 ) -> np.ndarray:
-    """Return the residual (h, w, 3), natural logarithms.
+    """Return log(seen / again) (h, w, 3).
 
     seen, again  (h, w, 3) linear radiance of the photograph and of its re-rendering
     inside       (h, w) bool: the object
@@ -46,21 +48,26 @@ def residual_of(
 
 
 def complete_residual(
-    seen: np.ndarray, again: np.ndarray, inside: np.ndarray, weights: np.ndarray
+    seen: np.ndarray, again: np.ndarray, regions: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
     """Return the residual (h, h, 3) float32, at most log LARGEST, with its gaps filled in.
 
-    Behind a label it is a blurred mean of what surrounds it, and beyond `inside` that of the
+    Behind a label it is a blurred mean of what surrounds it, and beyond the object that of the
     nearest pixel.
 
-    seen, again  (h, h, 3) as `residual_of` takes them
-    inside       (h, h) bool: pixels that the object covers whole
+    seen, again  (h, h, 3) as `log_ratio` takes them
+    regions      (h, h) numbers of the object's regions, 0 where it does not cover a pixel whole
     weights      (h, h) in [0, 1]: 0 on labels
     """
-    limit = np.log(LARGEST)
-    log = np.clip(residual_of(seen, again, inside), -limit, limit).astype(np.float32)
+    inside, limit = regions > 0, np.log(LARGEST)
+    log = log_ratio(seen, again, inside).astype(np.float32)
     if not inside.any():
         return np.zeros_like(log)
+    for number in np.unique(regions[inside]):
+        of = regions == number
+        counted = weights[of] if weights[of].any() else None
+        log[of] -= np.average(log[of], axis=0, weights=counted)
+    log = np.clip(log, -limit, limit)
     share = (inside * weights).astype(np.float32)
     if (share < inside).any():
         small = min(len(log), FILL_SIDE)
@@ -74,18 +81,19 @@ def complete_residual(
 
 
 def weaken(residual: np.ndarray, inside: np.ndarray, share: float, width: float) -> np.ndarray:
-    """Return a residual (h, h, 3) of whose coarse part only a share, 0 to 1, is left.
+    """Return a share, 0 to 1, of a residual (h, h, 3), and LEAST_FINE of its fine part at least.
 
     inside  (h, h) bool: pixels that the object covers whole; the fine part is 0 elsewhere
     width   of the Gaussian that removes the fine part, pixels
     """
-    if share == 1 or not inside.any():
-        return residual
+    if share >= LEAST_FINE or not inside.any():
+        return np.float32(share) * residual
     whole = inside.astype(np.float32)
     near = np.maximum(gaussian_filter(whole, width), 1e-3)
-    blurred = gaussian_filter(residual * whole[..., None], (width, width, 0)) / near[..., None]
-    coarse = np.where(inside[..., None], blurred, residual)
-    return share * coarse + max(share, LEAST_FINE) * (residual - coarse)
+    coarse = gaussian_filter(residual * whole[..., None], (width, width, 0)) / near[..., None]
+    limit = np.log(LARGEST_FINE)
+    fine = np.where(inside[..., None], np.clip(residual - coarse, -limit, limit), 0)
+    return np.float32(share) * residual + np.float32(LEAST_FINE - share) * fine
 
 
 def coarse_share(
@@ -93,15 +101,15 @@ def coarse_share(
 ) -> float:
     """Return the share, 0 to 1, of the residual's coarse part that is likely to be shading.
 
-    seen, again  (h, w, 3) as `residual_of` takes them
+    seen, again  (h, w, 3) as `log_ratio` takes them
     regions      (h, w) numbers of the object's regions, 0 where it does not cover a pixel whole
     weights      (h, w) in [0, 1]: 0 on labels
     """
     counted = (regions > 0) & (weights > 0.5)
     if not counted.any():
         return 0.0
-    full = residual_of(seen, again, counted, FLOOR_OF_COLOURS)[counted]
-    grey = residual_of(seen @ LUMINANCE, again @ LUMINANCE, counted, FLOOR_OF_COLOURS)[counted]
+    full = log_ratio(seen, again, counted, FLOOR_OF_COLOURS)[counted]
+    grey = log_ratio(seen @ LUMINANCE, again @ LUMINANCE, counted, FLOOR_OF_COLOURS)[counted]
     colour, numbers = full - grey[:, None], regions[counted]
     squares = 0.0
     for number in np.unique(numbers):

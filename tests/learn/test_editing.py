@@ -203,7 +203,9 @@ def test_an_edit_into_its_own_material_is_the_photograph_if_all_shading_is_kept(
     result = decomposition.decompose(seen, Knowing(label), NETWORK)
     edited = Compositor(result, detail=1.0).edited([result.label[0]])
     within = result.photograph.coverage > 0.98
-    np.testing.assert_allclose(edited[within], seen.radiance[within], rtol=1e-3, atol=1e-4)
+    ratio = edited[within] / seen.radiance[within]
+    # but for the brightness and colour of the whole, and a little that counts as coloured
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio.mean(0), ratio.shape), rtol=5e-3)
 
 
 @pytest.mark.parametrize("kind", ["a shadow", "a print", "a print on a named shape"])
@@ -222,6 +224,7 @@ def test_a_print_is_left_out_of_the_kept_shading_and_a_shadow_is_in_it(kind):
     box, within = result.framed.box, painter.coverage > 0.98
     seen = framing.cut_square(result.photograph.radiance, box)
     whole = np.log(seen[within] / painter.own_radiance()[within])
+    whole -= whole.mean(0)
     kept = np.log(painter.kept_shading()[within])
     share = (kept * whole).sum() / (whole**2).sum()
     low, high = (0.48, 0.51) if kind == "a shadow" else (0.0, 0.2)

@@ -658,6 +658,7 @@ REPORTS = {
     "room-photographs-labels-ignored": "room-photographs",
     "room-photographs-others": "room-photographs",
     "room-photographs-others-balanced": "room-photographs",
+    "room-photographs-residual-shading": "room-photographs",
     "room-photographs-shapes-given": "room-photographs",
     "room-photographs-shapes-guessed": "room-photographs",
     "room-photographs-two-encoders": "room-photographs",

@@ -9,7 +9,7 @@ from learn.editing.residual_shading import (
     LARGEST,
     coarse_share,
     complete_residual,
-    residual_of,
+    log_ratio,
     weaken,
 )
 
@@ -18,6 +18,7 @@ INSIDE = np.zeros((SIZE, SIZE), bool)
 INSIDE[8:56, 8:56] = True
 AGAIN = np.where(INSIDE[..., None], np.float32([0.4, 0.2, 0.1]), 1).astype(np.float32)
 WHOLE = INSIDE.astype(np.float32)
+REGIONS = INSIDE.astype(int)
 
 
 def shaded(spread: float) -> np.ndarray:
@@ -33,36 +34,47 @@ def coloured(spread: float) -> np.ndarray:
 
 
 def test_a_shadow_is_in_the_residual_as_it_is_in_the_photograph():
-    result = complete_residual(shaded(0.7), AGAIN, INSIDE, WHOLE)
-    np.testing.assert_allclose(result[20:40, 10:30], 0, atol=1e-6)
-    np.testing.assert_allclose(result[20:40, 34:54], -0.7, atol=1e-6)
+    result = complete_residual(shaded(0.7), AGAIN, REGIONS, WHOLE)
+    np.testing.assert_allclose(result[20:40, 10:30], 0.35, atol=1e-5)
+    np.testing.assert_allclose(result[20:40, 34:54], -0.35, atol=1e-5)
+
+
+def test_the_residual_of_each_region_has_no_mean():
+    """Its brightness and colour are those of light and material, which were estimated."""
+    seen, regions = shaded(0.7), REGIONS.copy()
+    seen[:, 48:] *= np.float32([3, 1, 0.5])
+    regions[:, 48:] *= 2
+    result = complete_residual(seen * np.float32([2, 1, 1]), AGAIN, regions, WHOLE)
+    for number in (1, 2):
+        np.testing.assert_allclose(result[regions == number].mean(0), 0, atol=1e-5)
+    np.testing.assert_allclose(result[20:40, 50:54], 0, atol=1e-5)
 
 
 def test_beyond_the_object_the_residual_is_that_of_its_nearest_pixel():
     seen = shaded(0.7)
     seen[~INSIDE] = 30
-    result = complete_residual(seen, AGAIN, INSIDE, WHOLE)
-    np.testing.assert_allclose(result[20:40, 56:], -0.7, atol=1e-6)
-    np.testing.assert_allclose(result[20:40, :8], 0, atol=1e-6)
+    result = complete_residual(seen, AGAIN, REGIONS, WHOLE)
+    np.testing.assert_allclose(result[20:40, 56:], -0.35, atol=1e-5)
+    np.testing.assert_allclose(result[20:40, :8], 0.35, atol=1e-5)
 
 
 def test_the_residual_is_limited_in_both_directions():
-    for factor, bound in ((100.0, LARGEST), (0.01, 1 / LARGEST)):
-        result = complete_residual(AGAIN * np.float32(factor), AGAIN, INSIDE, WHOLE)
-        np.testing.assert_allclose(np.exp(result), bound, rtol=1e-5)
+    result = np.exp(complete_residual(shaded(6), AGAIN, REGIONS, WHOLE))[INSIDE]
+    assert result.max() == pytest.approx(LARGEST) and result.min() == pytest.approx(1 / LARGEST)
 
 
 def test_behind_a_label_is_the_mean_of_what_surrounds_it():
-    seen, weights = shaded(0.0) * np.float32(np.exp(-0.5)), WHOLE.copy()
-    label = (slice(28, 36), slice(28, 36))
+    seen, weights = shaded(0.7), WHOLE.copy()
+    label = (slice(28, 36), slice(42, 50))
     seen[label], weights[label] = (0.9, 0.9, 0.9), 0
-    result = complete_residual(seen, AGAIN, INSIDE, weights)
-    np.testing.assert_allclose(result[label], -0.5, atol=0.02)
+    result = complete_residual(seen, AGAIN, REGIONS, weights)
+    assert np.abs(result[label] - result[20, 46]).max() < 0.02
+    assert result[20, 46, 0] - result[20, 20, 0] == pytest.approx(-0.7, abs=1e-5)
 
 
 def test_an_object_without_a_pixel_of_its_own_has_no_residual():
-    assert not complete_residual(shaded(0.7), AGAIN, np.zeros_like(INSIDE), WHOLE).any()
-    assert coarse_share(shaded(0.7), AGAIN, np.zeros(INSIDE.shape, int), WHOLE) == 0
+    assert not complete_residual(shaded(0.7), AGAIN, 0 * REGIONS, WHOLE).any()
+    assert coarse_share(shaded(0.7), AGAIN, 0 * REGIONS, WHOLE) == 0
 
 
 def test_dark_pixels_count_as_equally_dark():
@@ -70,7 +82,7 @@ def test_dark_pixels_count_as_equally_dark():
     seen[20:24, 20:24] = 0
     again = AGAIN.copy()
     again[20:24, 20:24] = 1e-9
-    assert np.abs(residual_of(seen, again, INSIDE)[20:24, 20:24]).max() == 0
+    assert np.abs(log_ratio(seen, again, INSIDE)[20:24, 20:24]).max() == 0
 
 
 @pytest.mark.parametrize("spread", [0.1, 0.7])
@@ -91,9 +103,9 @@ def test_half_is_left_at_the_spread_that_the_constant_names():
     noise = rng.normal(0, 0.2, AGAIN.shape)
     for _ in range(20):  # to a spread of COLOURED, by the definition of the residual's colour
         seen = AGAIN * np.exp(noise).astype(np.float32)
-        full = residual_of(seen, AGAIN, INSIDE, residual_shading.FLOOR_OF_COLOURS)[INSIDE]
+        full = log_ratio(seen, AGAIN, INSIDE, residual_shading.FLOOR_OF_COLOURS)[INSIDE]
         luminance = [x @ residual_shading.LUMINANCE for x in (seen, AGAIN)]
-        grey = residual_of(*luminance, INSIDE, residual_shading.FLOOR_OF_COLOURS)[INSIDE]
+        grey = log_ratio(*luminance, INSIDE, residual_shading.FLOOR_OF_COLOURS)[INSIDE]
         colour = full - grey[:, None]
         noise *= COLOURED / np.sqrt(((colour - colour.mean(0)) ** 2).mean())
     share = coarse_share(seen, AGAIN, INSIDE.astype(int), WHOLE)
@@ -124,6 +136,8 @@ def test_of_a_residual_with_colours_half_the_fine_part_is_left():
     stripes = np.where(np.arange(SIZE)[:, None] % 2 == 0, 0.1, -0.1)
     residual = np.repeat((step + stripes)[..., None], 3, 2).astype(np.float32)
     np.testing.assert_array_equal(weaken(residual, INSIDE, 1.0, 2.0), residual)
+    strong = np.exp(weaken(20 * residual, INSIDE, 0.0, 2.0) / residual_shading.LEAST_FINE)
+    assert strong[24:40].max() == pytest.approx(residual_shading.LARGEST_FINE, rel=1e-3)
     for share, fine in ((0.0, 0.5), (0.4, 0.5), (0.8, 0.8)):
         result = weaken(residual, INSIDE, share, 2.0)
         for columns, level in ((slice(12, 20), 0.0), (slice(44, 52), -0.7)):
@@ -134,4 +148,4 @@ def test_of_a_residual_with_colours_half_the_fine_part_is_left():
 
 def test_a_weakened_residual_does_not_bleed_in_from_beyond_the_object():
     residual = np.where(INSIDE[..., None], -0.7, 3.0).astype(np.float32).repeat(3, -1)[..., :3]
-    np.testing.assert_allclose(weaken(residual, INSIDE, 0.5, 2.0)[INSIDE], -0.35, atol=1e-5)
+    np.testing.assert_allclose(weaken(residual, INSIDE, 0.2, 2.0)[INSIDE], -0.14, atol=1e-5)
