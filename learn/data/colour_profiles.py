@@ -68,7 +68,7 @@ def _is_srgb(profile):
 
 
 def _names_p3(picture):
-    """Whether a HEIC says by a number that its primary colours are those of Display P3."""
+    """Whether a file says by a number that its primary colours are those of Display P3."""
     named = picture.info.get("nclx_profile")
     return (
         isinstance(named, dict)

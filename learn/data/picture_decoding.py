@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, JpegImagePlugin, UnidentifiedImageError
 
-from learn.data import colour_profiles, heic
+from learn.data import colour_numbers, colour_profiles, heic
 from learn.data.file_kinds import HEAD, is_heic, kind_of
 from manifests.errors import InputError
 from manifests.inputs import require_file
@@ -175,6 +175,9 @@ def _open(path):
         return jpeg
     opened = Image.open(path, formats=formats())
     opened.seek(0)
+    if opened.format in ("PNG", "AVIF"):
+        with open(path, "rb") as file:
+            opened.info["nclx_profile"] = colour_numbers.read_numbers(file)
     return opened
 
 

@@ -2,15 +2,16 @@
 
 import io
 import re
+import struct
 import sys
 import zlib
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, features
 
 from brdfactory import editing
-from learn.data import photographs, picture_decoding
+from learn.data import colour_numbers, photographs, picture_decoding
 from learn.editing import photograph
 from manifests import exr
 from manifests.errors import InputError
@@ -19,6 +20,7 @@ from tests.support import icc
 
 RED, GREEN, GREY = (200, 60, 50), (40, 160, 60), (90, 90, 90)
 P3_RED = (217, 42, 39)  # RED of Display P3 in sRGB, by its matrix
+NEEDS_AVIF = pytest.mark.skipif(not features.check("avif"), reason="this Pillow has no AVIF")
 SIZE = (40, 60)  # as the sensor has it; upright it is 60 high
 
 
@@ -86,11 +88,36 @@ def test_display_p3_of_a_heic_is_converted(tmp_path, how):
 
 # Signals in per cent, by ITU-R BT.2408's tables of luminance in cd/m² on a screen of 1,000: of a
 # grey card, and of white paper
+HDR_FILES = ["heic", "png", "png without profile", pytest.param("avif", marks=NEEDS_AVIF)]
 HDR_GREYS = {16: [(38, 26), (58, 203)], 18: [(38, 26), (75, 203)]}
 
 
+def write_png_with_numbers(path, values, primaries, curve):
+    """A PNG whose header names its colours, in a chunk that follows the first one."""
+    written = io.BytesIO()
+    Image.fromarray(values).save(written, "PNG")
+    data = written.getvalue()
+    chunk = b"cICP" + bytes([primaries, curve, 0, 1])
+    chunk = struct.pack(">I", 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    path.write_bytes(data[:33] + chunk + data[33:])
+    return path
+
+
+def write_avif_with_numbers(path, values, primaries, curve):
+    """An AVIF whose header names its colours; those that Pillow writes are replaced."""
+    written = io.BytesIO()
+    Image.fromarray(values).save(written, "AVIF", quality=100, subsampling="4:4:4")
+    before, after = written.getvalue().split(b"colrnclx")
+    path.write_bytes(before + b"colrnclx" + struct.pack(">HH", primaries, curve) + after[4:])
+    return path
+
+
 def in_hdr(folder, kind, values, primaries, curve):
-    """A file whose values (H, W, 3) uint8 are signals of HDR: a HEIC, or a PNG with a profile."""
+    """A file whose values (H, W, 3) uint8 are signals of HDR, of a kind of HDR_FILES."""
+    if kind == "png without profile":
+        return write_png_with_numbers(folder / "photo.png", values, primaries, curve)
+    if kind == "avif":
+        return write_avif_with_numbers(folder / "photo.avif", values, primaries, curve)
     if kind == "png":
         path = folder / "photo.png"
         profile = icc.profile(numbers=(primaries, curve, 0, 1))
@@ -100,7 +127,7 @@ def in_hdr(folder, kind, values, primaries, curve):
     return write_heic(folder / "photo.heic", values, matrix_coefficients=6, **named)
 
 
-@pytest.mark.parametrize("kind", ["heic", "png"])
+@pytest.mark.parametrize("kind", HDR_FILES)
 @pytest.mark.parametrize("curve", HDR_GREYS)
 def test_greys_of_hdr_curves_are_as_bright_as_their_standard_says(tmp_path, kind, curve):
     """White paper is white, and what is brighter than paper is clipped."""
@@ -134,7 +161,7 @@ def rec2020_of(srgb, curve):
     return np.rint(255 * signal).astype(np.uint8)
 
 
-@pytest.mark.parametrize("kind", ["heic", "png"])
+@pytest.mark.parametrize("kind", HDR_FILES)
 @pytest.mark.parametrize("curve", HDR_GREYS)
 def test_colours_of_hdr_curves_are_converted(tmp_path, kind, curve):
     values = np.full((*SIZE, 3), rec2020_of(RED, curve), np.uint8)
@@ -155,6 +182,31 @@ def test_colours_of_hdr_curves_are_converted(tmp_path, kind, curve):
     red = np.full((*SIZE, 3), (120, 40, 40), np.uint8)
     narrow, wide = (display(in_hdr(tmp_path, kind, red, p, curve))[20, 30] for p in (1, 12))
     assert wide[0] > narrow[0] + 2 and wide[1] < narrow[1] - 2
+
+
+@pytest.mark.parametrize(
+    "write", [write_png_with_numbers, pytest.param(write_avif_with_numbers, marks=NEEDS_AVIF)]
+)
+def test_display_p3_that_a_header_names_is_converted(tmp_path, write):
+    values = np.full((*SIZE, 3), RED, np.uint8)
+    path = write(tmp_path / "photo", values, 12, 13)
+    np.testing.assert_allclose(display(path)[20, 30], P3_RED, atol=4)
+    path = write(tmp_path / "photo", values, 1, 13)
+    np.testing.assert_allclose(display(path)[20, 30], RED, atol=2)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x89PNG\r\n\x1a\n",
+        b"\0\0\0\x0cftypavif",
+        b"\0\0\0\x08ftypavif\xff\xff\xff\xffmeta",
+        b"\x89PNG\r\n\x1a\n\xff\xff\xff\xffiCCP",
+    ],
+)
+def test_files_that_end_before_their_numbers_have_none(data):
+    assert colour_numbers.read_numbers(io.BytesIO(data)) is None
 
 
 def test_a_profile_that_ends_within_its_numbers_is_read_without_them(tmp_path):
