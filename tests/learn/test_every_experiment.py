@@ -388,6 +388,9 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
             and r["rows"][0]["kept"] > 0.8
             # normals of a sphere, 45° from the viewer on the average of its rims and its middle
             and 30 < r["rows"][0]["angles"]["facing the viewer"][0] < 50
+            # the network's random normals pull at the ball
+            and r["rows"][0]["angles"]["shape given"][0] < 27
+            and r["rows"][0]["overlap"] > 0.95
         ),
     ),
     "exposure": (

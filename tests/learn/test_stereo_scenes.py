@@ -51,6 +51,7 @@ def test_a_wrong_offset_is_off_by_about_what_the_report_says(tmp_path):
         ({"objects": {"ball": "none.png"}}, "none.png"),
         ({"disparity": "mask.npz"}, "mask.npz"),
         ({"focal": "long"}, "focal"),
+        ({"shapes": {"ball": "egg"}}, "egg"),
     ],
 )
 def test_what_is_wrong_with_a_description_is_a_line(tmp_path, changes, words):

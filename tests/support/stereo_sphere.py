@@ -47,6 +47,7 @@ def written(folder, size=128, step=0.0, **changes):
         "step": step,
         "window": 3.0,
         "objects": {"ball": "mask.png"},
+        "shapes": {"ball": "ball"},
     }
     path = folder / "scenes.json"
     path.write_text(json.dumps({"scenes": [scene | changes]}))

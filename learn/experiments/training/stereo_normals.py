@@ -5,7 +5,8 @@ Pictures and disparities come from packages. Copy these files into a folder, whi
 motorcycle_left.png and motorcycle_disp.npz of scikit-image's folder `data`; aloeL.jpg and
 aloeGT.png of Debian's package opencv-doc. Each object is decomposed as by `brdfactory edit`,
 without and with refinement. Its normals are compared with those of the disparities, at the
-network's size, beside normals that all face the viewer. The report also says how far the normals of
+network's size, beside normals that all face the viewer, and for an object of a simple shape, which
+the description names, those of `edit --shape`. The report also says how far the normals of
 the disparities may be off themselves.
 """
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from learn.experiments.training.stereo_scenes import StereoObject
 
-FACING = "facing the viewer"
+FACING, GIVEN = "facing the viewer", "shape given"
 SCENES = Path("docs/jobs/stereo-normals/scenes.json")
 BLOCK = 16  # pixels of the squares that intervals draw
 SHOWN = 96  # pixels of a picture in the chart
@@ -63,7 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows", "weights"}; a row has "object", "weights", "angles", "own" and pictures.
 
-    angles    {"predicted", "refined", FACING: [mean over the object in degrees, low, high]}
+    angles    {"predicted", "refined", FACING, GIVEN if the object has a simple shape: [mean over
+              the object in degrees, low, high]}
+    overlap   of that shape's outline and the mask, if it has one
     kept      share of the object's pixels that have a measured normal
     pictures  of the first weights: {"picture", "predicted", "measured"}, lists of (SHOWN², 3) 8-bit
     """
@@ -111,7 +114,13 @@ def row_of(each: StereoObject, network: Any, size: int, is_shown: bool) -> dict[
         "refined": devices.to_numpy(result.parts.n[0].movedim(0, -1)),
         FACING: np.broadcast_to(np.array([0.0, 0.0, 1.0]), n.shape),
     }
+    overlap = None
+    if each.shape is not None:
+        given = decomposition.decompose(photographed, network, size, shape=each.shape)
+        predictions[GIVEN] = devices.to_numpy(given.parts.n[0].movedim(0, -1))
+        overlap = given.shape_overlap
     row: dict[str, Any] = {
+        "overlap": overlap,
         "angles": {key: interval(angle(m, n), valid) for key, m in predictions.items()},
         "kept": float(valid.sum() / result.framed.mask.sum()),
         "own": each.own,
@@ -191,6 +200,7 @@ def tables(report: runner.Report) -> str:
         f" 95 % intervals over squares of {BLOCK} pixels of each object, at the network's size;"
         f" {len(names)} objects are too few for an interval over objects.\n\n"
         + runner.table(head, lines)
+        + _given(rows)
         + "\n![Predicted, refined and measured normals](chart.png)\n"
         + "\n## How far the measured normals may be off\n\n"
         "*Noise*: the fitted surface measured again, with rounded disparities or with noise as"
@@ -199,6 +209,24 @@ def tables(report: runner.Report) -> str:
         " the description states. Mean angles in degrees.\n\n"
         + runner.table(["object", "pixels with a measured normal", *CAUSES], own)
     )
+
+
+def _given(rows: Sequence[dict[str, Any]]) -> str:
+    """The table of objects whose shape is given, "" without any."""
+    lines = [
+        [
+            row["object"],
+            row["weights"],
+            *(runner.interval(row["angles"][kind], 1) for kind in ("predicted", GIVEN)),
+            f"{row['overlap']:.2f}",
+        ]
+        for row in rows
+        if GIVEN in row["angles"]
+    ]
+    if not lines:
+        return ""
+    head = ["object", "weights", "predicted", GIVEN, "overlap of its outline and the mask"]
+    return "\n## Objects whose shape is given\n\n" + runner.table(head, lines)
 
 
 def _means(by: dict, names: Sequence[str], weights: Sequence[str]) -> list[str]:

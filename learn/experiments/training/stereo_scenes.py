@@ -10,8 +10,9 @@ H, W  pixels of a photograph; normals are in the frame of each pixel's ray, as n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -38,6 +39,7 @@ class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step          of rounded disparities, 0 for those that are not rounded
     window        standard deviation of the window of plane fits, pixels
     objects       {name: file of a mask below the folder of the description}
+    shapes        {name: one of learn.primitives.PRIMITIVES} of objects that have such a shape
     """
 
     name: str
@@ -52,6 +54,7 @@ class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step: float
     window: float
     objects: dict[str, str]
+    shapes: dict[str, Literal["box", "cylinder", "ball", "flat"]] = {}
 
 
 class Scenes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,6 +70,7 @@ class StereoObject:
     picture  (H, W, 3) radiance; mask (H, W) bool
     normals  (H, W, 3) unit length where `valid` (H, W) bool, in the frame of each pixel's ray
     own      {cause: mean angle in degrees by which it turns the normals}
+    shape    one of learn.primitives.PRIMITIVES, None if it has no such shape
     """
 
     name: str
@@ -75,6 +79,7 @@ class StereoObject:
     normals: np.ndarray
     valid: np.ndarray
     own: dict[str, float]
+    shape: str | None = None
 
 
 def objects_of(description: Path, pictures: Path) -> list[StereoObject]:
@@ -91,7 +96,8 @@ def objects_of(description: Path, pictures: Path) -> list[StereoObject]:
             path = inside(description.parent, file)
             mask = photographs.read_mask(path, picture.shape[:2]) >= 0.5
             photographs.require_object(path, mask.astype(np.float32))
-            result.append(_object(f"{scene.name}: {name}", scene, picture, disparity, mask))
+            of = _object(f"{scene.name}: {name}", scene, picture, disparity, mask)
+            result.append(replace(of, shape=scene.shapes.get(name)))
     return result
 
 
