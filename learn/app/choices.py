@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.editing import desired_light, material_expression, targets
+from learn.editing import DETAIL, desired_light, material_expression, targets
 from manifests import measured_lights
 from manifests.errors import InputError, closest
 from shaders import envmap
@@ -121,12 +121,14 @@ class Edit:
     hide_background   whether the result is the object alone, cut out
     brightness_stops  by which all that is rendered is made brighter, MOST_STOPS at most: how bright
                       an edit is, the program can only guess
+    detail            share of the photograph's residual shading that is kept under its own light
     """
 
     regions: tuple[Painted, ...]
     light: LightChoice = LightChoice()
     hide_background: bool = False
     brightness_stops: float = 0.0
+    detail: float = DETAIL
 
     @property
     def gain(self) -> np.float32:
@@ -146,7 +148,7 @@ class Edit:
 
     @property
     def caption(self) -> str:
-        """Materials, light and brightness in words, on one line."""
+        """Materials, light, brightness and shading in words, on one line."""
         several = len(self.regions) > 1
         each = [
             (f"part {k}: " if several else "") + painted.caption
@@ -156,7 +158,8 @@ class Edit:
         lit = "" if self.light.unchanged else f"; light: {self.light.name}{turned}"
         stops = self.brightness_stops
         brightness = f"; brightness {stops:+g}".replace("-", "−") if stops else ""
-        return "; ".join(each) + lit + brightness
+        own = f"; own shading {self.detail:.0%}" if self.detail != DETAIL else ""
+        return "; ".join(each) + lit + brightness + own
 
 
 def named_material(name: str) -> Chosen:

@@ -15,8 +15,8 @@ def composed(compositor: Compositor, object_: np.ndarray, edit: Edit) -> np.ndar
     """Return the photograph (H, W, 3), linear, with an object's radiance (side, side, 3) in it."""
     unchanged = None
     if edit.light.unchanged:
-        if compositor.detail:
-            object_ = object_ * compositor.kept_shading()
+        if edit.detail:
+            object_ = object_ * compositor.kept_shading(edit.detail)
         kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
         unchanged = np.isin(compositor.filled, kept)
     return compositor.put_back(object_.astype(np.float32), unchanged, edit.hide_background)
@@ -49,7 +49,7 @@ class Covered(NamedTuple):
     rows, columns  in the photograph
     share          (N, 1) of the object in a pixel's colour, as Compositor.share has it
     regions        numbers of their regions, 1 the first
-    detail         (N, 3) factors of the residual shading that is kept
+    residual       (N, 3) natural logarithms of the residual shading
     photograph     (N, 3) its radiance times the display's exposure
     behind         (N, 3) the same of the background
     display        (h, w, 3) uint8 of the photograph
@@ -60,7 +60,7 @@ class Covered(NamedTuple):
     columns: np.ndarray
     share: np.ndarray
     regions: np.ndarray
-    detail: np.ndarray
+    residual: np.ndarray
     photograph: np.ndarray
     behind: np.ndarray
     display: np.ndarray
@@ -83,16 +83,13 @@ def covered_pixels(compositor: Compositor, exposure: float) -> Covered:
     if not photograph.cut_out:
         soft = inside < 1 - CLEAR
         behind = np.where(soft, compositor.background().reshape(-1, 3)[at] * factor, seen)
-    detail = (
-        compositor.kept_shading().reshape(-1, 3)[at] if compositor.detail else np.ones_like(seen)
-    )
     return Covered(
         at,
         rows,
         columns,
         inside.astype(np.float32),
         compositor.filled.ravel()[at],
-        detail.astype(np.float32),
+        compositor.residual().reshape(-1, 3)[at],
         seen,
         behind.astype(np.float32),
         montage.eight_bit(tone.display(photograph.radiance, exposure)),

@@ -65,4 +65,5 @@ def controls_of(session: Session, number: int) -> tuple[Any, ...]:
         gr.Dropdown(names, value=edit.light.name),
         edit.hide_background,
         edit.brightness_stops,
+        100 * edit.detail,
     )

@@ -23,7 +23,7 @@ from learn.app.choices import (
     named_material,
 )
 from learn.data import photographs
-from learn.editing import material_expression, material_file, targets
+from learn.editing import DETAIL, material_expression, material_file, targets
 from learn.networks import own_weights
 from manifests import files, reading
 from manifests.errors import InputError
@@ -67,7 +67,9 @@ def command_line(
     plain = plain and edit.light.unchanged and not edit.brightness_stops
     if plain and not edit.hide_background:
         texts = ["keep" if p.first is None else p.first.text for p in edit.regions]
-        words += ["edit", photograph, *kept, "--material", "+".join(texts), "--out", "edited"]
+        shading = ["--detail", f"{edit.detail:g}"] * (edit.detail != DETAIL)
+        words += ["edit", photograph, *kept, *shading]
+        words += ["--material", "+".join(texts), "--out", "edited"]
     else:
         words += ["app", photograph, *kept, "--repeat", "edit.json", "--out", "edited"]
     return shlex.join([*words, *own_weights.options_for(weights)])
@@ -109,6 +111,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     map: Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)] | None = None
     hide_background: bool = False
     brightness_stops: Stops = 0.0
+    detail: Share = DETAIL
 
 
 def write(path: Path, edit: Edit) -> None:
@@ -131,6 +134,7 @@ def write(path: Path, edit: Edit) -> None:
         "light.exr" if own_map else None,
         edit.hide_background,
         edit.brightness_stops,
+        edit.detail,
     )
     files.write_json(path, msgspec.to_builtins(recipe))
 
@@ -165,4 +169,5 @@ def read(path: Path) -> Edit:
         light,
         recipe.hide_background,
         recipe.brightness_stops,
+        recipe.detail,
     )

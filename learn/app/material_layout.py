@@ -8,6 +8,7 @@ from learn.app.choices import MOST_STOPS, OWN_LIGHT
 from learn.app.edit_controls import FIRST, SECOND, region_choices
 from learn.app.offline_gradio import gr
 from learn.app.page_html import address_of
+from learn.editing import DETAIL
 
 SLIDERS = (  # of a material of one's own: id, label, first value
     ("roughness", "Roughness", 0.35),
@@ -92,6 +93,7 @@ class MaterialLayout:
             self.light,
             self.hide,
             self.brightness,
+            self.detail,
         ]
         self.filled: list[Any] = [*self.views, self.region, *self.controls]
 
@@ -169,6 +171,19 @@ class MaterialLayout:
                 label="Brightness of the new material",
                 info="How bright it is can only be guessed. +1 doubles it, −1 halves it.",
                 elem_id="brightness",
+                buttons=[],
+            )
+            self.detail = gr.Slider(
+                0,
+                100,
+                100 * DETAIL,
+                step=5,
+                label="The photograph’s own shading: per cent kept",
+                info=(
+                    "Shadows in gaps, folds and texture, under the photograph’s own light. 0 if a"
+                    " print shows through."
+                ),
+                elem_id="detail",
                 buttons=[],
             )
             self.hide = gr.Checkbox(False, label="Hide the background", elem_id="hide")

@@ -61,6 +61,7 @@ class MaterialTab:
         self._show_live(on.rotation.input, self.lit, [on.light, on.rotation])
         self._show_live(on.hide.input, self.hidden, [on.hide])
         self._show_live(on.brightness.input, self.brightened, [on.brightness])
+        self._show_live(on.detail.input, self.shaded, [on.detail])
         on.keep.click(self.keep_picture, None, on.kept_row, trigger_mode="once", **QUIET)
         on.improve.click(
             self.improved,
@@ -269,6 +270,11 @@ class MaterialTab:
         return quick_view(
             self.session_of(request), lambda e: replace(e, brightness_stops=float(stops))
         )
+
+    def shaded(self, per_cent: float, request: gr.Request) -> tuple[Any, ...]:
+        """Keep more or less of the photograph's own shading."""
+        detail = min(max(float(per_cent) / 100, 0.0), 1.0)
+        return quick_view(self.session_of(request), lambda e: replace(e, detail=detail))
 
     @one_line
     def keep_picture(self, request: gr.Request) -> str:

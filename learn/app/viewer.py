@@ -26,7 +26,7 @@ from learn.app.choices import Edit, LightChoice, Painted
 from learn.app.composition import Covered, composed, covered_pixels, displayed, with_opacity
 from learn.data import framing
 from learn.data.devices import to_numpy
-from learn.editing import DETAIL, drawing, interactive, reflectance_store
+from learn.editing import drawing, interactive, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.figures import montage
@@ -47,7 +47,7 @@ class Viewer:
 
     def __init__(self, decomposed: Decomposition):
         self.decomposition = decomposed
-        self.small = Compositor(reduced(decomposed, LONGEST), predictions.SHOWN.tolerance, DETAIL)
+        self.small = Compositor(reduced(decomposed, LONGEST), predictions.SHOWN.tolerance)
         self.exposure = drawing.display_exposure(decomposed.photograph)
         self.own_light = to_numpy(decomposed.parts.light[0].movedim(0, -1))
         n, segments = self.small.n, to_numpy(self.small.segments)
@@ -156,7 +156,7 @@ class Viewer:
         The result is linear radiance (H, W, 3), and display values (H, W, 3 or 4) uint8.
         """
         if self._full is None:
-            self._full = Compositor(self.decomposition, predictions.SHOWN.tolerance, DETAIL)
+            self._full = Compositor(self.decomposition, predictions.SHOWN.tolerance)
         compositor = self._full
         each = [p.parts(own) for p, own in zip(edit.regions, self.decomposition.label, strict=True)]
         # all regions' first parts at once, then the second ones, each pixel with its weight
@@ -196,7 +196,7 @@ class Viewer:
         inside = np.ones_like(covered.share) if edit.hide_background else covered.share
         values = object_.reshape(-1, 3)[covered.at]
         if edit.light.unchanged:
-            values = values * covered.detail
+            values = values * np.exp(np.float32(edit.detail) * covered.residual)
             kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
             inside = inside * ~np.isin(covered.regions, kept)[:, None]
         behind = np.where(inside > 0, covered.behind, covered.photograph)

@@ -250,9 +250,12 @@ class Compositor:
             self._residual = residual_shading.weaken(whole, parts[2] > 0, share, width)
         return self._residual
 
-    def kept_shading(self) -> np.ndarray:
-        """Return the factors (side, side, 3) float32 of the residual shading that edits keep."""
-        return np.exp(np.float32(self.detail) * self.residual())
+    def kept_shading(self, detail: float | None = None) -> np.ndarray:
+        """Return the factors (side, side, 3) float32 of the residual shading that edits keep.
+
+        detail  as of the Compositor; None: its own
+        """
+        return np.exp(np.float32(self.detail if detail is None else detail) * self.residual())
 
     def _seen(self) -> np.ndarray:
         """Return linear radiance (side, side, 3) of the photograph in the object's square."""

@@ -418,6 +418,29 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
     assert "--repeat edit.json" in command
 
 
+def test_the_photographs_own_shading_is_kept_as_far_as_the_user_says() -> None:
+    """In the view, at full size and in the command; not under another light."""
+    result = decomposed()
+    viewer = Viewer(result)
+    none = Edit((Painted(chosen("green-fabric")), Painted()), detail=0.0)
+    edits = [replace(none, detail=d) for d in (0.0, 0.5, 1.0)]
+    linear = [viewer.full(edit)[0] for edit in edits]
+    inside = binary_erosion(result.photograph.regions == 1, iterations=4)
+    half, whole = (each[inside] / linear[0][inside] for each in linear[1:])
+    np.testing.assert_allclose(whole, half**2, rtol=1e-3)
+    assert abs(np.log(whole)).max() > 0.05
+    for edit, full in zip(edits, linear, strict=True):
+        shown = viewer.view(edit, exact=True).astype(float)
+        difference = shown - 255 * np.clip(tone.srgb(full * viewer.exposure), 0, 1)
+        assert np.sqrt((difference[inside] ** 2).mean()) < 2.0
+    lit = [replace(edit, light=choices.light_of(choices.OWN_LIGHT, 90.0)) for edit in edits[::2]]
+    np.testing.assert_array_equal(*(viewer.full(edit)[0] for edit in lit))
+    for edit, words in zip(edits, ("--detail 0 ", "", "--detail 1 "), strict=True):
+        command = edit_file.command_line(edit, "a.png", [], True, True, own_weights.EDITING)
+        assert words in command and ("--detail" in command) == bool(words)
+    assert "own shading 0%" in none.caption and "shading" not in edits[1].caption
+
+
 def test_an_exact_view_gives_way_to_a_later_choice() -> None:
     viewer = Viewer(decomposed())
     edit = Edit((Painted(chosen("brass")), Painted()))
@@ -451,11 +474,12 @@ def test_edit_json_brings_an_edit_back(tmp_path: Path, map_of_own: bool) -> None
     if map_of_own:
         light = choices.LightChoice("mine.exr", 45.0, light.map)
     own = choices.principled_material(Principled("#a03020", 0.35, 0.0))
-    edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5)
+    edit = Edit((Painted(chosen("chrome"), read, 0.25), Painted(own)), light, True, -1.5, 0.8)
     edit_file.write(tmp_path / "edit.json", edit)
     again = edit_file.read(tmp_path / "edit.json")
     assert again.regions == edit.regions and again.hide_background
     assert again.brightness_stops == -1.5 and "brightness −1.5" in again.caption
+    assert again.detail == 0.8 and "own shading 80%" in again.caption
     assert again.regions[0].second.read and not again.regions[0].first.read
     assert again.light.rotation_deg == 45.0
     assert again.light.map is not None and light.map is not None

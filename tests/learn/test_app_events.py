@@ -105,12 +105,12 @@ def test_a_part_that_is_gone_is_named_in_a_sentence(session: Session) -> None:
 
 
 def test_what_is_pressed_too_early_says_what_to_do(session: Session, tmp_path: Path) -> None:
-    tab = tab_of(MaterialTab, session, filled=[None] * 11)
+    tab = tab_of(MaterialTab, session, filled=[None] * 12)
     assert "Mark the object in step 1 first" in tab.shown_again(session)[1]
     with pytest.raises(InputError, match="mark the object in step 1 first"):
         quick_view(session, brass)
     empty = Session(tmp_path, session.network)
-    assert tab.shown_again(empty) == (gr.skip(),) * 11
+    assert tab.shown_again(empty) == (gr.skip(),) * 12
     with pytest.raises(InputError, match="choose a photograph first"):
         quick_view(empty, brass)
 
@@ -119,7 +119,7 @@ def test_what_is_pressed_too_early_says_what_to_do(session: Session, tmp_path: P
 def test_another_photograph_takes_the_place_of_one_that_is_analysed(
     session: Session, tmp_path: Path, when: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tab = tab_of(ObjectTab, session, materials=SimpleNamespace(filled=[None] * 11))
+    tab = tab_of(ObjectTab, session, materials=SimpleNamespace(filled=[None] * 12))
     said, other = [], photograph_in(tmp_path)
     if when == "shown":
         monkeypatch.setattr(
