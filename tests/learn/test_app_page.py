@@ -474,6 +474,8 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         walk.shot("kept")
         darker = walk.changed(lambda: walk.slide("#brightness", -1), "brightness −1")
         assert darker.mean() < pictures[2].mean() - 1
+        shaded = walk.changed(lambda: walk.slide("#detail", 100), "own shading 100%")
+        assert abs(shaded - darker).max() > 10 and abs(shaded.mean() - darker.mean()) < 2
 
         # one of them on the left of the line, one shown again, one removed
         window.run("document.querySelectorAll('#kept [data-act=beside]')[1].click()")
@@ -489,6 +491,7 @@ def test_five_materials_are_compared_and_work_goes_on_after_the_page_was_left(
         np.testing.assert_allclose(again, pictures[0], atol=4)
         slider = "return document.querySelector('#brightness input[type=range]').value"
         window.wait(f"(() => {{{slider}}})() == 0")
+        window.wait(f"(() => {{{slider.replace('#brightness', '#detail')}}})() == 50")
         window.run("document.querySelector('#kept [data-act=remove]').click()")
         window.wait(f"{kept} == 2")
         walk.wait_for("#shown", "Left of the line: blue-metallic-paint.")
