@@ -33,6 +33,10 @@ SCRIPT = """
   });
 
   const corners = [];  // of the line that the cross draws
+  const removeLine = () => {
+    corners.length = 0;
+    drawCross();
+  };
   const mayReplace = () => !find('#kept figure') ||
     confirm('The pictures that you kept to compare belong to the photograph that is open. They '
       + 'are lost if you open another one. Open another one?');
@@ -40,12 +44,12 @@ SCRIPT = """
     if (event.isTrusted && event.target.closest('#photo, #example, #work') && !mayReplace()) {
       event.preventDefault();
       event.stopImmediatePropagation();
-    } else if (event.target.closest('#photo, #example, #work')) corners.length = 0;
+    } else if (event.target.closest('#photo, #example, #work')) removeLine();
   }, true);
 
   const give = files => {
     if (!files.length || !isOpen('#step-1') || !mayReplace()) return;
-    corners.length = 0;
+    removeLine();
     const button = /\\.zip$/i.test(files[0].name) ? 'WORK' : 'PHOTO';
     const input = find(`input[data-testid="${button}-upload-button"]`);
     const one = new DataTransfer();
