@@ -35,6 +35,17 @@ def above_zero(text: str) -> float:
     return value
 
 
+def share(text: str) -> float:
+    """Return a number from 0 to 1. Raises argparse.ArgumentTypeError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found '{text}'")
+    return value
+
+
 def _whole_number(text: str) -> int | None:
     """Return the number that up to 19 digits spell, None for other text."""
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None

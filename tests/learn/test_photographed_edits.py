@@ -1,5 +1,6 @@
 """Photographs of rendered pictures, and the line of exposures that is fitted to their edits."""
 
+import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -227,3 +228,17 @@ def test_a_scene_in_a_room_has_a_material_to_edit_and_another_one_to_edit_into(t
     (place / "scene.json").write_text(json.dumps(scene | {"materials": ["white-marble"]}))
     with pytest.raises(InputError, match=r"scene\.json"):
         room_photographs.cases_of(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "is_share"), [("0", 1), ("0.5", 1), ("2", 0), ("nan", 0), ("a", 0)]
+)
+def test_the_shading_that_edits_keep_is_a_number_from_0_to_1(capsys, text, is_share):
+    parser = argparse.ArgumentParser()
+    photographed_edits.add_detail(parser)
+    if is_share:
+        assert parser.parse_args(["--detail", text]).detail == float(text)
+        return
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--detail", text])
+    assert f"expected a number from 0 to 1, found '{text}'" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from learn.commands import options
 from learn.editing import DETAIL
 from learn.experiments import runner
-from manifests.option_types import positive
+from manifests.option_types import positive, share
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -62,7 +62,7 @@ def add_detail(parser: argparse.ArgumentParser) -> None:
     """Add --detail, as `edit` has it."""
     parser.add_argument(
         "--detail",
-        type=float,
+        type=share,
         default=DETAIL,
         metavar="D",
         help="residual shading that edits keep, 0 to 1, as of `edit` (default %(default)s)",
