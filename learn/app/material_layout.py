@@ -101,7 +101,6 @@ class MaterialLayout:
         self.region = gr.Radio(
             region_choices(1), value=1, label="Part of the object", elem_id="region", visible=False
         )
-        self.slot = gr.Radio([FIRST, SECOND], value=FIRST, label="Choose", elem_id="slot")
         self.words = gr.Textbox(
             placeholder="Search: wood, leather, gold, red plastic …",
             label="Search materials",
@@ -111,6 +110,9 @@ class MaterialLayout:
         self.count = gr.Markdown(f"{len(gallery.search(''))} materials", elem_id="count")
         self.materials = gr.HTML(
             self.tiles(gallery.search("")), js_on_load=TILE_CLICKS + TILE_KEYS, elem_id="materials"
+        )
+        self.slot = gr.Radio(
+            [FIRST, SECOND], value=FIRST, label="What I choose is …", elem_id="slot"
         )
         self.share = gr.Slider(
             0,

@@ -95,11 +95,6 @@ class ObjectTab:
         self.shape = gr.Radio(
             SHAPES, value=GUESSED, label=SHAPE_LABEL, info=SHAPE_HELP, elem_id="shape"
         )
-        self.decompose = gr.Button(
-            NEXT, variant="primary", elem_id="decompose", interactive=False, size="md"
-        )
-        self.progress = gr.HTML("", elem_id="progress")
-        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", visible=False, size="sm")
         with gr.Accordion("I have a mask already", open=False, elem_id="own-mask"):
             gr.Markdown(
                 "A mask is a picture of the same size that is white where the object is. One with"
@@ -112,12 +107,25 @@ class ObjectTab:
                 )
 
     def _lay_out_picture(self) -> None:
-        self.status = gr.Markdown(
-            "Choose a photograph of an object (JPEG, HEIC, PNG, WebP, AVIF, TIFF, BMP, GIF or EXR),"
-            " drop or paste it here, or try the example. Then click on the object, or choose *Draw*"
-            " and draw a line around it.",
-            elem_id="status",
-        )
+        # the button is beside the line that names it, where no screen is too low to show it
+        with gr.Row(elem_id="guidance"):
+            self.status = gr.Markdown(
+                "Choose a photograph of an object (JPEG, HEIC, PNG, WebP, AVIF, TIFF, BMP, GIF or"
+                " EXR), drop or paste it here, or try the example. Then click on the object, or"
+                " choose *Draw* and draw a line around it.",
+                elem_id="status",
+            )
+            self.decompose = gr.Button(
+                NEXT,
+                variant="primary",
+                elem_id="decompose",
+                interactive=False,
+                size="md",
+                scale=0,
+                min_width=240,
+            )
+        self.progress = gr.HTML("", elem_id="progress")
+        self.stop = gr.Button("Stop", variant="stop", elem_id="stop", visible=False, size="sm")
         with gr.Tabs(elem_id="picture"):
             with gr.Tab("Click", id="click"):
                 self.marking = gr.Image(

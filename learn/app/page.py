@@ -109,7 +109,8 @@ def page(sessions: Sessions) -> gr.Blocks:
     ) as blocks:
         gr.Markdown(
             f"# {TITLE}\nSee an object in leather, wood, metal, paint or cloth. The photograph"
-            " stays on the computer that serves this page, and is deleted when you close it."
+            " stays on the computer that serves this page, and is deleted when you close it.",
+            elem_id="title",
         )
         with gr.Tabs(selected="object"):
             objects = ObjectTab(session_of)

@@ -13,6 +13,9 @@ CSS = """
 .gradio-container {max-width: 1240px !important; width: 100%; margin: auto !important;
   overflow: clip !important}
 .gradio-container main {width: 100%; max-width: 100% !important}
+#title {display: flex; flex-wrap: wrap; gap: 2px 16px; align-items: baseline}
+#title h1 {font-size: 1.4em; margin: 0}
+#title p {margin: 0}
 [role=tab][aria-selected=true] {color: var(--link-text-color) !important; font-weight: 600}
 :is(button, a, input, textarea, [role=tab], [tabindex]):focus-visible {
   outline: 3px solid var(--color-accent) !important; outline-offset: 2px}
@@ -21,6 +24,13 @@ label:has(input[type=radio]:focus-visible) {
 #marking button {cursor: crosshair}
 #marking button:focus-visible {outline-offset: -3px}
 #marking {position: relative}
+/* what is done with a photograph is shown once there is one */
+#step-1:not(:has(#marking img)) :is(#marked, #undoing, #fit, #shape, #own-mask, #decompose),
+  #step-1:not(:has(#marking img)) .form {display: none}
+#step-1:has(#marking img) #photo:not(:hover) {background: var(--button-secondary-background-fill);
+  color: var(--button-secondary-text-color)}
+/* as long as it is empty; screen readers have to know of it before it says anything */
+:is(#progress, #improving, #kept):has(.html-container > :empty) {position: absolute; height: 0}
 #marking:not(:has(img))::after {content: 'Drop a photograph here'; position: absolute; inset: 0;
   display: grid; place-items: end center; padding-bottom: 25%; pointer-events: none;
   color: var(--body-text-color-subdued)}
@@ -65,18 +75,31 @@ label:has(input[type=radio]:focus-visible) {
 #decomposition figure {margin: 0; width: 110px; text-align: center}
 #decomposition img {width: 110px; height: 110px; object-fit: contain}
 #progress progress, #improving progress {width: 100%; height: 14px}
+/* empty until the pictures are made */
+:is(#pictures, #saved-work):has(.empty) {display: none}
 footer {display: none !important}
+@media (min-width: 641px) {
+  /* pictures are as high as leaves what belongs to them on the screen */
+  #guidance {align-items: center; flex-wrap: nowrap}
+  #marking {height: clamp(300px, calc(100vh - 250px), 720px) !important}
+  #editor img {max-height: clamp(300px, calc(100vh - 230px), 720px) !important;
+    object-fit: contain}
+  #materials .tiles {max-height: clamp(230px, calc(100vh - 390px), 560px)}
+}
 @media (max-width: 640px) {
   /* the picture comes after the buttons that choose it, and before what is done with it */
   .main {padding: 8px !important}
   .tab-container button {padding-inline: 8px !important}
   #step-1, #step-2 {flex-direction: column; flex-wrap: nowrap}
   #step-1 > .column, #step-2 > .column {display: contents}
-  #step-1 > .column > * {order: 4}
+  #step-1 > .column > * {order: 7}
   #photo, #example, #work {order: 1 !important}
+  #guidance {display: contents}
   #status {order: 2 !important}
   #marked {order: 3 !important}
-  #picture {order: 3 !important; flex-shrink: 0}
+  #picture {order: 4 !important; flex-shrink: 0}
+  #undoing {order: 5 !important}
+  #decompose, #progress, #stop {order: 6 !important}
   #marking, #marking img {height: auto !important; max-height: 46vh}
   #marking:not(:has(img)) {display: none}
   #brush {max-height: none !important}

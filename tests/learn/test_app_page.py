@@ -555,6 +555,35 @@ def test_on_a_telephone_the_picture_is_near_the_buttons_and_nothing_is_wider(ser
         assert window.run(f"return {place.format('#editor')}.top") == pytest.approx(0, abs=12)
 
 
+def test_on_a_low_screen_what_comes_next_is_seen_without_scrolling(served, tmp_path):
+    with Browser(1366, 768) as window:
+        walk = opened(window, served, tmp_path)
+        low = window.run("return innerHeight")
+        assert low < 700
+        bottom = "document.querySelector('{}').getBoundingClientRect().bottom"
+        seen = "!!document.querySelector('{}').offsetParent"
+        # before there is a photograph, only the ways to choose one are there
+        of_marks = ("#marked", "#undoing", "#fit", "#shape", "#own-mask", "#decompose")
+        assert window.run(f"return {seen.format('#photo')}")
+        assert not any(window.run(f"return {seen.format(i)}") for i in of_marks)
+        window.click("#example")
+        window.wait("document.querySelector('#marking img')")
+        time.sleep(1)
+        walk.shot("low-screen")
+        assert all(window.run(f"return {seen.format(i)}") for i in of_marks)
+        for part in ("#decompose", "#marking"):
+            assert window.run(f"return {bottom.format(part)}") <= low
+        window.click("#decompose")
+        window.wait("document.querySelector('#editor img')")
+        time.sleep(1)
+        window.run("scrollTo(0, 0)")
+        walk.shot("low-screen-materials")
+        for part in ("#editor", "#improve", "#materials .tiles"):
+            assert window.run(f"return {bottom.format(part)}") <= low
+        open_tab(walk, "Download")
+        assert not window.run(f"return {seen.format('#pictures')}")
+
+
 def test_two_users_do_not_see_each_others_photographs(served, photo, tmp_path):
     other = tmp_path / "other.png"
     Image.fromarray(np.full((50, 100, 3), 90, np.uint8)).save(other)
