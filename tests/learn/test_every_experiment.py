@@ -675,6 +675,7 @@ REPORTS = {
     "room-photographs-varied-unrefined": "room-photographs",
     "exposure-line-varied": "exposure-line",
     "mask-edges-varied": "mask-edges",
+    "named-shapes-flat": "named-shapes",
 }
 NOT_PUBLISHED = {
     "compare-weights",  # its reports are named by what they compare
