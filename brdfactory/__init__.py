@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from brdfactory.datasets import generate, load_job
     from brdfactory.editing import Decomposition, EditedPicture, decompose, edit
+    from brdfactory.masks import make_mask
     from brdfactory.materials import Material, blend, material
     from brdfactory.pictures import Picture
     from brdfactory.rendering import light, render
@@ -31,6 +32,7 @@ _HOMES = {
     "decompose": "brdfactory.editing",
     "Decomposition": "brdfactory.editing",
     "EditedPicture": "brdfactory.editing",
+    "make_mask": "brdfactory.masks",
     "Picture": "brdfactory.pictures",
     "material": "brdfactory.materials",
     "blend": "brdfactory.materials",
@@ -60,6 +62,7 @@ __all__ = [
     "generate",
     "light",
     "load_job",
+    "make_mask",
     "material",
     "render",
 ]

@@ -17,7 +17,7 @@ DESCRIPTION = (
 )
 # title of a group → {command: package that contains it}
 GROUPS: Mapping[str, Mapping[str, str]] = {
-    "edit a photograph": dict.fromkeys(("edit", "app", "predict", "transfer"), "learn"),
+    "edit a photograph": dict.fromkeys(("edit", "mask", "app", "predict", "transfer"), "learn"),
     "make a data set": dict.fromkeys(
         ("plan", "render", "status", "verify", "preview", "export"), "factory"
     ),

@@ -15,7 +15,14 @@ from manifests import publish
 
 NO_HEADING = "    options:\n      show_root_heading: false\n"
 BRDFACTORY = {  # heading: names of the package
-    "Edit photographs": ("edit", "decompose", "Decomposition", "EditedPicture", "Picture"),
+    "Edit photographs": (
+        "edit",
+        "decompose",
+        "make_mask",
+        "Decomposition",
+        "EditedPicture",
+        "Picture",
+    ),
     "Materials and lights": ("material", "blend", "Material", "light"),
     "Render": ("render", "RenderLayer"),
     "Data sets": ("load_job", "generate", "Records", "Job"),

@@ -9,6 +9,7 @@ COMMANDS = (
     "train",
     "predict",
     "app",
+    "mask",
     "edit",
     "transfer",
     "agree",

@@ -16,6 +16,7 @@ LAYERS = {  # from the bottom up
         "data",
         "networks",
         "figures",
+        "selection",
         "metrics",
         "training",
         "refinement",

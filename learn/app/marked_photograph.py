@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from learn.app import overlay
-from learn.app.selection import Selection
 from learn.data import photographs
 from learn.editing import photograph
+from learn.selection import overlay
+from learn.selection.marks import Selection
 from manifests.errors import InputError
 
 SHOWN = (800, 1200)  # least and most pixels of the longer side of the picture that is clicked on

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from learn.app import overlay
 from learn.app.marked_photograph import THE_PAGE, MarkedPhotograph
 from learn.app.session import NEXT, Session
-from learn.app.superpixels import BACKGROUND
+from learn.selection import overlay
+from learn.selection.superpixels import BACKGROUND
 from manifests.errors import InputError
 
 BRUSH = 12  # pixels of the picture that is marked: width of a line at first

@@ -12,8 +12,8 @@ from learn.app.material_tab import MaterialTab
 from learn.app.offline_gradio import gr
 from learn.app.page_html import progress_bar
 from learn.app.session import NEXT, Session
-from learn.app.superpixels import BACKGROUND
 from learn.primitives import PRIMITIVES
+from learn.selection.superpixels import BACKGROUND
 from manifests.errors import InputError
 
 PARTS_OFFERED = 4

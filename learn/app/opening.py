@@ -4,7 +4,6 @@ Files are bounded before they are decoded (learn.data.photographs, learn.app.wor
 was sent is read before anything is kept, so that what is open stays if it cannot be read.
 """
 
-import functools
 import re
 import secrets
 import shutil
@@ -14,17 +13,15 @@ import numpy as np
 
 from learn.app import work_file
 from learn.app.marked_photograph import MarkedPhotograph
-from learn.app.selection import Selection
 from learn.data import photographs
 from learn.data.picture_decoding import MOST_PIXELS
 from learn.editing import photograph
-from learn.figures import montage
+from learn.selection.display import display_for_marking
+from learn.selection.marks import Selection
 from manifests import files
 from manifests.errors import InputError
-from shaders import tone
 
 ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
-DARK = 48  # of 255: the green of a picture that is brightened to be marked
 EXAMPLE = "example:espresso-cup"
 
 
@@ -56,7 +53,7 @@ def _kept(
         ending = ".img"
     path = folder / f"photograph{ending}"
     files.write_bytes(path, sent.read_bytes())
-    display, is_brightened = _display(path, radiance)
+    display, is_brightened = display_for_marking(radiance, photographs.holds_radiance(path))
     result = MarkedPhotograph(path, name, Selection(display), is_brightened=is_brightened)
     result.reduction = photographs.reduction(path, radiance.shape[:2])
     if (alpha < 0.5).any():
@@ -65,34 +62,13 @@ def _kept(
     return result
 
 
-def _display(path: Path, radiance: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Return display values (H, W, 3) uint8 to mark on, and whether they are brightened."""
-    shown = None
-    if not photographs.holds_radiance(path):
-        shown = display_of(radiance, 1.0)
-        if not is_dark(shown):
-            return shown, False
-    everywhere = np.ones(radiance.shape[:2], bool)
-    exposure = tone.auto_exposure(radiance, everywhere)
-    return display_of(radiance, exposure), shown is not None
-
-
-def is_dark(display: np.ndarray) -> bool:
-    """Return whether nearly nothing can be seen in a picture (H, W, 3) uint8.
-
-    That is so where all but the brightest hundredth of its pixels are below DARK.
-    """
-    counts = np.bincount(display[..., 1].ravel(), minlength=256)
-    return bool(counts[:DARK].sum() >= 0.99 * counts.sum()) and bool(counts[0] < counts.sum())
-
-
 def open_example() -> MarkedPhotograph:
     """Return the program's example, a cup on a saucer, with its two regions."""
     path, regions = photograph.resolve_example(EXAMPLE, [], None)
     assert regions is not None
     radiance, _ = photographs.read_pixels(path)
     mask = photographs.read_labels(regions, radiance.shape[:2])
-    selection = Selection(_display(path, radiance)[0], mask)
+    selection = Selection(display_for_marking(radiance, photographs.holds_radiance(path))[0], mask)
     return MarkedPhotograph(path, EXAMPLE, selection, example_mask=mask)
 
 
@@ -134,19 +110,3 @@ def _photograph_of(work: work_file.Work, folder: Path) -> MarkedPhotograph:
     if work.regions is not None:
         result.selection.given = photographs.read_labels(work.regions, result.selection.size)
     return result
-
-
-@functools.cache
-def display_table() -> np.ndarray:
-    """Return the display values (65536,) uint8 of linear values 0 to 1 in equal steps."""
-    return montage.eight_bit(tone.display(np.arange(65536) / 65535, 1.0))
-
-
-def display_of(radiance: np.ndarray, exposure: float) -> np.ndarray:
-    """Return display values (H, W, 3) uint8 of linear radiance.
-
-    They are looked up, which takes a tenth of the time that computing them does: 4 seconds for a
-    photograph of 24 megapixels. Values of a file of 8 bits come back as they were.
-    """
-    steps = np.clip(radiance * np.float32(exposure), 0, 1)
-    return display_table()[np.rint(steps * np.float32(65535)).astype(np.uint16)]

@@ -23,7 +23,7 @@ from shaders import tone
 LARGEST_RADIANCE = 1e10  # the sun's disk has 1.6e9 cd/m²: in no unit in use is anything brighter
 MOST_REGIONS = 8
 LEAST_PIXELS = 16  # of the mask; fewer tell nothing of a shape
-MASK_REMEDY = "give --mask FILE: white where the object is"
+MASK_REMEDY = "give --mask FILE: white where the object is; `brdfactory mask` makes one"
 # Display value, of 255, from which on a file of 8 bits is taken to be clipped: JPEG's losses leave
 # white a little below 255.
 NEAR_WHITE = 252

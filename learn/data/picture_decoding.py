@@ -111,6 +111,14 @@ def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
     return _opened(path, sentence)
 
 
+def divisor_of(path: str | Path) -> int:
+    """Return the number by which a picture's width and height are divided when it is read.
+
+    Raises InputError.
+    """
+    return int(_opened(path, lambda opened: _divisor(opened.size)))
+
+
 def describe_reduction(full: tuple[int, int], size: tuple[int, ...]) -> str | None:
     """Return a sentence that says that a picture was made smaller, None if it was not.
 

@@ -81,7 +81,7 @@ def ends_in_file(words):
         words[-1] == "--out"
         and (
             words[1] in ("preview", "fit", "add", "extension")
-            or words[0] == "join-weights"
+            or words[0] in ("mask", "join-weights")
             or "records" in words
         )
     )

@@ -96,6 +96,7 @@ BASES = {
     "factory lights add": "{seeds}/light.exr --library {out}",
     "learn agree": "{seeds}/data --limit 1 --out {out}",
     "learn predict": "{seeds}/second.png --weights {seeds}/weights.safetensors --out {out}",
+    "learn mask": "{seeds}/photograph.png --around 20%,20% 80%,80% --out {room}/out.png",
     "learn edit": "{seeds}/second.png --material white-acrylic " + commands.QUICK_EDIT,
     "learn transfer": "{seeds}/second.png {seeds}/photograph.png " + commands.QUICK_EDIT,
     "learn train": "{seeds}/run.json --data {views} --steps 1 --workers 0 --out {out}",

@@ -25,11 +25,11 @@ from scipy.ndimage import distance_transform_edt
 from learn.app import choices, gallery, page
 from learn.app.background_decomposition import Network
 from learn.app.choices import Painted
-from learn.app.selection import Selection
 from learn.app.sessions import Sessions
 from learn.commands.options import EDITING_WEIGHTS
 from learn.data import photographs
 from learn.editing import photograph
+from learn.selection.marks import Selection
 from tests.support.browser import Browser
 
 # runs ACT and returns the milliseconds until the new result is decoded

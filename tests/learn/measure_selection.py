@@ -1,7 +1,9 @@
 """Measure how well clicks, strokes and lines of a simulated user select known objects.
 
 The user always marks the largest error: clicks on the point of it that is deepest inside, or
-strokes along its long axis; or draws a line around the object, a tenth of its size away from it.
+strokes along its long axis; or draws a line around the object, a tenth of its size away from it; or
+gives a rectangle around it, or a polygon of ten corners at most around its convex hull, both a
+fiftieth of its longer side away from it, as `brdfactory mask --around` takes them.
 After each mark the intersection over union with the known mask is taken.
 
 Pictures are of these groups:
@@ -32,10 +34,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
+from scipy.spatial import ConvexHull
+from skimage.draw import polygon2mask
+from skimage.measure import approximate_polygon
 
-from learn.app.selection import Selection
-from learn.app.superpixels import BACKGROUND
 from learn.data.records import Records
+from learn.selection.marks import Selection
+from learn.selection.superpixels import BACKGROUND
 from manifests import files
 from manifests.provenance import provenance
 from shaders import tone
@@ -50,7 +55,13 @@ PLANS = {
     "five clicks": "ccccc",
     "a line": "l",
     "a line and two strokes": "lss",
+    "a rectangle": "r",
+    "a rectangle and two points": "rcc",
+    "a polygon": "p",
+    "a polygon and two points": "pcc",
 }
+CLOSE = 0.02  # of the object's longer side: how far from it the rectangle and the polygon are
+MOST_CORNERS = 10  # of the polygon
 ROUNDS = 2000  # of the bootstrap
 
 
@@ -97,6 +108,34 @@ def line_around(truth: np.ndarray) -> np.ndarray:
     return inside & (distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] <= 3)
 
 
+def rectangle_around(truth: np.ndarray) -> np.ndarray:
+    """Return pixels (H, W) bool of a rectangle close around an object (H, W) bool."""
+    rows, columns = np.nonzero(truth)
+    gap = round(CLOSE * max(np.ptp(rows), np.ptp(columns)))
+    inside = np.zeros_like(truth)
+    inside[
+        max(rows.min() - gap, 0) : rows.max() + gap + 1,
+        max(columns.min() - gap, 0) : columns.max() + gap + 1,
+    ] = True
+    return inside
+
+
+def polygon_around(truth: np.ndarray) -> np.ndarray:
+    """Return pixels (H, W) bool of a polygon of few corners close around the convex hull of an
+    object (H, W) bool.
+    """
+    rows, columns = np.nonzero(truth)
+    gap = CLOSE * max(np.ptp(rows), np.ptp(columns))
+    near = np.argwhere(distance_transform_edt(~truth) <= gap)
+    corners = near[ConvexHull(near).vertices].astype(float)
+    tolerance = 1.0
+    while len(corners) > MOST_CORNERS:
+        whole = np.concatenate([corners, corners[:1]])
+        corners = approximate_polygon(whole, tolerance)[:-1]
+        tolerance *= 1.3
+    return polygon2mask(truth.shape, corners)
+
+
 def overlap(one: np.ndarray, other: np.ndarray) -> float:
     """Return the intersection over union of two masks (H, W) bool."""
     return float((one & other).sum() / max(1, (one | other).sum()))
@@ -115,6 +154,9 @@ def after(selection: Selection, truth: np.ndarray, plan: str) -> float:
         elif mark == "s":
             covered, row, column = stroke_along(wrong)
             selection.paint(covered, int(truth[row, column]))
+        elif mark in "rp":
+            around = rectangle_around if mark == "r" else polygon_around
+            selection.enclose_pixels(around(truth), 1, "the line", "")
         else:
             selection.enclose(line_around(truth), 1)
         labels = selection.labels() > BACKGROUND
@@ -134,9 +176,11 @@ def reduced(display: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def photographs_of(root: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return {name: (picture, mask)} of the photographs."""
+    """Return {name: (picture, mask)} of the photographs, each object once."""
     result = {}
     for name, (path, mask, _) in sorted(sources(root).items()):
+        if " as " in name:  # the same object with its shape named
+            continue
         with Image.open(path) as picture, Image.open(mask) as known:
             display, truth = np.asarray(picture.convert("RGB")), np.asarray(known.convert("L"))
         result[name] = reduced(display, truth >= 128)
@@ -223,7 +267,7 @@ def main() -> None:
             past, present = Former(display), Selection(display)
             results[title][name] = {
                 text: [
-                    None if "l" in plan else after(past, truth, plan),
+                    None if plan[0] in "lrp" else after(past, truth, plan),
                     after(present, truth, plan),
                 ]
                 for text, plan in PLANS.items()

@@ -15,18 +15,15 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, download_files, edit_file, gallery, overlay
+from learn.app import choices, download_files, edit_file, gallery
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
 from learn.app.download_files import Downloads
 from learn.app.marking_view import mark_line, mark_place
-from learn.app.opening import display_of
 from learn.app.page_html import without_markup
-from learn.app.selection import MOST_STROKES, Selection, enclosed
 from learn.app.session import Session
 from learn.app.sessions import Sessions
-from learn.app.superpixels import Superpixels
 from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
@@ -35,6 +32,10 @@ from learn.editing import DETAIL, brightness, decomposition, photograph, reflect
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
 from learn.primitives import PRIMITIVES
+from learn.selection import overlay
+from learn.selection.display import display_of
+from learn.selection.marks import MOST_STROKES, Selection, enclosed
+from learn.selection.superpixels import Superpixels
 from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
 from manifests.material_words import ALIKE

@@ -37,6 +37,7 @@ ELSEWHERE = {  # command: (file, what stands there)
     "learn train": ("tests/learn/test_full_disk_learn.py", '"train"'),
     "learn predict": ("tests/learn/test_full_disk_learn.py", '"predict, of a data set"'),
     "learn edit": ("tests/learn/test_full_disk_learn.py", '"edit"'),
+    "learn mask": ("tests/learn/test_masks_from_points.py", '["mask", *map(str, words)]'),
     "learn app": ("tests/learn/test_app.py", '["app", *words]'),
     "learn transfer": ("tests/learn/test_full_disk_learn.py", '"transfer"'),
     "learn agree": ("tests/learn/test_agree.py", '["agree", str(folder)'),

@@ -4,8 +4,8 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_dilation
 
-from learn.app.selection import Selection
 from learn.figures import montage
+from learn.selection.marks import Selection
 
 # display colours of the regions on the page; region 1 is the first
 REGION_COLORS = np.array(

@@ -1,9 +1,9 @@
-"""Masks and regions made on the page: by clicks, strokes of a brush, and lines around the object.
+"""Masks and regions made by marks: clicks, strokes of a brush, and lines around the object.
 
 A click says of one point which region it belongs to, or that it is background, and strokes say it
 of all that they cover. A line around the object says that all outside is background, and that the
-object is deep inside. Random walks on superpixels (learn.app.superpixels) carry these marks to the
-rest of the picture; pixels that strokes cover are what the strokes say.
+object is deep inside. Random walks on superpixels (learn.selection.superpixels) carry these marks
+to the rest of the picture; pixels that strokes cover are what the strokes say.
 
 labels  (H, W) uint8: 0 background, 1 … S the regions
 """
@@ -15,8 +15,8 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
-from learn.app.superpixels import BACKGROUND, FEWER, Superpixels
 from learn.data.photographs import MOST_REGIONS
+from learn.selection.superpixels import BACKGROUND, FEWER, Superpixels
 from manifests.errors import InputError
 
 DEEP = 3.0  # how much depth inside a region counts against distance from clicks
@@ -132,10 +132,19 @@ class Selection:
         """
         self._require_room(covered)
         inside = enclosed(np.asarray(covered, bool))
+        remedy = "draw it all around the object, up to where it began"
+        self.enclose_pixels(inside, region, "the line", remedy)
+
+    def enclose_pixels(self, inside: np.ndarray, region: int, where: str, remedy: str) -> None:
+        """Say that pixels (H, W) bool hold an object, and that all others are background.
+
+        region         of the object; 0, background, is taken for 1
+        where, remedy  of the error for fewer pixels than LEAST_ENCLOSED
+        Raises         InputError
+        """
         if inside.mean() < LEAST_ENCLOSED:
             rule = "a closed line around the object"
-            remedy = "draw it all around the object, up to where it began"
-            raise InputError("the line", rule, "one that encloses nothing", remedy)
+            raise InputError(where, rule, "one that encloses nothing", remedy)
         self.marks.append(Line(inside, region or 1))
 
     def _require_room(self, covered: np.ndarray) -> None:
@@ -207,18 +216,21 @@ class Selection:
         lines, clicks = self.lines, self.clicks
         if len(clicks) == len(self.marks):
             return self._walked_from(clicks, frame=True)
-        pixels, seeds = self.superpixels, dict[int, int]()
+        pixels, seeds, marked = self.superpixels, dict[int, int](), dict[int, int]()
+        for mark in self.marks:  # of two marks of one superpixel the later one counts
+            if isinstance(mark, Click):
+                marked[pixels.at(mark.column, mark.row, self.size)] = mark.region
+            elif isinstance(mark, Stroke):
+                marked |= dict.fromkeys(map(int, pixels.covered(mark.covered)), mark.region)
         if lines:
             outside = ~np.logical_or.reduce([line.inside for line in lines])
             if outside.any():
                 seeds |= dict.fromkeys(map(int, pixels.covered(outside)), BACKGROUND)
+            besides = {number for number, region in marked.items() if region == BACKGROUND}
             for line in lines:
-                seeds |= dict.fromkeys(map(int, pixels.deep_in(line.inside)), line.region)
-        for mark in self.marks:  # of two marks of one superpixel the later one counts
-            if isinstance(mark, Click):
-                seeds[pixels.at(mark.column, mark.row, self.size)] = mark.region
-            elif isinstance(mark, Stroke):
-                seeds |= dict.fromkeys(map(int, pixels.covered(mark.covered)), mark.region)
+                deep = pixels.deep_in(line.inside, besides)
+                seeds |= dict.fromkeys(map(int, deep), line.region)
+        seeds |= marked
         return pixels.labels(seeds, self.size, frame=not lines)
 
     def _divided(self, given: np.ndarray) -> np.ndarray:

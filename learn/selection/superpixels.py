@@ -13,7 +13,7 @@ a further 60 MB, and knows one region only.
 labels  (H, W) uint8: 0 background, 1 … S the regions
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,10 @@ SMOOTHING = 1.0  # pixels, of the picture whose gradient is taken
 WEAKEST = 1e-4  # weight of the strongest edge: every walk arrives somewhere
 FRAME_STRENGTH = 0.02  # of the picture's frame as background, against a mark's
 DEEP = 0.35  # of the greatest depth inside a line: what lies deeper is taken for the object
+# what the user marks as background inside a line says the same of what is nearer than this, and of
+# what has its colour and is nearer than that, as shares of the greatest depth
+NEAR, FAR = 0.3, 0.6
+ALIKE = 10.0  # CIELAB units: difference up to which two superpixels have the same colour
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class Superpixels:
     index      (h, w) number of each pixel's superpixel
     area       (K,) pixels of each
     pairs      (E, 2) neighbours
+    colours    (K, 3) their mean colours, CIELAB
     weights    (E,) how often a walk crosses from one to the other, up to 1 × the border's length
     frame      (K,) bool: superpixels at the picture's frame
     """
@@ -51,6 +56,7 @@ class Superpixels:
     index: np.ndarray
     area: np.ndarray
     pairs: np.ndarray
+    colours: np.ndarray
     weights: np.ndarray
     frame: np.ndarray
 
@@ -104,7 +110,7 @@ class Superpixels:
         frame = np.zeros(number, bool)
         for edge in (index[0], index[-1], index[:, 0], index[:, -1]):
             frame[edge] = True
-        return cls(index, area, pairs, weights, frame)
+        return cls(index, area, pairs, mean, weights, frame)
 
     def at(self, column: int, row: int, size: tuple[int, int]) -> int:
         """Return the superpixel at a pixel of a picture of that size, rows × columns."""
@@ -129,11 +135,25 @@ class Superpixels:
         half = np.flatnonzero(share >= 0.5)
         return half if len(half) else np.array([int(share.argmax())])
 
-    def deep_in(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the numbers of the superpixels deep inside pixels (H, W) bool."""
+    def deep_in(self, pixels: np.ndarray, besides: Collection[int] = ()) -> np.ndarray:
+        """Return the numbers of the superpixels deep inside pixels (H, W) bool.
+
+        besides  numbers of superpixels that do not belong to the object: those that are near them,
+                 or of their colour and not far away, are left to the random walk
+        """
         depth = distance_transform_edt(np.pad(self.reduced(pixels), 1))[1:-1, 1:-1]
-        mean = np.bincount(self.index.ravel(), depth.ravel(), len(self.area)) / self.area
-        return np.flatnonzero(mean > DEEP * mean.max())
+        deep = self._mean(depth) > DEEP * depth.max()
+        if besides:
+            away = distance_transform_edt(~np.isin(self.index, list(besides)))
+            share = self._mean(away) / depth.max()
+            differences = self.colours[:, None] - self.colours[list(besides)]
+            differs = np.linalg.norm(differences, axis=-1).min(1) > ALIKE
+            deep &= (share > NEAR) & (differs | (share > FAR))
+        return np.flatnonzero(deep)
+
+    def _mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean (K,) over each superpixel of values (h, w)."""
+        return np.bincount(self.index.ravel(), values.ravel(), len(self.area)) / self.area
 
     def reduced(self, pixels: np.ndarray) -> np.ndarray:
         """Return pixels (H, W) bool at the size of `index`."""

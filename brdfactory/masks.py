@@ -1,0 +1,40 @@
+"""Masks of objects in photographs, from a line around them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from learn.editing.photograph import resolve_example
+from learn.selection.points import Point, Points, select
+
+
+def make_mask(
+    photo: str | Path | np.ndarray,
+    around: Sequence[Point] = (),
+    *,
+    without: Sequence[Point] = (),
+    on_object: Sequence[Point] = (),
+    on_background: Sequence[Point] = (),
+) -> np.ndarray:
+    """Return the mask (H, W) bool of an object, for `edit` and `decompose`.
+
+    A point is (x, y) in pixels from the photograph's top left corner, or a text such as "25%,40%"
+    of its width and height. A photograph of more than 25 megapixels has a mask of the smaller size
+    at which it is edited.
+
+    photo          a file; "example:espresso-cup"; or an array (H, W, 3 or 4): uint8 display
+                   values, or floats of linear radiance
+    around         two opposite corners of a rectangle around the object, or three or more corners
+                   of a polygon; the closer to the object, the better
+    without        corners of a rectangle or polygon around something in it that is not the object
+    on_object      points on the object, on what the mask lacks
+    on_background  points beside the object, on what the mask should not have
+    Raises         InputError: neither a line nor a point on the object, a point outside the
+                   picture, a mask of nearly nothing or of everything
+    """
+    if not isinstance(photo, np.ndarray):
+        photo = resolve_example(photo, [], None)[0]
+    lines, others = ([line] if len(line) else [] for line in (around, without))
+    names = ("around", "without", "on_object", "on_background")
+    return select(photo, Points(lines, others, on_object, on_background, names)).labels() > 0
