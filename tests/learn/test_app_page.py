@@ -689,10 +689,16 @@ return event.defaultPrevented;
 
 
 def faint(window: Browser, dark: bool) -> list[str]:
-    """Return texts that are too faint on the page in dark or light colours."""
+    """Return texts that are too faint on the page in dark or light colours.
+
+    Colours change smoothly, and late on a busy computer: what is faint has to stay so.
+    """
     window.run(f"document.body.classList.toggle('dark', {str(dark).lower()})")
-    time.sleep(0.5)  # colours change smoothly
-    return window.run(FAINT)
+    for _ in range(12):
+        time.sleep(0.5)
+        if not (texts := window.run(FAINT)):
+            break
+    return texts
 
 
 def press(window: Browser, selector: str, key: str) -> None:

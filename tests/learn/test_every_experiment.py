@@ -657,6 +657,8 @@ REPORTS = {
     "normals-ablation-256": "normals-ablation",
     "relighting-general-compact": "relighting",
     "ladder-two-encoders": "compare-weights",
+    "ladder-test-two-encoders": "compare-weights",
+    "ladder-second-test-two-encoders": "compare-weights",
     "evaluation-regions-fine-tuned": "compare-weights",
     "room-photographs-labels-ignored": "room-photographs",
     "room-photographs-others": "room-photographs",
