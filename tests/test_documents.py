@@ -55,6 +55,8 @@ SMALLER = [
     (r"^(python -m (?:learn|brdfactory) agree .*)$", r"\1 --limit 2"),
     # all materials under five lights take minutes; tests/learn/test_interactive.py makes a page
     (r" --interactive\b", ""),
+    # the reader's photograph is as small, and so is its object
+    (r"--around 120,80 520,460", "--around 2,2 46,46"),
     # tests/learn/test_editing_wired.py refines
     (r"^(python -m (?:learn|brdfactory) (?:edit|transfer) .*)$", r"\1 --no-refine"),
 ]
@@ -156,6 +158,7 @@ def test_every_command_of_the_documents_runs(root, tmp_path):
     for name, source in USERS_FILES.items():
         shutil.copy(root / source, tmp_path / name)
     photographs(tmp_path)
+    (tmp_path / "mask.png").unlink()  # which the first command makes
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "not-a-map.png")
     environment = {
         **os.environ,
