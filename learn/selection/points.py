@@ -125,6 +125,13 @@ def _inside(option: str, line: Sequence[Point], size: tuple[int, int], divisor: 
     if len(corners) < 2:
         rule = "two corners of a rectangle, or more of a polygon"
         raise InputError(option, rule, "one point", "name another one")
+    height, width = size
+    for point, (x, y) in zip(line, corners, strict=True):
+        if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
+            rule = (
+                f"a point of the picture or near it, {divisor * width} × {divisor * height} pixels"
+            )
+            raise InputError(option, rule, _text(point), REMEDY)
     if len(corners) == 2:
         (left, top), (right, bottom) = corners
         corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
