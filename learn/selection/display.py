@@ -1,7 +1,6 @@
 """Display values of a photograph in which an object is to be marked.
 
-Nobody can mark what is not to be seen, and superpixels need edges: a very dark photograph is
-brightened.
+A very dark photograph is brightened, because neither a user nor superpixels could find edges in it.
 """
 
 import functools
