@@ -94,13 +94,17 @@ class Decomposition:
         """Display L2 between the photograph and `rendering`, over the object."""
         return display_l2(self.rendering.linear, self.photograph.radiance, self.photograph.mask)
 
-    def paint(self, *materials: MaterialSource | None) -> EditedPicture:
+    def paint(self, *materials: MaterialSource | None, brightness: float = 0.0) -> EditedPicture:
         """Return the photograph with its object in another material.
 
-        materials  one for all regions, or one for each; None leaves a region as it is. Each is a
-                   name, a description, a label or a Material, which may be a blend
-        Raises     InputError
+        materials   one for all regions, or one for each; None leaves a region as it is. Each is a
+                    name, a description, a label or a Material, which may be a blend
+        brightness  stops by which the new materials are made brighter, -3 to 3
+        Raises      InputError
         """
+        from learn.commands.editing_options import check_brightness
+
+        check_brightness(brightness, "brightness")
         count = len(self.computed.label)
         if len(materials) not in (1, count):
             rule = "one material" + (f", or {count}: one for each region" if count > 1 else "")
@@ -109,7 +113,7 @@ class Decomposition:
         read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted_labels(chosen):
-            linear = linear + weight * self._compositor.edited(labels, read)
+            linear = linear + weight * self._compositor.edited(labels, read, brightness)
         shown = self._picture(np.asarray(linear, np.float32))
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
@@ -236,6 +240,8 @@ def edit(
     photo: PictureSource,
     mask: PictureSource | None = None,
     material: MaterialSource | Sequence[MaterialSource | None] | None = "brass",
+    *,
+    brightness: float = 0.0,
     **options: Unpack[Options],
 ) -> EditedPicture:
     """Return a photograph with its object in another material.
@@ -246,11 +252,12 @@ def edit(
     material              a name, a description such as "principled(roughness=.35)", a label (108,)
                           or a Material; or a list with one of these for each region, in which None
                           leaves a region as it is
+    brightness            as of `paint`
     Raises                InputError: a file or a name that does not exist, a mask of another size
     """
     one = material is None or isinstance(material, str | Path | np.ndarray | Material)
     drawn: Sequence[MaterialSource | None] = (material,) if one else material  # type: ignore[assignment]
-    return decompose(photo, mask, **options).paint(*drawn)
+    return decompose(photo, mask, **options).paint(*drawn, brightness=brightness)
 
 
 def _open_photograph(

@@ -15,7 +15,6 @@ from shaders import envmap
 from shaders.dsbrdf import SIZE
 
 OWN_LIGHT = "the photograph's own"
-MOST_STOPS = 3.0  # by which an edit is made brighter or darker; a stop is a factor of 2
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from learn.app.choices import (
-    MOST_STOPS,
     OWN_LIGHT,
     Chosen,
     Edit,
@@ -23,7 +22,7 @@ from learn.app.choices import (
     named_material,
 )
 from learn.data import photographs
-from learn.editing import DETAIL, material_expression, material_file, targets
+from learn.editing import DETAIL, MOST_STOPS, material_expression, material_file, targets
 from learn.networks import own_weights
 from manifests import files, reading
 from manifests.errors import InputError
@@ -64,11 +63,13 @@ def command_line(
         painted.second is None and (painted.first is None or painted.first.named)
         for painted in edit.regions
     )
-    plain = plain and edit.light.unchanged and not edit.brightness_stops
+    plain = plain and edit.light.unchanged
     if plain and not edit.hide_background:
         texts = ["keep" if p.first is None else p.first.text for p in edit.regions]
         shading = ["--detail", f"{edit.detail:g}"] * (edit.detail != DETAIL)
-        words += ["edit", photograph, *kept, *shading]
+        stops = edit.brightness_stops
+        brightness = ["--brightness", f"{stops:g}"] * (stops != 0)
+        words += ["edit", photograph, *kept, *shading, *brightness]
         words += ["--material", "+".join(texts), "--out", "edited"]
     else:
         words += ["app", photograph, *kept, "--repeat", "edit.json", "--out", "edited"]

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from learn.app import choices, gallery
-from learn.app.choices import MOST_STOPS, OWN_LIGHT
+from learn.app.choices import OWN_LIGHT
 from learn.app.edit_controls import FIRST, SECOND, region_choices
 from learn.app.offline_gradio import gr
 from learn.app.page_html import address_of
-from learn.editing import DETAIL
+from learn.editing import DETAIL, MOST_STOPS
 
 SLIDERS = (  # of a material of one's own: id, label, first value
     ("roughness", "Roughness", 0.35),

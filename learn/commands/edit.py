@@ -78,6 +78,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
             " 'keep' leaves a region as it is"
         ),
     )
+    editing_options.add_brightness(parser)
     options.add_out(parser)
     parser.add_argument(
         "--record",
@@ -109,7 +110,12 @@ def run(arguments: argparse.Namespace) -> None:
 
     masks = editing_options.mask_files(arguments.mask)
     _require_masks_with_effect(arguments)
-    edit_options = replace(editing_options.edit_options(arguments), shape=arguments.shape)
+    editing_options.check_brightness(arguments.brightness)
+    edit_options = replace(
+        editing_options.edit_options(arguments),
+        shape=arguments.shape,
+        stops=arguments.brightness,
+    )
     report = edit.run(
         arguments.photo,
         masks,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learn.commands import options
-from learn.editing import DETAIL
+from learn.editing import DETAIL, MOST_STOPS
 from learn.primitives import PRIMITIVES
 
 if TYPE_CHECKING:
@@ -91,6 +91,27 @@ def add_shape(parser: argparse.ArgumentParser, note: str = "") -> None:
             f" (default: the network guesses the normals){note}"
         ),
     )
+
+
+def add_brightness(parser: argparse.ArgumentParser) -> None:
+    """Add --brightness to a parser."""
+    parser.add_argument(
+        "--brightness",
+        type=float,
+        default=0.0,
+        metavar="STOPS",
+        help=(
+            "make the new material brighter, or darker with a negative number, by this many stops;"
+            " one stop doubles its brightness. The program can only guess how bright a material"
+            f" looks in a photograph, so correct it by eye (default 0; at most {MOST_STOPS:g})"
+        ),
+    )
+
+
+def check_brightness(stops: float, name: str = "--brightness") -> None:
+    """Raise InputError unless the brightness is at most MOST_STOPS stops; name: for messages."""
+    most = f"{MOST_STOPS:g}"
+    check(name, abs(stops) <= MOST_STOPS, f"a number of stops from -{most} to {most}", stops)
 
 
 def edit_options(arguments: argparse.Namespace) -> EditOptions:

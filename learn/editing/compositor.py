@@ -138,13 +138,17 @@ class Compositor:
         return framing.resize_square(picture, self.side)
 
     def edited(
-        self, labels: Sequence[np.ndarray | None], read: Sequence[np.ndarray] = ()
+        self,
+        labels: Sequence[np.ndarray | None],
+        read: Sequence[np.ndarray] = (),
+        stops: float = 0.0,
     ) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with its object in other materials.
 
         labels  a label (108,) for each region, or None for a region that stays as it is; a single
                 one is for all regions
         read    as `brightness` takes it
+        stops   by which what is rendered is made brighter
         """
         regions = len(self.own)
         requested = list(labels) * regions if len(labels) == 1 else list(labels)
@@ -154,7 +158,7 @@ class Compositor:
                 for own, target in zip(self.own, requested, strict=True)
             ]
         )
-        object_ = self.radiance(label, read)
+        object_ = self.radiance(label, read) * np.float32(2.0**stops)
         if self.detail:
             object_ = object_ * self.kept_shading()
         unchanged = [s + 1 for s in range(regions) if requested[s] is None]

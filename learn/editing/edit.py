@@ -37,6 +37,7 @@ class EditOptions:
     fit_mask   whether to fit the edges of masks to the photographs' colours; None: only those of
                black and white masks
     shape      of the photograph's object, one of learn.primitives.PRIMITIVES; None: predicted
+    stops      by which edits are made brighter, MOST_STOPS at most
     """
 
     weights: Path
@@ -48,6 +49,7 @@ class EditOptions:
     device: str | torch.device = "cpu"
     fit_mask: bool | None = None
     shape: str | None = None
+    stops: float = 0.0
 
     def as_metadata(self) -> dict[str, object]:
         """Return the options that edit.json and transfer.json record."""
@@ -164,7 +166,8 @@ def compute(
     edits = []
     for text, each in labels.items():
         progress.set_description(text[:24])
-        edited = compositor.edited(each, targets.labels_from_pictures(text, each))
+        read = targets.labels_from_pictures(text, each)
+        edited = compositor.edited(each, read, edit_options.stops)
         edits.append(Edit(text, each, edited, find_truth(opened, text)))
         progress.update()
     return EditResult(result, compositor.rendered_again(), edits, metadata)

@@ -143,6 +143,7 @@ def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
         "materials": [edit.text for edit in result.edits],
         "fit_relative_l1": targets.fit_errors(edit.text for edit in result.edits),
         "exposure": decomposed.framed.exposure,
+        "brightness_stops": edit_options.stops,
         "white_balance": [float(x) for x in opened.balance],
         "regions": opened.count,
         "mask_fitted": opened.given is not None,

@@ -77,6 +77,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         "title": decomposed.photograph.name,
         "detail": edit_options.detail,
         "largestDetail": LARGEST,
+        "stops": edit_options.stops,
         "regions": decomposed.photograph.count,
         "steps": reflectance_store.STEPS,
         "bend": reflectance_store.BEND,

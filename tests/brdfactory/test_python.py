@@ -149,6 +149,17 @@ def test_what_a_decomposition_tells(pictures):
     assert abs(relit.linear - parts.relight("city").linear).max() > 0.01
 
 
+def test_a_stop_of_brightness_doubles_the_new_material(pictures):
+    folder, _ = pictures
+    files = folder / "photo.png", folder / "mask.png"
+    parts = bf.decompose(*files, refine=False)
+    plain, brighter = parts.paint("red-fabric").linear, parts.paint("red-fabric", brightness=1)
+    inside = parts.photograph.coverage == 1
+    np.testing.assert_allclose(brighter.linear[inside], 2 * plain[inside], rtol=1e-5)
+    edited = bf.edit(*files, "red-fabric", brightness=1, refine=False)
+    np.testing.assert_array_equal(edited.linear, brighter.linear)
+
+
 def test_an_exr_has_the_pictures_transparency(parts, tmp_path):
     from learn.data import photographs
 
@@ -189,6 +200,7 @@ def test_rendering_of_own_normals_under_lights_by_name():
         (lambda f, a: bf.edit(a["photo"], regions=a["mask"] / 2.0), "whole numbers"),
         (lambda f, a: bf.edit(f / "no.png"), "no such file"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], detail=2), "from 0 to 1"),
+        (lambda f, a: bf.edit(a["photo"], a["mask"], brightness=4, refine=False), "from -3 to 3"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], exposure=-1), "above 0"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], shape="cone"), "found cone"),
         (lambda f, a: bf.decompose(a["photo"], a["mask"], white_balance="gray"), "found gray"),

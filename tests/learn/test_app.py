@@ -416,7 +416,7 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
     untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
     np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
     command = edit_file.command_line(darker, "a.png", [], True, True, own_weights.EDITING)
-    assert "--repeat edit.json" in command
+    assert "--brightness -1 --material green-fabric+keep" in command
 
 
 def test_the_photographs_own_shading_is_kept_as_far_as_the_user_says() -> None:

@@ -131,6 +131,8 @@ def test_numbers_outside_their_range_are_refused(files, capsys):
         ("--tolerance", "0"),
         ("--tolerance", "nan"),
         ("--detail", "2"),
+        ("--brightness", "-3.5"),
+        ("--brightness", "nan"),
         ("--exposure", "-1"),
         ("--white-balance", "1,2"),
     ):

@@ -135,6 +135,21 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     assert abs(edited - radiance)[regions == 2].mean() > 0.02
 
 
+def test_brightness_changes_the_new_material_and_nothing_else():
+    label = label_of("blue-rubber")
+    radiance, inside = lit(label, 0.5)
+    regions = inside.astype(np.int64)
+    regions[:, SIZE // 2 :] *= 2
+    painter = Compositor(
+        decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK), detail=0.5
+    )
+    labels = [None, label_of("gold-paint")[0]]
+    plain, brighter = (painter.edited(labels, stops=stops) for stops in (0.0, 1.5))
+    new = regions == 2
+    np.testing.assert_allclose(brighter[new], 2**1.5 * plain[new], rtol=1e-5)
+    np.testing.assert_array_equal(brighter[~new], plain[~new])
+
+
 def test_shading_is_kept_when_asked():
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)

@@ -109,6 +109,14 @@ def test_exposure_and_white_balance_reach_the_network(photo):
         assert abs(other - plain).mean() > 0.5
 
 
+def test_brightness_reaches_the_edit(photo):
+    plain, _ = edited(photo, "plain", "--no-refine")
+    darker, report = edited(photo, "darker", "--no-refine", "--brightness", "-1.5")
+    assert report["brightness_stops"] == -1.5
+    assert darker[20, 20].mean() < plain[20, 20].mean() - 10
+    np.testing.assert_array_equal(darker[0, 0], plain[0, 0])
+
+
 def test_every_mask_is_a_region_with_its_own_material(photo):
     both, report = edited(
         photo, "both", "--no-refine", masks=("left", "right"), material="gold-paint+keep"

@@ -91,7 +91,7 @@ def made(tmp_path_factory):
         patch.setattr(material_list, "DESCRIBED", {})
         patch.setattr(interactive, "MEASURED", {})
         result = result_of()
-        options = SimpleNamespace(tolerance=1e-2, detail=0.25)
+        options = SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)
         text = interactive.page(result, options)
     path = tmp_path_factory.mktemp("page") / interactive.NAME
     path.write_text(text, "utf-8")
@@ -185,10 +185,20 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     # a label that differs by nothing that shows, because equal ones are one material
     read = label + np.float32(1e-4)
     result.edits[:] = [edit.Edit(str(file), [read, None], result.edits[0].picture, None)]
-    page = Page(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)))
+    page = Page(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)))
     for light in range(len(page.header["lights"])):
         named, own = (np.median(page.values(light, name)) for name in ("nickel", "material.json"))
         assert named / own == pytest.approx(brightness.factor(label), rel=0.05)
+
+
+def test_the_page_begins_with_the_edits_brightness(made, monkeypatch):
+    catalogue = load_catalogue()
+    monkeypatch.setattr(material_list, "load_catalogue", lambda: {"nickel": catalogue["nickel"]})
+    monkeypatch.setattr(material_list, "DESCRIBED", {})
+    monkeypatch.setattr(interactive, "MEASURED", {})
+    options = SimpleNamespace(tolerance=1e-2, detail=0.25, stops=-0.5)
+    page = Page(interactive.page(made.result, options))
+    assert page.header["stops"] == -0.5 and Page(made.text).header["stops"] == 0
 
 
 def test_a_matte_material_takes_fewer_nodes_than_a_sharp_one(made):
@@ -233,7 +243,7 @@ def test_a_page_that_would_be_too_large_is_refused(made, monkeypatch):
     monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     with pytest.raises(InputError, match=r"at most 0\.001 MB"):
-        interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
+        interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
 
 
 def test_a_page_that_is_there_is_not_replaced(tmp_path):
@@ -316,7 +326,7 @@ def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
     monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
     monkeypatch.setattr(store, "LIMIT", 0.0)
     monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
-    text = interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25))
+    text = interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
     page, path = Page(text), tmp_path / interactive.NAME
     assert page.header["lights"][0]["sides"][page.names.index("chrome")] == store.SIDES[-1]
     path.write_text(text, "utf-8")
@@ -360,7 +370,9 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
     monkeypatch.setattr(interactive, "MEASURED", {})
     result = result_of(cut_out=True)
     path = tmp_path / interactive.NAME
-    path.write_text(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)), "utf-8")
+    path.write_text(
+        interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+    )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     opened, own = result.decomposition.photograph, result.decomposition.label
     truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)
@@ -396,7 +408,9 @@ def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp
     alpha[SIDE // 2 :] = 1
     result = result_of(alpha=alpha)
     path = tmp_path / interactive.NAME
-    path.write_text(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25)), "utf-8")
+    path.write_text(
+        interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+    )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     own = result.decomposition.label
     truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)

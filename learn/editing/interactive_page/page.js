@@ -145,7 +145,7 @@ function sphere(canvas, l, m, m2 = -1, share = 0) {
 
 // ---- what is chosen ---------------------------------------------------------------------------
 const state = {
-  light: 0, split: 1, detail: H.detail, ground: false, stops: 0, region: 0, slot: 0,
+  light: 0, split: 1, detail: H.detail, ground: false, stops: H.stops, region: 0, slot: 0,
   regions: Array.from({length: H.regions}, (_, r) => ({materials: [H.chosen[r], -2], blend: 0.5})),
 };
 const GROUND = [0.42, 0.43, 0.45];
@@ -441,11 +441,12 @@ $("blend").addEventListener("input", () => {
 });
 $("detail").value = state.detail;
 $("detail").addEventListener("input", () => { state.detail = +$("detail").value; refresh(); });
-$("brightness").addEventListener("input", () => {
-  state.stops = +$("brightness").value;
+function showStops() {
   $("brightness-value").textContent = state.stops ? `${state.stops > 0 ? "+" : "−"}${Math.abs(state.stops)}` : "";
-  refresh();
-});
+}
+$("brightness").value = state.stops;
+showStops();
+$("brightness").addEventListener("input", () => { state.stops = +$("brightness").value; showStops(); refresh(); });
 $("split").addEventListener("input", () => { state.split = +$("split").value; refresh(); });
 const drag = event => {
   const box = canvas.getBoundingClientRect();
