@@ -13,18 +13,22 @@ import torch
 
 import learn.__main__
 import learn.experiments.__main__
+from learn.data import seen
 from learn.experiments import runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.experiments.editing import edit_brightness
 from learn.experiments.layer import auto_calibration
-from learn.experiments.photographs import exposure_rule
+from learn.experiments.photographs import exposure_rule, named_shapes
+from learn.experiments.training import unseen_shapes
 from learn.metrics import bootstrap
 from learn.networks import weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
+from learn.networks.seen_lists import write_lists
 from learn.networks.weights import save_weights
 from manifests import allocator
 from manifests.cli import main
+from manifests.store import Store
 from tests.support import ladder_rungs, room_scenes, stereo_sphere
 from tests.support.full_disk_case import RUN as SETTINGS
 from tests.support.synthetic import add_sides, glossy, matte, write_dataset
@@ -542,6 +546,25 @@ def test_edits_in_rooms_can_be_told_the_shapes_of_their_objects(room, tmp_path, 
     for file, found in ((others, "found sphere"), (wrong, "found sphere: teapot")):
         assert run("room-photographs", f"{words} --shapes {file}", tmp_path / "e") == 1
         assert found in capsys.readouterr().err
+
+
+def test_named_shapes_that_the_weights_saw_are_refused(room, tmp_path, capsys):
+    """Meshes without a name are not measured, so that they may have been seen."""
+    shapes = [shape.hash for shape in Store(room / "pictures").dataset().shapes.values()]
+    theirs = tmp_path / "theirs.safetensors"
+    lists = seen.make_seen({"shapes": shapes, "materials": [], "lights": []})
+    write_lists(room / "weights.safetensors", lists, theirs)
+    words = f"--data {room}/pictures --weights {theirs} --pictures 1 --shapes"
+    assert run("named-shapes", f"{words} {room}/shapes.json", tmp_path / "out") == 1
+    error = capsys.readouterr().err
+    assert "theirs.safetensors never saw, found 1 of 1 shapes (sphere)" in error
+    assert "--allow-overlap" in error and not list((tmp_path / "out").glob("[!.]*"))
+    allowed = f"{words} {room}/shapes.json --allow-overlap"
+    assert run("named-shapes", allowed, tmp_path / "out") == 0
+    line = (tmp_path / "out" / "report.md").read_text().splitlines()[2]
+    assert line == "**Overlap: theirs.safetensors saw in training 1 of 1 shapes (sphere).**"
+    pictures = unseen_shapes.photographs_of(room / "pictures", theirs, [SIZE])[SIZE]
+    assert named_shapes.tested(pictures.data_split, {"carton": "box"})["shapes"] == {}
 
 
 def test_a_summary_needs_reports_and_their_words(tmp_path, capsys):

@@ -4,12 +4,14 @@ Views of meshes that a person would call so are relit with held-out materials an
 by the camera model of training, as in `unseen-shapes`. The report compares the predicted normals
 with those of the primitive that is named for each mesh, and with those of the same primitive used
 only where its outline is that of the mask. Masks of this camera model have errors, holes and
-missing parts. rows.jsonl keeps a line per picture: the same command continues.
+missing parts. Shapes, materials and lights that the weights saw in training are refused. rows.jsonl
+keeps a line per picture: the same command continues.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,9 @@ from learn.commands import options
 from learn.experiments import runner
 
 if TYPE_CHECKING:
+    from learn.data.data_split import DataSplit
     from learn.data.relit import RelitDataset
+    from learn.evaluation.overlap import Tested
     from learn.networks.prediction import Coded
 
 DRAWS = 500
@@ -39,12 +43,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_weights(parser)
     options.add_count(parser, "--pictures", 160, "of named meshes")
+    options.add_allow_overlap(parser)
 
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
-    """Return {"rows": [{"picture", "shape", "named", "material", "overlap", columns: degrees}]}."""
+    """Return {"rows", "all": number of pictures, also of meshes without a name, "seen"}.
+
+    rows  [{"picture", "shape", "named", "material", "overlap", columns: degrees}]
+    seen  sentences of learn.evaluation.overlap
+    Raises InputError: the weights saw what is measured, and --allow-overlap is not given
+    """
     import torch
 
+    from learn.evaluation import overlap
     from learn.experiments.training.unseen_shapes import photographs_of
     from learn.networks import weights as checkpoint
     from manifests import outputs
@@ -53,21 +64,38 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     torch.set_num_threads(1)
     shapes = read_shapes(arguments.shapes)
     file = arguments.weights
+    network, metadata = checkpoint.load_network(file)
+    source = photographs_of(arguments.data, file, [metadata["size"]])[metadata["size"]]
+    shown = tested(source.data_split, shapes)
+    seen = overlap.sentences([file], shown, arguments.data, arguments.allow_overlap)
     about = {
         "weights": file_hash(file),
         "data": file_hash(arguments.data / "materials.json"),
         "shapes": file_hash(arguments.shapes),
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    network, metadata = checkpoint.load_network(file)
-    source = photographs_of(arguments.data, file, [metadata["size"]])[metadata["size"]]
     todo = [({"picture": str(k)}, k) for k in range(arguments.pictures)]
 
     def row(number: int) -> dict[str, Any]:
         return row_of(source, network, shapes, number)
 
     rows = runner.resume(arguments.out / "rows.jsonl", todo, row, "picture")
-    return {"rows": [row for row in rows if row["named"] is not None], "all": len(rows)}
+    named = [row for row in rows if row["named"] is not None]
+    return {"rows": named, "all": len(rows), "seen": seen}
+
+
+def tested(data_split: DataSplit, shapes: Mapping[str, str]) -> Tested:
+    """Return what pictures of the named meshes show, as learn.evaluation.overlap has it."""
+    from learn.evaluation import overlap
+
+    shown = overlap.of_split(data_split)
+    named = {digits: name for digits, name in shown["shapes"].items() if stem_of(name) in shapes}
+    return {**shown, "shapes": named}
+
+
+def stem_of(shape: str) -> str:
+    """Return what a list of shapes calls a mesh file: its name without folder and ending."""
+    return Path(shape.split("?")[0]).stem
 
 
 def read_shapes(path: Path) -> dict[str, str]:
@@ -101,7 +129,7 @@ def row_of(
 
     batch = source[number]
     shape, material = shape_and_material(batch.names[0])
-    name = Path(shape.split("?")[0]).stem
+    name = stem_of(shape)
     if name not in shapes:
         return {"shape": name, "named": None, "material": material}
     mask = to_numpy(batch.segments[0] > 0)
@@ -142,6 +170,8 @@ def tables(report: runner.Report) -> str:
     return "\n\n".join(
         [
             "# Normals of objects whose shape is named",
+            # the first reports have no such sentences
+            *(f"**{sentence}**" for sentence in report.get("seen", ())),
             f"{len(rows)} relit pictures of meshes that are named, taken by the camera model of"
             f" training ({report['all'] - len(rows)} others left out). Intervals are over meshes"
             " and materials.",
