@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 from pathlib import Path
 
@@ -13,6 +14,7 @@ EPILOG = """examples:
   python -m learn mask photo.jpg --around 120,80 520,460 --out mask.png
   python -m learn mask photo.jpg --around 40%,10% 80%,30% 70%,90% 30%,85% --out mask.png
   python -m learn mask photo.jpg --around 120,80 520,460 --background 300,440 --out mask.png"""
+NEGATIVE = re.compile(r"-\.?\d")  # the beginning of a value such as -5%,10% and of no option
 PREVIEW_SIDE = 1000  # pixels of the preview's longer side at most
 PREVIEW_QUALITY = 90
 
@@ -31,6 +33,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         epilog=EPILOG,
         formatter_class=HelpFormatter,
     )
+    # argparse's own takes a single negative number alone for a value, not a pair or a percentage
+    parser._negative_number_matcher = NEGATIVE
     parser.add_argument(
         "photo",
         type=Path,

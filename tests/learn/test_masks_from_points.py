@@ -131,6 +131,17 @@ def test_the_command_writes_a_mask_and_a_preview_of_an_upright_photograph(tmp_pa
     assert out.read_bytes() != before
 
 
+@pytest.mark.parametrize("left", ["-5%", "-12", "-0.5%"])
+def test_a_corner_may_lie_left_of_the_photograph_and_above_it(left, tmp_path, capsys):
+    Image.fromarray(scene()[0]).save(tmp_path / "photo.png")
+    masks = []
+    for name, corner in (("at.png", "0,0"), ("beyond.png", f"{left},{left}")):
+        out = tmp_path / name
+        assert command(tmp_path / "photo.png", "--around", corner, "194,124", "--out", out) == 0
+        masks.append(out.read_bytes())
+    assert masks[0] == masks[1]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -143,6 +154,11 @@ def test_the_command_writes_a_mask_and_a_preview_of_an_upright_photograph(tmp_pa
         (["--around", "20,20", f"{'9' * 400},90"], "a point of the picture or near it, 240 × 160"),
         (["--around", "0,0", "240,160"], "found the whole picture"),
         (["--around", "9,9", "90,90", "--without", "20,20"], "--without: expected two corners"),
+        (["--around", "-5%", "40,40"], "expected points X,Y, found -5% "),
+        (["--around", "-.5,3", "40,40"], "expected points X,Y, found -.5,3 "),
+        (["--without", "-2%,9", "--around", "9,9", "90,90"], "--without: expected two corners"),
+        (["--object", "-3,10"], "--object: expected a point of the picture, 240 × 160 pixels"),
+        (["--around", "9,9", "90,90", "--background", "-1.5%,-2"], "--background: expected"),
         (["--object", "240,10"], "--object: expected a point of the picture, 240 × 160 pixels"),
         (["--around", "86,16", "194,124", "--background", "5,200"], "--background: expected"),
     ],
