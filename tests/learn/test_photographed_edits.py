@@ -14,7 +14,7 @@ from learn.experiments.photographs import (
     photographed_edits,
     photographed_fit,
     photographing,
-    room_photographs,
+    room_cases,
 )
 from learn.experiments.photographs.photographed_fit import TERMS, Edits
 from manifests.errors import InputError
@@ -224,10 +224,10 @@ def test_a_scene_in_a_room_has_a_material_to_edit_and_another_one_to_edit_into(t
     room_scenes.written(tmp_path)
     place = tmp_path / "0000"
     scene = json.loads((place / "scene.json").read_text())
-    assert len(room_photographs.cases_of(tmp_path)) == len(scene["materials"]) == 2
+    assert len(room_cases.cases_of(tmp_path)) == len(scene["materials"]) == 2
     (place / "scene.json").write_text(json.dumps(scene | {"materials": ["white-marble"]}))
     with pytest.raises(InputError, match=r"scene\.json"):
-        room_photographs.cases_of(tmp_path)
+        room_cases.cases_of(tmp_path)
 
 
 @pytest.mark.parametrize(

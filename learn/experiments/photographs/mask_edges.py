@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     from matplotlib.figure import Figure
 
-    from learn.experiments.photographs.room_photographs import Case
+    from learn.experiments.photographs.room_cases import Case
 
 BAND = 5  # pixels on either side of the true edge, in which errors are measured
 PLAIN, GIVEN = "as given, nearest background", "as given"
@@ -41,13 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def measure(arguments: argparse.Namespace) -> runner.Report:
     """Return {"rows": results of `row_of`}. Raises InputError for no scenes or no coverage.png."""
-    from learn.experiments.photographs import room_photographs
+    from learn.experiments.photographs import room_cases
     from manifests import outputs
     from manifests.errors import InputError
     from manifests.store_paths import file_hash
 
     by_scene: dict[Path, list[Case]] = {}
-    for case in room_photographs.cases_of(arguments.data, arguments.scenes, arguments.after):
+    for case in room_cases.cases_of(arguments.data, arguments.scenes, arguments.after):
         by_scene.setdefault(case.folder, []).append(case)
     for folder in by_scene:
         if not (folder / "coverage.png").is_file():
@@ -57,7 +57,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     about = {"data": file_hash(next(iter(by_scene)) / "scene.json")}
     outputs.pin_settings(arguments.out / "settings.json", about)
     cases = [of[number % len(of)] for number, of in enumerate(by_scene.values())]
-    todo = [({"photograph": room_photographs.name_of(case)}, case) for case in cases]
+    todo = [({"photograph": room_cases.name_of(case)}, case) for case in cases]
     return {"rows": runner.resume(arguments.out / "rows.jsonl", todo, row_of, "photograph")}
 
 
@@ -74,17 +74,17 @@ def row_of(case: Case) -> dict[str, Any]:
     from learn.data.photographs import LEAST_PIXELS
     from learn.editing import mask_edges
     from learn.editing.backgrounds import fill_from_nearest
-    from learn.experiments.photographs import damaged_masks, room_photographs
+    from learn.experiments.photographs import damaged_masks, room_cases
     from learn.experiments.photographs.photographing import exposed
     from shaders import tone
 
-    frame = room_photographs.frame_of(case, case.source)
+    frame = room_cases.frame_of(case, case.source)
     coverage = photographs.read_mask(case.folder / "coverage.png", frame.shape[:2])
-    photo = exposed(frame, coverage >= 0.5, room_photographs.name_of(case))
+    photo = exposed(frame, coverage >= 0.5, room_cases.name_of(case))
     radiance = tone.linear_from_srgb(photo.pixels / 255.0).astype(np.float32)
     materials = case.scene.materials
     target = materials[(materials.index(case.source) + 1) % len(materials)]
-    truth = photo.of(room_photographs.frame_of(case, target))
+    truth = photo.of(room_cases.frame_of(case, target))
     object_ = fill_from_nearest(truth, coverage > 0.99)
     band = np.abs(mask_edges.signed_distance(coverage >= 0.5)) <= BAND
     whole = band | (coverage > 0)

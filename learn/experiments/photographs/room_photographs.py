@@ -14,59 +14,23 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
-
-import msgspec
+from typing import TYPE_CHECKING, Any
 
 from learn.commands import options
 from learn.editing import DETAIL
 from learn.experiments import runner
-from learn.experiments.photographs import exposure_line, photographed_edits
+from learn.experiments.photographs import exposure_line, photographed_edits, room_cases
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     import torch
 
-    from learn.evaluation import overlap
-    from learn.experiments.photographs.photographing import Photographed
+    from learn.experiments.photographs.room_cases import Case
     from learn.refinement import RefinementSettings
-    from manifests.materials import Material
 
 ON_RAY = True
 SHOWN = 8  # edits of the sheet, of as many scenes
-
-
-class RoomScene(msgspec.Struct, forbid_unknown_fields=True):
-    """A scene.json of factory.render.validation.objects_in_rooms, which describes its keys."""
-
-    shape: str
-    shape_hash: str
-    category: str
-    place: str
-    seed: int
-    materials: Annotated[tuple[str, ...], msgspec.Meta(min_length=2)]
-    azimuth_deg: float
-    elevation_deg: float
-    distance: float
-    surroundings: str = "plain"  # scenes of before 2026-11-29 lack it, samples and size
-    samples: int | None = None
-    size: int | None = None
-
-
-class Case(NamedTuple):
-    """A photograph: a scene's folder, its RoomScene, and the material that it shows.
-
-    balances  whether the camera balances white
-    shape     of learn.primitives.PRIMITIVES, if edits use the object's named shape; else None
-    """
-
-    folder: Path
-    scene: RoomScene
-    source: str
-    balances: bool = False
-    shape: str | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,13 +89,17 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
-    cases = cases_of(arguments.data, arguments.scenes, arguments.after, arguments.white_balance)
+    cases = room_cases.cases_of(
+        arguments.data, arguments.scenes, arguments.after, arguments.white_balance
+    )
     if arguments.shapes:
-        cases = named_cases(cases, arguments.shapes, arguments.use_shapes)
+        cases = room_cases.named_cases(cases, arguments.shapes, arguments.use_shapes)
     elif arguments.use_shapes:
         raise InputError("--use-shapes", "--shapes FILE", "none", "name the objects' shapes")
     settings = None if arguments.no_refine else PHOTOGRAPHS
-    seen = overlap.sentences([arguments.weights], tested(cases), arguments.data, True)
+    seen = overlap.sentences(
+        [arguments.weights], room_cases.list_tested(cases), arguments.data, True
+    )
     about = {
         # a larger --scenes keeps the first one
         "data": file_hash(cases[0].folder / "scene.json"),
@@ -144,7 +112,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
     network, metadata = checkpoint.load_parts(arguments.weights)
-    todo = [({"photograph": name_of(case)}, case) for case in cases]
+    todo = [({"photograph": room_cases.name_of(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
@@ -156,23 +124,6 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     if arguments.beside:
         report["beside"] = compared(report, arguments.beside)
     return report
-
-
-def tested(cases: Sequence[Case]) -> overlap.Tested:
-    """Return the shapes and materials that photographs show, as learn.evaluation.overlap has them.
-
-    Their places are drawn for them alone, and no weights were trained on their light.
-    """
-    from learn.data.seen import DIGITS, label_hash
-    from manifests.materials import find
-
-    scenes = [case.scene for case in cases]
-    names = sorted({name for scene in scenes for name in scene.materials})
-    return {
-        "shapes": {scene.shape_hash[:DIGITS]: scene.shape for scene in scenes},
-        "materials": {label_hash(_label(find(name))): name for name in names},
-        "lights": {},
-    }
 
 
 def compared(report: runner.Report, path: Path) -> dict[str, Any]:
@@ -198,46 +149,6 @@ def compared(report: runner.Report, path: Path) -> dict[str, Any]:
     return {"name": path.parent.name, "edits": len(ours.rows), **ratios}
 
 
-def cases_of(
-    folder: Path, count: int | None = None, after: int = 0, balances: bool = False
-) -> list[Case]:
-    """Return a photograph of each material of scenes of a folder.
-
-    count     number of scenes; None: all
-    after     number of scenes before them
-    balances  whether the camera balances white
-    Raises    InputError: there are none
-    """
-    from manifests.errors import InputError
-    from manifests.reading import read
-
-    scenes = sorted(path.parent for path in folder.glob("[0-9]*/scene.json"))[after:][:count]
-    if not scenes:
-        remedy = "render them: python -m factory.render.validation.objects_in_rooms --out DIR"
-        raise InputError(folder, "folders with a scene.json", "none", remedy)
-    result = []
-    for path in scenes:
-        scene = read(path / "scene.json", RoomScene)
-        result += [Case(path, scene, name, balances) for name in scene.materials]
-    return result
-
-
-def named_cases(cases: Sequence[Case], file: Path, use: bool) -> list[Case]:
-    """Return those of which a JSON file names the shape; use: whether edits use it.
-
-    Raises InputError: the file is none, or names none of the shapes
-    """
-    from learn.experiments.photographs.named_shapes import read_shapes
-    from manifests.errors import InputError
-
-    shapes = read_shapes(file)
-    named = [case for case in cases if case.scene.shape in shapes]
-    if not named:
-        others = ", ".join(sorted({case.scene.shape for case in cases})[:3])
-        raise InputError(file, "shapes of the scenes' objects", others, "name them")
-    return [case._replace(shape=shapes[case.scene.shape] if use else None) for case in named]
-
-
 def row_of(
     case: Case,
     network: torch.nn.Module,
@@ -252,7 +163,7 @@ def row_of(
     """
     from learn.evaluation.ladder_design import group_of
 
-    photo = _photograph(case)
+    photo = room_cases.photograph_of(case)
     scene = case.scene
     about = {
         "shape": scene.shape,
@@ -260,8 +171,9 @@ def row_of(
         "light": f"{scene.place}-{scene.seed}",
         "source": case.source,
     }
-    targets = (_truth(case, other) for other in scene.materials if other != case.source)
-    name = name_of(case)
+    others = (name for name in scene.materials if name != case.source)
+    targets = (room_cases.truth_of(case, name) for name in others)
+    name = room_cases.name_of(case)
     return about | photographed_edits.figures_of(
         photo, name, targets, network, size, settings, case.shape, detail
     )
@@ -291,9 +203,10 @@ def write_sheet(
     first = [case for case in cases if case.source == case.scene.materials[0]]
     rows = []
     for case in first[:: -(-len(first) // SHOWN)]:
-        photo, truth = _photograph(case), _truth(case, case.scene.materials[1])
+        photo = room_cases.photograph_of(case)
+        truth = room_cases.truth_of(case, case.scene.materials[1])
         try:
-            read = photograph.from_arrays(photo.pixels, photo.mask, name=name_of(case))
+            read = photograph.from_arrays(photo.pixels, photo.mask, name=room_cases.name_of(case))
             parts = decomposition.decompose(read, network, size, settings, shape=case.shape)
         except InputError:
             continue
@@ -313,50 +226,6 @@ def write_sheet(
         tiles += [rows[-1]] if len(rows) % 2 else []
         shown = montage.eight_bit(montage.contact_sheet(tiles, photo.pixels.shape[0]))
         files.write_image(out / "sheet.jpg", shown, "JPEG")
-
-
-def name_of(case: Case) -> str:
-    """Return what messages call a case's photograph; its exposure is drawn by it."""
-    return f"{case.folder.name} {case.source}"
-
-
-def _photograph(case: Case) -> Photographed:
-    """Return what a camera takes of a case."""
-    from learn.data import photographs
-    from learn.experiments.photographs.photographing import exposed
-
-    frame = frame_of(case, case.source)
-    mask = photographs.read_mask(case.folder / "mask.png", frame.shape[:2]) > 0.5
-    return exposed(frame, mask, name_of(case), case.balances)
-
-
-def _truth(case: Case, target: str) -> photographed_edits.Truth:
-    from manifests.materials import find
-
-    material = find(target)
-    frame = frame_of(case, target)
-    return photographed_edits.Truth(target, material.family, _label(material), frame)
-
-
-def _label(material: Material) -> np.ndarray:
-    """Return a material's label (108,) float32 as data sets hold it."""
-    import numpy as np
-
-    return material.label.reshape(-1).astype(np.float32)
-
-
-def frame_of(case: Case, material: str) -> np.ndarray:
-    """Return radiance (N, N, 3) float32 of a case's frame with the object in a material.
-
-    Raises InputError where it is none of the built-in ones, whose names are no paths
-    """
-    import numpy as np
-
-    from manifests import exr
-    from manifests.materials import find
-
-    channels = exr.read(case.folder / f"{find(material).name}.exr")
-    return np.stack([channels[name] for name in "RGB"], -1)
 
 
 def tables(report: runner.Report) -> str:
