@@ -564,7 +564,7 @@ def test_named_shapes_that_the_weights_saw_are_refused(room, tmp_path, capsys):
     line = (tmp_path / "out" / "report.md").read_text().splitlines()[2]
     assert line == "**Overlap: theirs.safetensors saw in training 1 of 1 shapes (sphere).**"
     pictures = unseen_shapes.photographs_of(room / "pictures", theirs, [SIZE])[SIZE]
-    assert named_shapes.tested(pictures.data_split, {"carton": "box"})["shapes"] == {}
+    assert named_shapes.list_tested(pictures.data_split, {"carton": "box"})["shapes"] == {}
 
 
 def test_a_summary_needs_reports_and_their_words(tmp_path, capsys):

@@ -66,7 +66,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     file = arguments.weights
     network, metadata = checkpoint.load_network(file)
     source = photographs_of(arguments.data, file, [metadata["size"]])[metadata["size"]]
-    shown = tested(source.data_split, shapes)
+    shown = list_tested(source.data_split, shapes)
     seen = overlap.sentences([file], shown, arguments.data, arguments.allow_overlap)
     about = {
         "weights": file_hash(file),
@@ -84,7 +84,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     return {"rows": named, "all": len(rows), "seen": seen}
 
 
-def tested(data_split: DataSplit, shapes: Mapping[str, str]) -> Tested:
+def list_tested(data_split: DataSplit, shapes: Mapping[str, str]) -> Tested:
     """Return what pictures of the named meshes show, as learn.evaluation.overlap has it."""
     from learn.evaluation import overlap
 
