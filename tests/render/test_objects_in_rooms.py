@@ -1,9 +1,7 @@
-"""Scenes of objects in furnished rooms: what is planned, and what is rendered of it."""
+"""Scenes of objects in furnished rooms: what is rendered of them, and which are refused."""
 
 import dataclasses
 import json
-import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,55 +12,11 @@ from manifests import exr
 pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
 
 from factory.lights import interiors
-from factory.render.validation import objects_in_rooms
-from factory.shapes.catalogue import load
-
-
-def test_shapes_take_turns_and_an_attempt_changes_the_place_alone():
-    shapes = [objects_in_rooms.planned(k, 0, 1, []).shape.split(":")[0] for k in range(4)]
-    assert shapes == ["chair", "dish", "sofa", "knot"]
-    files = [Path("a.obj"), Path("b.obj")]
-    alone = [objects_in_rooms.planned(k, 0, 1, files, only_meshes=True).shape for k in range(3)]
-    assert alone == ["a.obj", "b.obj", "a.obj"]
-    first, second = (objects_in_rooms.planned(3, attempt, 1, []) for attempt in (0, 1))
-    assert (first.shape, first.materials) == (second.shape, second.materials)
-    assert first.place != second.place and first.azimuths != second.azimuths
-    assert first == objects_in_rooms.planned(3, 0, 1, [])
-
-
-def test_the_table_ends_where_the_object_begins_and_stands_on_the_floor():
-    plan = objects_in_rooms.planned(1, 0, 1, [])
-    mesh = load(plan.shape)
-    *others, table = objects_in_rooms.with_table(plan, mesh).boxes
-    assert table.high[2] == pytest.approx(mesh.vertices[:, 2].min() * plan.radius)
-    assert table.low[2] == others[0].high[2] < -0.4
-    assert tuple(others) == interiors.draw(plan.place).boxes
-
-
-def test_varied_surroundings_change_surfaces_and_add_things_beside_the_object():
-    added = 0
-    for number in range(12):
-        plain = objects_in_rooms.planned(number, 0, 1, [])
-        plan = objects_in_rooms.planned(number, 0, 1, [], "varied")
-        assert plain.surroundings == "plain"
-        assert plan == dataclasses.replace(plain, surroundings="varied")
-        mesh = load("sphere:3")
-        bare, dressed = (objects_in_rooms.with_table(each, mesh) for each in (plain, plan))
-        table = dressed.boxes[-1]
-        assert (table.low, table.high) == (bare.boxes[-1].low, bare.boxes[-1].high)
-        assert table.material.part == "table"
-        assert bare.boxes[:-1] == interiors.draw(plan.place).boxes != dressed.boxes[:-1]
-        beside = dressed.furniture[len(bare.furniture) :]
-        added += len(beside)
-        for thing in beside:
-            assert thing.place[2] == pytest.approx(table.high[2])
-            assert math.hypot(*thing.place[:2]) > plan.radius + thing.radius
-            assert all(abs(thing.place[k]) < table.high[k] for k in (0, 1))
-    assert 6 < added <= 12 * objects_in_rooms.MOST_BESIDE
+from factory.render.validation import objects_in_rooms, room_plans
 
 
 def test_frames_differ_on_the_object_and_hardly_elsewhere(tmp_path):
-    plan = objects_in_rooms.planned(1, 0, 41, [])
+    plan = room_plans.draw_plan(1, 0, 41, [])
     assert objects_in_rooms.rendered(plan, tmp_path / "a", size=32, samples=16)
     scene = json.loads((tmp_path / "a" / "scene.json").read_text())
     assert scene["shape"] == "dish:0" and tuple(scene["materials"]) == plan.materials
@@ -96,7 +50,7 @@ def coverage_is_that_of_the_pictures(folder, mask):
 
 
 def test_a_wall_before_the_object_leaves_no_view(tmp_path, monkeypatch):
-    plan = objects_in_rooms.planned(0, 0, 41, [])
+    plan = room_plans.draw_plan(0, 0, 41, [])
     shut = [
         interiors.Box((a, -5, -5), (a + 0.1, 5, 5), interiors.Material((0.5, 0.5, 0.5)))
         for a in (0.4, -0.5)
@@ -148,7 +102,7 @@ def test_a_scene_without_a_free_view_is_named_and_the_others_are_rendered(
     ],
 )
 def test_a_folder_of_other_options_is_refused(tmp_path, monkeypatch, capsys, options, wrong):
-    plan = objects_in_rooms.planned(0, 3, 41, [])
+    plan = room_plans.draw_plan(0, 3, 41, [])
     scene = {"shape": plan.shape, "materials": plan.materials, "seed": plan.place}
     scene |= {"samples": 48, "size": 192}
     (tmp_path / "0000").mkdir()
