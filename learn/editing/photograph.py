@@ -17,13 +17,13 @@ import numpy as np
 from learn.data import framing, photographs, picture_arrays
 from learn.data.records import Records, require_upright
 from learn.editing import mask_preparation, region_masks
-from manifests.errors import InputError, closest
+from learn.editing.record_choice import choose_record
+from learn.editing.white_balance import find_balance
+from manifests.errors import InputError
 from manifests.schema import Record
 from shaders import tone
 from shaders.frames import ELEVATION
-from shaders.tone import LUMINANCE
 
-STRONGEST_BALANCE = 8.0
 CLEAR = 0.02  # coverage below which a pixel counts as background
 
 
@@ -128,7 +128,7 @@ def open_photograph(
     masks    files; each of several is a region of its own
     regions  a label image's file, or None
     balance  "none", "grey", or three factors
-    record   id of a data set's record, or its beginning; None: `open_record` chooses one
+    record   id of a data set's record, or its beginning; None: choose_record says which
     remedy   what the error for a picture without a mask suggests
     targets  names of the target materials, which the chosen record should not show already
     fit_mask whether to fit the mask's edge to the picture; None: only if it is black and white
@@ -260,7 +260,9 @@ def _assemble(
         coverage, labels = fitted
     elif not contents.is_transparency:
         coverage = mask_preparation.soften(coverage)
-    factors = _balance(balance, radiance, coverage, not contents.cut_out)
+    clear = coverage < CLEAR
+    has_background = not contents.cut_out and clear.any()
+    factors = find_balance(balance, radiance, clear if has_background else coverage >= 0.5)
     framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
     return Photograph(
@@ -288,29 +290,6 @@ def _require_none(path, rule, masks, regions, balance, fit_mask):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
-def _balance(requested, radiance, coverage, background):
-    """Return factors (3,) for white balance that leave luminance unchanged.
-
-    "grey" assumes that the background is grey on average, or the object if there is no background.
-    """
-    if requested == "none":
-        return np.ones(3, np.float32)
-    if requested == "grey":
-        where = coverage < CLEAR if background and (coverage < CLEAR).any() else coverage >= 0.5
-        mean = radiance[where].mean(0)
-        if not mean.any():
-            raise InputError(
-                "--white-balance grey",
-                "a background that is not black",
-                "a black one",
-                "give three factors R,G,B, or none",
-            )
-        factors = (mean @ LUMINANCE) / np.maximum(mean, 1e-6)
-        return np.clip(factors, 1 / STRONGEST_BALANCE, STRONGEST_BALANCE).astype(np.float32)
-    factors = np.asarray(requested, np.float32)
-    return factors / float(factors @ LUMINANCE)
-
-
 def open_record(
     folder: Path,
     exposure: float | None = None,
@@ -319,29 +298,11 @@ def open_record(
 ) -> Photograph:
     """Return a record's picture; its light has unit mean luminance, so its exposure is 1.
 
-    requested  id of the record, or its beginning. None: the first held-out record in none of the
-               target materials; if there is none, the first held-out record, or the first of all
-    targets    names of the target materials; an edit into the object's own material shows nothing
-    Raises     InputError: no such record, or one by a perspective or rolled camera
+    requested, targets  as choose_record takes them
+    Raises              InputError: no such record, or one by a perspective or rolled camera
     """
     records = Records(folder)
-    if not len(records):
-        raise InputError(
-            folder, "records", "none", "render some: python -m factory render JOB --out DIR"
-        )
-    if requested is None:
-        candidates = [r for r in records.records if r.split == "test"] or records.records
-        others = (r for r in candidates if not set(targets) & set(r.materials))
-        record = next(others, candidates[0])
-    else:
-        record = next((r for r in records.records if r.id.startswith(requested)), None)
-        if record is None:
-            raise InputError(
-                f"record '{requested}'",
-                f"a record of {folder}",
-                "none",
-                closest(requested, [r.id for r in records.records]),
-            )
+    record = choose_record(records, requested, targets)
     sample = records.load(record)
     if sample.view is not None:
         raise InputError(
