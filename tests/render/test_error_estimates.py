@@ -6,6 +6,7 @@ import pytest
 from factory.render.estimators import attempt as attempts
 from factory.render.estimators import (
     blends,
+    blocked_light,
     choice,
     closed_form,
     denoised,
@@ -231,15 +232,15 @@ def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
     attempt = attempts.Attempt(shown(Shaded()), 20.0, choice.ALL)
     pair = list(attempt.halves.pictures)
     lucky = blends.Blend(pair, Estimate(-5.0, 9.0), bias=-7.0, bias_alone=-7.0, share=share)
-    assert attempt._at_least_as_blocked(lucky) is lucky
+    assert blocked_light.raise_error(lucky, attempt.blocked) is lucky
     attempt.blocked = Estimate(50.0, 1.0)
-    seen = attempt._at_least_as_blocked(lucky)
+    seen = blocked_light.raise_error(lucky, attempt.blocked)
     assert seen.estimate.error == seen.bias == pytest.approx(50 * (1 - share) ** 2)
     assert seen.estimate.standard_error == 9
     attempt.tried[closed_form.NAME] = Estimate(25.0, 9.0), 4
     assert closed_form.NAME not in {plan.estimator for plan in _plans_with_direct_light(attempt)}
     attempt.blocked = Estimate(0.0, 1.0)
-    assert attempt._at_least_as_blocked(lucky).bias == 0
+    assert blocked_light.raise_error(lucky, attempt.blocked).bias == 0
     assert closed_form.NAME in {plan.estimator for plan in _plans_with_direct_light(attempt)}
 
 

@@ -5,6 +5,7 @@ path_tracing  with as many samples as the shot needs
 denoised      path tracing with fewer samples, and Open Image Denoise
 ratio         direct light without noise, times a denoised ratio of two pictures
 closed_form   direct light without noise alone, where nothing is blocked
+blocked_light  how blocked light bounds the error of closed_form
 blends        takes bias out of the last three by a share of the noisy picture
 adaptive_sampling  Cycles' own: measured, and not among them
 relighting    sums of pictures under a basis of lights: measured, and not among them

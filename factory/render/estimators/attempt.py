@@ -10,42 +10,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from factory.render.estimators import blends, closed_form, denoised, path_tracing, ratio
-from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves
+from factory.render.estimators import (
+    blends,
+    blocked_light,
+    closed_form,
+    denoised,
+    path_tracing,
+    ratio,
+)
+from factory.render.estimators.halves import Estimate, Halves
+from factory.render.estimators.picture import Picture
 from factory.render.estimators.renderer import DirectPicture, Shown
-from manifests.schema import Estimator, Tier
+from manifests.schema import Estimator
 
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
 MORE = 1.5  # times the samples of a try that failed, at least
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A picture, how it was made, and how good it is.
-
-    radiance   (height, width, 3) float32
-    alpha      (height, width) the object's coverage
-    estimator  its name
-    samples    per pixel that were rendered, of both halves
-    predicted  error by the estimator's model from the pilot
-    estimated  error of the finished picture, with its standard error
-    traced     tier whose light paths were traced: `direct` where the object cannot shade itself
-    """
-
-    radiance: np.ndarray
-    alpha: np.ndarray
-    estimator: Estimator
-    samples: int
-    predicted: float
-    estimated: Estimate
-    traced: Tier
 
 
 class Plan(NamedTuple):
@@ -142,8 +128,9 @@ class Attempt:
         # without noise if it may, since a blend is not worth it
         for shares in ((0.0,), blends.SHARES):
             smooth = [self.direct.radiance] * 2
-            blend = self._at_least_as_blocked(
-                blends.choose_blend(self.halves, smooth, self.halves.pictures, self.error, shares)
+            blend = blocked_light.raise_error(
+                blends.choose_blend(self.halves, smooth, self.halves.pictures, self.error, shares),
+                self.blocked,
             )
             bias = blends.bias_with_doubt(blend.bias, blend.estimate)
             if shares == (0.0,) and self.shown.tier == "direct":
@@ -151,9 +138,9 @@ class Attempt:
                 blend, bias = blend._replace(estimate=known), known.error
             # in the tier `direct` it is the closed form alone whose error further samples show
             if self.shown.tier != "direct" or shares == (0.0,):
-                estimate = _with_bias(blend.estimate, bias)
+                estimate = blends.add_bias(blend.estimate, bias)
                 self.tried[closed_form.NAME] = (estimate, self.halves.samples)
-            if self._is_kept(blend.estimate, bias):
+            if blends.is_kept(blend.estimate, bias, self.error):
                 return Picture(
                     radiance=(blend.pair[0] + blend.pair[1]) / 2,
                     alpha=self.direct.alpha,
@@ -164,17 +151,6 @@ class Attempt:
                     traced=self.shown.tier,
                 )
         return None
-
-    def _at_least_as_blocked(self, blend: blends.Blend) -> blends.Blend:
-        """Return a blend of the closed form whose error is at least what blocked light makes it.
-
-        That is measured by pictures whose noise is common, and so is much more certain.
-        """
-        if self.blocked is None:
-            return blend
-        known = (1 - blend.share) ** 2 * max(self.blocked.error, 0.0)
-        estimate = replace(blend.estimate, error=max(blend.estimate.error, known))
-        return blend._replace(estimate=estimate, bias=max(blend.bias, known))
 
     def _compute_direct_light(self) -> DirectPicture | None:
         """Return direct light by as many points per pixel as the limit needs."""
@@ -197,10 +173,6 @@ class Attempt:
         measured = closed_form.measure_error(self.direct.radiance, unblocked, self.shown.mask)
         return closed_form.combine_with_expectation(measured, self.expected)
 
-    def _is_kept(self, estimate: Estimate, bias: float) -> bool:
-        """Whether a picture has an error and a squared bias that the limit allows."""
-        return estimate.bound <= self.error and bias <= blends.MOST_BIAS * self.error
-
     def _is_worth_asking(self) -> bool:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
         if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
@@ -217,19 +189,10 @@ class Attempt:
         if self.blocked is None:
             self.blocked = self.halves.error_of_direct_light()
             self._measure_noise_left(self.halves.pictures)
-        if not self._is_blocked():
+        if not blocked_light.is_too_much(self.blocked, self.error):
             return True
         by_ratio = self._ratio_plan()
         return by_ratio is not None and by_ratio.cost + cost < least
-
-    def _is_blocked(self) -> bool:
-        """Whether so much light is blocked that no blend of the closed form keeps the limit."""
-        if self.blocked is None:
-            return False
-        # as a blend of the largest share it would have this share of its error
-        least_share = (1 - max(blends.SHARES)) ** 2
-        certain = self.blocked.error - CONFIDENCE * self.blocked.standard_error
-        return least_share * certain > blends.MOST_BIAS * self.error
 
     def plans(self) -> list[Plan]:
         """Return what may be done next; path tracing is always there."""
@@ -254,7 +217,8 @@ class Attempt:
             and (plan := self._ratio_plan())
         ):
             plans.append(plan)
-        if closed_form.NAME in self.tried and not self._is_blocked():
+        is_hopeless = blocked_light.is_too_much(self.blocked, self.error)
+        if closed_form.NAME in self.tried and not is_hopeless:
             total = closed_form.needed_samples(*self.tried[closed_form.NAME], error)
             if total is not None and total <= MOST_SAMPLES:
                 plans.append(Plan(total - samples, closed_form.NAME, total - samples))
@@ -346,13 +310,13 @@ class Attempt:
         shares = ratio.SHARES if name == ratio.NAME else blends.SHARES
         blend = blends.choose_blend(halves, tried.pair, tried.unbiased, self.error, shares)
         estimate, bias = self._estimate(name, blend)
-        self.tried[name] = _with_bias(estimate, bias), halves.samples
+        self.tried[name] = blends.add_bias(estimate, bias), halves.samples
         noise = halves.estimate().noise
         if name == denoised.NAME:
             self.scale = denoised.measure_scale(blend, noise, halves.samples)
         else:
             self.ratio_scale = ratio.measure_scale(blend, self.left * noise)
-        if not self._is_kept(estimate, bias):
+        if not blends.is_kept(estimate, bias, self.error):
             return None
         return Picture(
             radiance=(blend.pair[0] + blend.pair[1]) / 2,
@@ -381,12 +345,3 @@ class Attempt:
         uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
         error = max(blend.estimate.error, 0.0) + known.error
         return Estimate(error, uncertainty), max(bias, 0.0) + known.error
-
-
-def _with_bias(estimate: Estimate, bias: float) -> Estimate:
-    """Return an estimate by which further samples are planned.
-
-    Its error is above the limit also where the squared bias is above its share beyond doubt.
-    """
-    least = bias - CONFIDENCE * estimate.standard_error
-    return Estimate(max(estimate.error, least / blends.MOST_BIAS), estimate.standard_error)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factory.render.estimators.halves import Estimate, Halves
+from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves
 
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6)  # of the unbiased pictures
 MOST_BIAS = 1 / 3  # of the limit on the error
@@ -42,6 +42,20 @@ class Blend(NamedTuple):
 def bias_with_doubt(bias: float, estimate: Estimate) -> float:
     """Return the squared bias of a picture that was chosen by its estimate."""
     return bias + DOUBT * estimate.standard_error
+
+
+def is_kept(estimate: Estimate, bias: float, error: float) -> bool:
+    """Whether a picture has an error and a squared bias that the limit `error` allows."""
+    return estimate.bound <= error and bias <= MOST_BIAS * error
+
+
+def add_bias(estimate: Estimate, bias: float) -> Estimate:
+    """Return an estimate by which further samples are planned.
+
+    Its error is above the limit also where the squared bias is above its share beyond doubt.
+    """
+    least = bias - CONFIDENCE * estimate.standard_error
+    return Estimate(max(estimate.error, least / MOST_BIAS), estimate.standard_error)
 
 
 def choose_blend(

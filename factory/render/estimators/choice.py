@@ -8,7 +8,8 @@ the same. Then the estimator that needs the fewest further samples by its model 
 from dataclasses import replace
 
 from factory.render.estimators import closed_form, denoised, path_tracing, ratio
-from factory.render.estimators.attempt import Attempt, Picture
+from factory.render.estimators.attempt import Attempt
+from factory.render.estimators.picture import Picture
 from factory.render.estimators.renderer import Shown
 from manifests.schema import Estimator
 
