@@ -3,6 +3,7 @@ nothing, and no memory.
 """
 
 import argparse
+import dataclasses
 import re
 import tracemalloc
 from collections import Counter
@@ -14,6 +15,7 @@ import pytest
 
 from factory.commands import render
 from factory.commands.plan import describe, split_counts
+from factory.execution import forecast
 from factory.planning import jobs
 from factory.planning.assets import Assets, Light, Material, resolve
 from factory.planning.job_shapes import Shape
@@ -323,6 +325,21 @@ def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
         "test",
         "mixed",
     }
+
+
+def test_a_forecast_tries_shapes_that_have_shots_and_counts_no_others(stub, job):
+    job = msgspec.structs.replace(
+        job, shapes=("chair:0-199",), materials=("merl/test",), mixed=False, views=(0, 3)
+    )
+    whole = stub(job)
+    shape = next(shape for shape in whole.assets.shapes if shape.side == "test")
+    others = [each for each in whole.assets.shapes if each.side == "train"]
+    assets = dataclasses.replace(whole.assets, shapes=[*others[:40], shape, *others[40:80]])
+    plan = dataclasses.replace(whole, assets=assets)
+    probes = list(forecast.probe_shots(plan))
+    assert len(probes) >= forecast.LEAST_PROBES and {s.shape for s in probes} == {shape.name}
+    events = forecast.count_events(plan)
+    assert (events["shape"], events["geometry"]) == (1, 2)
 
 
 def test_draws_of_materials_keep_to_mixed_and_are_counted_by_their_split(stub, job):
