@@ -45,6 +45,7 @@ VARIABLE = "BRDFACTORY_STORE_PATIENCE"  # another number of seconds
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 20.0
 TIMEOUT = 60  # seconds for one request
 THREADS = 16
+AHEAD = 64  # objects that are read before the first of them is used
 # errors that another try does not mend
 LASTING = (
     FileNotFoundError,
@@ -189,10 +190,15 @@ class ObjectFolder:
             self._try_several_times(f"{self.url}/{relative}", lambda: self._files.rm_file(place))
 
     def read_all(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
-        """Yield (name, bytes) of objects, several at a time. Raises as `read`."""
+        """Yield (name, bytes) of objects, several at a time. Raises as `read`.
+
+        At most AHEAD of them are in memory.
+        """
         names = list(names)
         with ThreadPoolExecutor(THREADS, thread_name_prefix="store") as threads:
-            yield from zip(names, threads.map(self.read, names), strict=True)
+            for first in range(0, len(names), AHEAD):
+                some = names[first : first + AHEAD]
+                yield from zip(some, threads.map(self.read, some), strict=True)
 
     def _try_several_times(self, where: str, request: Callable[[], T]) -> T:
         """Return what a request returns, after several tries.

@@ -102,6 +102,18 @@ def test_objects_are_listed_read_and_replaced(remote):
         remote.read("records/b.jsonl")
 
 
+def test_many_objects_are_read_in_order_and_few_of_them_ahead(remote, monkeypatch):
+    names = [f"a/{k}" for k in range(200)]
+    for name in names:
+        remote.write(name, name.encode())
+    begun, read = [], remote.read
+    monkeypatch.setattr(remote, "read", lambda name: begun.append(name) or read(name))
+    for count, pair in enumerate(remote.read_all(names)):
+        assert pair == (names[count], names[count].encode())
+        assert len(begun) <= count + object_store.AHEAD
+    assert count == 199
+
+
 def test_a_file_is_never_seen_half_written(tmp_path):
     remote = ObjectFolder(f"file://{tmp_path}/x")
     seen = []
