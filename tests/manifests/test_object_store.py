@@ -276,6 +276,19 @@ def test_what_was_changed_or_removed_on_a_store_is_not_read_from_copies(stored):
     assert list(open_store(remote.url).records()) == []
 
 
+def test_lines_of_the_same_size_are_copied_again_once_they_have_changed(stored, monkeypatch):
+    """A folder that was rendered again and copied to the same place."""
+    remote, _ = stored
+    before = list(open_store(remote.url).records())
+    (name,) = remote.names("records")
+    remote.write(name, remote.read(name).replace(before[0].id.encode(), b"0" * 24))
+    assert next(open_store(remote.url).records()).id == "0" * 24
+    read = []
+    monkeypatch.setattr(ObjectFolder, "read_all", lambda self, names: read.extend(names) or ())
+    open_store(remote.url)
+    assert name not in read and "dataset.json" in read
+
+
 def test_copies_used_longest_ago_make_room(remote):
     names = [f"images/ab/{number}.exr" for number in range(10)]
     for name in names:
