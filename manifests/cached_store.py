@@ -19,8 +19,9 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from manifests.errors import InputError
-from manifests.files import replacing
+from manifests.files import replacing, write_json
 from manifests.object_store import ObjectFolder, is_url
+from manifests.reading import read
 from manifests.store import LINES, Store
 from manifests.store_paths import inside
 
@@ -52,6 +53,8 @@ class CachedStore(Store):
             super().__init__(temporary.name)
         else:
             super().__init__(_cache() / hashlib.sha256(self.remote.url.encode()).hexdigest()[:24])
+        # beside the folder, which holds nothing but copies
+        self._states = None if fresh else self.folder.with_suffix(".json")
         self._limit = _limit_bytes() if limit_bytes is None else limit_bytes
         self._lock = threading.Lock()
         # {copy: time.monotonic of its last use here}, of the last RECENT seconds, oldest first
@@ -102,15 +105,16 @@ class CachedStore(Store):
 
     def _copy_lines(self) -> None:
         """Let dataset.json, materials.json, records, views, failures and lights be as there."""
-        top = self.remote.names("")
-        expected = {n: size for n, size in top.items() if n.endswith((".json", ".jsonl"))}
+        top = self.remote.states("")
+        expected = {n: state for n, state in top.items() if n.endswith((".json", ".jsonl"))}
         changing = set(expected)
         for kind in (*LINES, "lights"):
-            expected |= self.remote.names(kind)
+            expected |= self.remote.states(kind)
+        held = self._held_states()
         missing = []
-        for name, size in expected.items():
+        for name, state in expected.items():
             path = inside(self.folder, name)
-            if name in changing or not path.is_file() or path.stat().st_size != size:
+            if name in changing or not path.is_file() or held.get(name) != state:
                 missing.append(name)
         for name, data in self.remote.read_all(missing):
             self._write(inside(self.folder, name), data)
@@ -120,6 +124,18 @@ class CachedStore(Store):
                 is_copy = path.is_file() and not path.name.startswith(".lock")
                 if is_copy and path.relative_to(self.folder).as_posix() not in expected:
                     path.unlink(missing_ok=True)
+
+        if missing and self._states is not None:
+            write_json(self._states, expected)
+
+    def _held_states(self) -> dict[str, list[str]]:
+        """Return the states that objects had when they were copied; {} where none are known."""
+        if self._states is None or not self._states.is_file():
+            return {}
+        try:
+            return read(self._states, dict[str, list[str]])
+        except InputError:  # damaged: all are copied again
+            return {}
 
     def _write(self, path: Path, data: bytes) -> None:
         """Write a copy; another process may write the same one. An empty object has none."""

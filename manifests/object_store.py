@@ -45,6 +45,9 @@ VARIABLE = "BRDFACTORY_STORE_PATIENCE"  # another number of seconds
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 20.0
 TIMEOUT = 60  # seconds for one request
 THREADS = 16
+# what protocols say of an object: its size, a tag of its bytes, or when it was changed
+STATE = ("size", "e_tag", "ETag", "mtime", "LastModified", "last_modified", "created")
+AHEAD = 64  # objects that are read before the first of them is used
 # errors that another try does not mend
 LASTING = (
     FileNotFoundError,
@@ -127,8 +130,27 @@ class ObjectFolder:
                     waiting.append(name)
         return result
 
+    def states(self, folder: str) -> dict[str, list[str]]:
+        """Return {path: state} of the objects in a folder: another state means other bytes.
+
+        A state is the size, and a tag or the time of the last change where the protocol has one.
+        Raises  Unreachable
+        """
+        return {
+            name: [str(entry.get(key)) for key in STATE if key in entry]
+            for name, entry in self._entries(folder)
+            if entry["type"] != "directory"
+        }
+
     def _list(self, folder: str) -> list[tuple[str, int | None, bool]]:
         """Return (path, size, whether it is a folder) of what lies in a folder."""
+        return [
+            (path, entry.get("size"), entry["type"] == "directory")
+            for path, entry in self._entries(folder)
+        ]
+
+    def _entries(self, folder: str) -> list[tuple[str, dict[str, Any]]]:
+        """Return (path, what the protocol says of it) of what lies in a folder."""
         place = f"{self._base}/{folder}".rstrip("/")
 
         def listed() -> list[dict[str, Any]]:
@@ -142,9 +164,7 @@ class ObjectFolder:
         for entry in self._try_several_times(f"{self.url}/{folder}", listed):
             name = str(entry["name"]).rstrip("/").rpartition("/")[2]
             if name and str(entry["name"]).rstrip("/").lstrip("/") != place.strip("/"):
-                is_folder = entry["type"] == "directory"
-                path = f"{folder}/{name}" if folder else name
-                result.append((path, entry.get("size"), is_folder))
+                result.append((f"{folder}/{name}" if folder else name, entry))
         return result
 
     def read(self, relative: str) -> bytes:
@@ -189,10 +209,15 @@ class ObjectFolder:
             self._try_several_times(f"{self.url}/{relative}", lambda: self._files.rm_file(place))
 
     def read_all(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
-        """Yield (name, bytes) of objects, several at a time. Raises as `read`."""
+        """Yield (name, bytes) of objects, several at a time. Raises as `read`.
+
+        At most AHEAD of them are in memory.
+        """
         names = list(names)
         with ThreadPoolExecutor(THREADS, thread_name_prefix="store") as threads:
-            yield from zip(names, threads.map(self.read, names), strict=True)
+            for first in range(0, len(names), AHEAD):
+                some = names[first : first + AHEAD]
+                yield from zip(some, threads.map(self.read, some), strict=True)
 
     def _try_several_times(self, where: str, request: Callable[[], T]) -> T:
         """Return what a request returns, after several tries.

@@ -18,6 +18,7 @@ from pathlib import Path
 from factory.execution.pool import Pool
 from factory.execution.registration import register_job
 from factory.execution.run import RunOptions, make_assignment, shape_sources, worker_config
+from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan, Shot
 from manifests.errors import InputError
 from manifests.progress import tqdm
@@ -98,7 +99,7 @@ def probe_shots(plan: Plan) -> Iterator[Shot]:
 
     They are at most MOST_PROBES, and three where the job has no pictures.
     """
-    shapes, lights = plan.assets.shapes, plan.lights
+    shapes, lights = _shapes_with_shots(plan), plan.lights
     if not plan.job.pictures:
         for place in sorted({0, len(shapes) // 2, len(shapes) - 1}):
             yield from islice(plan.views_alone(shapes[place]), 1)
@@ -113,6 +114,13 @@ def probe_shots(plan: Plan) -> Iterator[Shot]:
         if shot is not None:
             known.add(shot.id)
             yield shot
+
+
+def _shapes_with_shots(plan: Plan) -> list[Shape]:
+    """Return the shapes of which there are shots: without `mixed`, some may have no material."""
+    if not plan.job.pictures:
+        return plan.assets.shapes
+    return [shape for shape in plan.assets.shapes if plan.choices(shape)]
 
 
 def _places(k: int) -> tuple[float, float, float]:
@@ -195,9 +203,9 @@ def count_events(plan: Plan) -> dict[str, float]:
     The numbers are exact where they follow from the job; others are counted on the first shots and
     scaled.
     """
-    total, job = len(plan), plan.job
+    total, job, shapes = len(plan), plan.job, len(_shapes_with_shots(plan))
     if not job.pictures:
-        return {"shape": len(plan.assets.shapes), "geometry": total, "picture": 0, "writing": 0}
+        return {"shape": shapes, "geometry": total, "picture": 0, "writing": 0}
     changed, last, counted = {"light": 0, "materials": 0}, None, 0
     for shot in islice(plan, COUNTED):
         now = {
@@ -207,7 +215,7 @@ def count_events(plan: Plan) -> dict[str, float]:
         for kind in changed:
             changed[kind] += last is None or now[kind] != last[kind]
         last, counted = now, counted + 1
-    combinations = total / len(plan.assets.shapes) / max(plan.each, 1)
+    combinations = total / max(shapes, 1) / max(plan.each, 1)
     views = (
         COUNT * (1 - (1 - job.views.random / COUNT) ** combinations)
         if isinstance(job.views, Draw)
@@ -215,8 +223,8 @@ def count_events(plan: Plan) -> dict[str, float]:
     )
     scaled = {kind: count * total / max(counted, 1) for kind, count in changed.items()}
     return {
-        "shape": len(plan.assets.shapes),
-        "geometry": len(plan.assets.shapes) * views,
+        "shape": shapes,
+        "geometry": shapes * views,
         "picture": total,
         "writing": total,
         **scaled,

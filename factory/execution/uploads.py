@@ -121,6 +121,8 @@ class Uploads:
         top = {"dataset.json", "materials.json"}
         names += [name for name in self.remote.names("") if name in top]
         for name, data in self.remote.read_all(names):
+            if name.endswith(".jsonl"):
+                data = self._whole_lines(name, data)
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             if data:
@@ -133,6 +135,20 @@ class Uploads:
             ids, hashes = Store(self.folder).known_ids(kind)
             self._ids[kind] = ids
             self._hashes |= hashes
+
+    def _whole_lines(self, name: str, data: bytes) -> bytes:
+        """Return the whole lines of a file on the store, and leave only them there.
+
+        A folder that was copied to the store may hold a line of a killed run that is cut short.
+        Workers cut it off here, and what they append would no longer lie where it is looked for.
+        """
+        whole = data[: data.rfind(b"\n") + 1]
+        if whole:
+            if len(whole) < len(data):
+                self.remote.write(name, whole)
+        elif data:
+            self.remote.remove(name)
+        return whole
 
     def _work(self) -> None:
         """Send until the run ends; the thread's function."""

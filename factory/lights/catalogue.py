@@ -72,7 +72,8 @@ def library_maps(folder: str | Path) -> dict[str, Path]:
         )
     result: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in files.SUFFIXES:
+        # what macOS writes beside each file on other systems' disks is no map
+        if path.suffix.lower() not in files.SUFFIXES or path.name.startswith("._"):
             continue
         if (first := result.setdefault(path.stem, path)) != path:
             raise InputError(

@@ -57,6 +57,8 @@ def find(folder: str | Path) -> list[Entry]:
         require_file(folder, "a folder of meshes, or a mesh file")
     results = []
     for path in sorted(folder.rglob("*")):
+        if path.name.startswith("._"):  # what macOS writes beside each file on other systems' disks
+            continue
         if path.suffix.lower() == ".sh3f" and path.is_file():
             results += _inside(path)
         elif path.suffix.lower() in FORMATS and path.is_file():

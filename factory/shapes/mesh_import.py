@@ -107,12 +107,15 @@ def split_place(place: str | Path) -> tuple[str, str | None, dict[str, str]]:
     if Path(text).exists():
         return text, None, {}
     text, _, query = text.partition("?")
-    options = dict(parse_qsl(query))
-    for key in options:
+    # a plus is the sign of an axis
+    options = dict(parse_qsl(query.replace("+", "%2B"), keep_blank_values=True))
+    for key, value in options.items():
         if key not in OPTIONS:
             raise InputError(
                 place, f"options among {', '.join(OPTIONS)}", f"'{key}'", closest(key, OPTIONS)
             )
+        if not value:
+            raise InputError(place, f"a value of the option {key}", "none", f"write {key}=VALUE")
     path, mark, chosen = text.partition("#")
     return path, chosen if mark else None, options
 

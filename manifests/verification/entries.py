@@ -19,7 +19,7 @@ from manifests.verification.faults import Fault
 
 # of shapes that go by number: "chair:17" is a chair
 FAMILIES = frozenset((*splits.rules()["general"]["shapes"], *splits.rules()["test_only"]))
-RANGE = re.compile(r"^\w+:(\d{1,9})-(\d{1,9})$")
+RANGE = re.compile(r"^\w+:([0-9]{1,100})-([0-9]{1,100})$")
 SETS = {"merl": BUILT_IN[0], "rgl": BUILT_IN[1]}
 
 
@@ -191,10 +191,9 @@ def most_shots(job: Job, dataset: Dataset) -> int | None:
         return shapes * views
     choices = job.segment_materials
     if choices is None:
-        names = [_set_size(term, dataset) for term in job.materials]
-        if None in names:
+        choices = _most_materials(job, dataset)
+        if choices is None:
             return None
-        choices = sum(names)
     rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
     return (
         shapes
@@ -212,6 +211,17 @@ def _count(term):
     """Return how many shapes a term such as "chair:0-39" means."""
     span = RANGE.match(term)
     return max(int(span[2]) - int(span[1]) + 1, 0) if span else 1
+
+
+def _most_materials(job, dataset):
+    """Return how many materials a job's terms mean at most, None if that is not known."""
+    sizes = [_set_size(term, dataset) for term in job.materials]
+    if None in sizes:
+        return None
+    own = dataset.materials.keys() - _built_in_names(SETS["merl"]) - _built_in_names(SETS["rgl"])
+    # a user's set may have the name of one of its materials
+    others = own - {*job.materials} if own & {*job.materials} else ()
+    return sum(sizes) + len(others)
 
 
 def _set_size(term, dataset):

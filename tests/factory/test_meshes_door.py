@@ -74,6 +74,18 @@ def test_up_and_front_name_any_two_axes_and_never_mirror(tmp_path, up, front, tu
     mesh = open_mesh(write_obj(tmp_path / "a.obj", vertices @ rotation, faces), up=up, front=front)
     assert mesh.hash == reference(tmp_path).hash
     assert open_mesh(f"{tmp_path / 'a.obj'}?up={up}&front={front}").hash == mesh.hash
+    signed = "&".join(
+        f"{key}={axis if axis[0] == '-' else '+' + axis}"
+        for key, axis in (("up", up), ("front", front))
+    )
+    assert open_mesh(f"{tmp_path / 'a.obj'}?{signed}").hash == mesh.hash
+
+
+@pytest.mark.parametrize("option", ["up", "front=", "crease", "segments", "segments="])
+def test_an_option_without_a_value_is_refused(tmp_path, option):
+    path = write_obj(tmp_path / "a.obj", *arrow())
+    with pytest.raises(InputError, match=option.rstrip("=")):
+        open_mesh(f"{path}?{option}")
 
 
 @pytest.mark.parametrize("kind", ["ply", "stl", "off", "glb"])

@@ -408,3 +408,20 @@ def test_a_run_is_told_before_it_waits_for_a_claim(url, render, small_job):
     seen = []
     render(small_job, url, watch=lambda event, value: seen.append((event, value)))
     assert seen[0][0] == "note" and "another run was killed" in seen[0][1]
+
+
+def test_a_folder_of_a_killed_run_is_continued_where_it_was_copied_to(
+    url, render, small_job, tmp_path
+):
+    """Its last line may be cut short, and workers here have the same files as those there had."""
+    render(small_job, tmp_path / "folder", limit=5)
+    for path in sorted(tmp_path.glob("folder/*/*.jsonl")):
+        path.write_bytes(path.read_bytes() + b'{"id":"0123')
+    remote = object_store.ObjectFolder(url)
+    for path in sorted(tmp_path.glob("folder/**/*.*")):
+        if path.is_file() and path.stat().st_size:
+            remote.write(path.relative_to(tmp_path / "folder").as_posix(), path.read_bytes())
+    outcome = render(small_job, url)
+    assert (outcome.made, outcome.already_there) == (7, 5)
+    theirs = open_store(url, fresh=True)
+    assert len(content(theirs)) == 12 and faults_of(theirs) == []

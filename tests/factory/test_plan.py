@@ -3,6 +3,7 @@ nothing, and no memory.
 """
 
 import argparse
+import dataclasses
 import re
 import tracemalloc
 from collections import Counter
@@ -14,11 +15,14 @@ import pytest
 
 from factory.commands import render
 from factory.commands.plan import describe, split_counts
+from factory.execution import forecast
+from factory.lights.catalogue import library_maps
 from factory.planning import jobs
 from factory.planning.assets import Assets, Light, Material, resolve
 from factory.planning.job_shapes import Shape
 from factory.planning.plan import Plan, Shot, camera_words, shot_seed
 from factory.planning.shape_names import Source, list_sources, resolve_path
+from factory.shapes.libraries import find
 from manifests import splits
 from manifests.errors import InputError
 from manifests.schema import Camera, Draw, Failure, Job, Record, View
@@ -325,6 +329,21 @@ def test_without_mixed_only_pairs_of_one_side_are_rendered(stub, job):
     }
 
 
+def test_a_forecast_tries_shapes_that_have_shots_and_counts_no_others(stub, job):
+    job = msgspec.structs.replace(
+        job, shapes=("chair:0-199",), materials=("merl/test",), mixed=False, views=(0, 3)
+    )
+    whole = stub(job)
+    shape = next(shape for shape in whole.assets.shapes if shape.side == "test")
+    others = [each for each in whole.assets.shapes if each.side == "train"]
+    assets = dataclasses.replace(whole.assets, shapes=[*others[:40], shape, *others[40:80]])
+    plan = dataclasses.replace(whole, assets=assets)
+    probes = list(forecast.probe_shots(plan))
+    assert len(probes) >= forecast.LEAST_PROBES and {s.shape for s in probes} == {shape.name}
+    events = forecast.count_events(plan)
+    assert (events["shape"], events["geometry"]) == (1, 2)
+
+
 def test_draws_of_materials_keep_to_mixed_and_are_counted_by_their_split(stub, job):
     job = msgspec.structs.replace(
         job, shapes=("chair:0-19",), materials=("merl/paper-train",), segment_materials=2
@@ -336,6 +355,15 @@ def test_draws_of_materials_keep_to_mixed_and_are_counted_by_their_split(stub, j
     assert {shot.split for shot in whole} == {"train", "mixed"}
     assert {shot.split for shot in pure} == {"train"}
     assert list(pure) == [shot for shot in whole if shot.split == "train"]
+
+
+def test_what_macos_writes_beside_files_is_neither_a_mesh_nor_a_light(tmp_path, light_file):
+    (tmp_path / "a.ply").write_bytes(TETRAHEDRON)
+    (tmp_path / "sky.exr").write_bytes(light_file.read_bytes())
+    for name in ("._a.ply", "._sky.exr"):
+        (tmp_path / name).write_bytes(b"\0\5\x16\7")
+    assert [entry.name for entry in find(tmp_path)] == ["a"]
+    assert list(library_maps(tmp_path)) == ["sky"]
 
 
 def test_a_twin_is_left_out_with_a_note(small_job, catalogue, tmp_path):

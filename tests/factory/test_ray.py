@@ -1,5 +1,6 @@
 """Rendering on a Ray cluster: each shot once, whatever is killed; with a studio without Blender."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -21,16 +22,18 @@ from factory.execution.run import (
     RunOptions,
     carry_out,
     make_assignment,
+    make_plan,
     shape_sources,
     worker_config,
 )
 from factory.execution.worker import Chunk, Reply
+from factory.planning.assets import resolve_unread
 from manifests.errors import InputError
 from manifests.line_files import Lines
 from manifests.ray_cluster import MOST_LOSSES, _require_answer, connected
 from manifests.store import Store
 from manifests.verification import faults_of
-from tests.support.tetrahedron import FAKE, ROOT
+from tests.support.tetrahedron import FAKE, ROOT, TETRAHEDRON
 
 REASON = "ray is not installed (extra ray)"
 
@@ -372,3 +375,39 @@ def test_a_worker_whose_parent_is_gone_begins_no_shot(plan_of, small_job, tmp_pa
     with pytest.raises(OSError, match="workers in a row made nothing"):
         carry_out(plan_of(small_job), tmp_path, RunOptions(studio=FAKE))
     assert not list(Store(tmp_path).records()) and time.monotonic() - begun < 300
+
+
+def test_workers_in_another_folder_find_meshes_and_lights_of_relative_paths(
+    small_job, catalogue, light_file, tmp_path, monkeypatch
+):
+    """A cluster's workers run where it was started, and not where `render` is typed."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here / "lights", there):
+        folder.mkdir(parents=True)
+    (here / "a.ply").write_bytes(TETRAHEDRON)
+    (here / "lamp.exr").write_bytes(light_file.read_bytes())
+    (here / "lights" / "own.exr").write_bytes(light_file.read_bytes())
+    monkeypatch.chdir(here)
+
+    class Pool:
+        def __init__(self, config, shapes, threads, note):
+            self.worker, self.shapes = RayWorker(msgspec.json.encode(config(0))), shapes
+
+        def run(self, shots):
+            for shot in shots:
+                if shot is not None:
+                    chunk = Chunk([shot], {shot.shape: self.shapes[shot.shape]})
+                    with contextlib.chdir(there):
+                        (reply,) = self.worker.make(msgspec.json.encode(chunk))
+                    yield shot, msgspec.json.decode(reply, type=Reply)
+            self.worker._end()
+            self.worker._errors.close()
+
+    monkeypatch.setattr("factory.execution.ray_pool.RayPool", Pool)
+    monkeypatch.setattr("manifests.ray_cluster.connected", lambda address: contextlib.nullcontext())
+    job = msgspec.structs.replace(
+        small_job, shapes=("a.ply?up=+y", "cube"), lights=("lamp.exr", "own"), views=(0,)
+    )
+    plan = make_plan(job, resolve_unread(job, None, "lights", [catalogue]))
+    outcome = carry_out(plan, "data", RunOptions(studio=FAKE, ray="auto", library="lights"))
+    assert outcome.failed == 0 and outcome.made == len(list(Store(here / "data").records())) > 0

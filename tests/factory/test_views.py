@@ -104,6 +104,10 @@ def test_pictures_of_the_same_views_share_their_geometry_files(
     assert faults(tmp_path) == []
     report = count_data_set(tmp_path)
     assert (report["records"], report["views"], report["planned"]) == (12, 4, 16)
+    for kind in ("records", "views"):  # lines that stand there twice, which verify finds
+        (path,) = store.record_files(kind)
+        path.write_bytes(path.read_bytes() + path.read_bytes().splitlines(keepends=True)[0])
+    assert count_data_set(tmp_path) == report
 
 
 def test_status_says_that_jobs_of_one_folder_may_share_pictures(

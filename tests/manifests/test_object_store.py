@@ -102,6 +102,18 @@ def test_objects_are_listed_read_and_replaced(remote):
         remote.read("records/b.jsonl")
 
 
+def test_many_objects_are_read_in_order_and_few_of_them_ahead(remote, monkeypatch):
+    names = [f"a/{k}" for k in range(200)]
+    for name in names:
+        remote.write(name, name.encode())
+    begun, read = [], remote.read
+    monkeypatch.setattr(remote, "read", lambda name: begun.append(name) or read(name))
+    for count, pair in enumerate(remote.read_all(names)):
+        assert pair == (names[count], names[count].encode())
+        assert len(begun) <= count + object_store.AHEAD
+    assert count == 199
+
+
 def test_a_file_is_never_seen_half_written(tmp_path):
     remote = ObjectFolder(f"file://{tmp_path}/x")
     seen = []
@@ -262,6 +274,19 @@ def test_what_was_changed_or_removed_on_a_store_is_not_read_from_copies(stored):
     remote._files.rm(f"{remote._base}/{first}")
     remote._files.rm(f"{remote._base}/records/more.jsonl")
     assert list(open_store(remote.url).records()) == []
+
+
+def test_lines_of_the_same_size_are_copied_again_once_they_have_changed(stored, monkeypatch):
+    """A folder that was rendered again and copied to the same place."""
+    remote, _ = stored
+    before = list(open_store(remote.url).records())
+    (name,) = remote.names("records")
+    remote.write(name, remote.read(name).replace(before[0].id.encode(), b"0" * 24))
+    assert next(open_store(remote.url).records()).id == "0" * 24
+    read = []
+    monkeypatch.setattr(ObjectFolder, "read_all", lambda self, names: read.extend(names) or ())
+    open_store(remote.url)
+    assert name not in read and "dataset.json" in read
 
 
 def test_copies_used_longest_ago_make_room(remote):

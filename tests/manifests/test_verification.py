@@ -13,10 +13,11 @@ from manifests import exr, ids, light_files, packed_geometry, picture_files
 from manifests.errors import InputError
 from manifests.files import npz_bytes
 from manifests.materials import encode, read_catalogue
-from manifests.schema import Camera, Draw, Record
+from manifests.schema import Camera, Dataset, Draw, Job, MaterialEntry, Record
 from manifests.store import Store
 from manifests.store_paths import file_hash, geometry_path, image_path
 from manifests.verification import Fault, Verification, faults_of, repair, shared_between, summary
+from manifests.verification.entries import most_shots
 from tests.support.whole_dataset import JOB, RENDER, hash_of
 
 
@@ -488,6 +489,23 @@ def test_more_shots_than_an_order_can_mean_are_found(store):
     order = msgspec.structs.replace(dataset.orders[0], shots=9)
     store.write_json("dataset.json", msgspec.structs.replace(dataset, orders=(order,)))
     assert "expected at most 8 shots of its job, found 9" in texts(store)[0]
+
+
+@pytest.mark.parametrize(
+    ("shapes", "materials", "count"),
+    [
+        ("sphere:10000000000-10000000003", ("brass",), 4),
+        ("chair:0-3", ("felt",), 8),  # a user's set of two, one of which has its name
+        ("chair:0-3", ("felt", "felt-red"), 8),
+        ("chair:0-3", ("brass",), 4),
+        ("chair:0-3", ("merl/brass", "brass"), 8),
+    ],
+)
+def test_most_shots_are_never_fewer_than_a_job_can_mean(shapes, materials, count):
+    job = Job(shapes=(shapes,), materials=materials, lights=("city",))
+    entry = MaterialEntry(hash="0" * 16, side="train", licence="")
+    known = {name: entry for name in ("brass", "felt", "felt-red")}
+    assert most_shots(job, Dataset(materials=known)) == count
 
 
 def test_another_render_version_in_dataset_json_condemns_no_picture(store):
