@@ -260,7 +260,8 @@ def _assemble(
         coverage, labels = fitted
     elif not contents.is_transparency:
         coverage = mask_preparation.soften(coverage)
-    factors = _balance(balance, radiance, coverage, not contents.cut_out)
+    clear = (coverage < CLEAR) & (contents.alpha > 0.5) & (not contents.cut_out)
+    factors = _balance(balance, radiance, coverage, clear)
     framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
     return Photograph(
@@ -288,15 +289,17 @@ def _require_none(path, rule, masks, regions, balance, fit_mask):
         raise InputError(option, rule, f"the dataset {path}", f"leave {option} out")
 
 
-def _balance(requested, radiance, coverage, background):
+def _balance(requested, radiance, coverage, clear):
     """Return factors (3,) for white balance that leave luminance unchanged.
 
     "grey" assumes that the background is grey on average, or the object if there is no background.
+
+    clear  (H, W) bool: the background that can be seen
     """
     if requested == "none":
         return np.ones(3, np.float32)
     if requested == "grey":
-        where = coverage < CLEAR if background and (coverage < CLEAR).any() else coverage >= 0.5
+        where = clear if clear.any() else coverage >= 0.5
         mean = radiance[where].mean(0)
         if not mean.any():
             raise InputError(
