@@ -1199,6 +1199,23 @@ def test_pictures_are_compared_without_a_background_that_is_hidden(
     assert green[1] < green[0] * 0.8
 
 
+def test_the_transparency_of_a_photograph_of_several_parts_is_not_fitted() -> None:
+    """A pale rim of the object, of the colour that the transparent pixels hide, stays in it."""
+    rows, columns = np.mgrid[:160, :160]
+    distance = np.hypot(rows - 80, columns - 80)
+    inside = distance < 60
+    seen = np.where(columns[..., None] > 80, (60, 60, 200), (200, 60, 50))
+    seen = np.where(distance[..., None] < 57, seen, 120)
+    cut_out = np.dstack([seen, 255 * inside]).astype(np.uint8)
+    parts = np.where(inside, 1 + (columns > 80), 0).astype(np.uint8)
+    opened = photograph.from_arrays(cut_out, inside, parts, fit_mask=None)
+    np.testing.assert_array_equal(opened.regions, parts)
+    # where the background is seen, the edge is fitted to it
+    shown = np.dstack([seen, np.full(inside.shape, 255)]).astype(np.uint8)
+    fitted = photograph.from_arrays(shown, inside, parts, fit_mask=None)
+    assert (fitted.regions != parts).sum() > 500
+
+
 def test_a_thread_between_the_pixels_of_the_view_is_seen_in_its_material() -> None:
     whole = np.full((900, 2400, 3), 120, np.uint8)
     regions = np.zeros((900, 2400), np.uint8)
