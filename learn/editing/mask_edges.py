@@ -58,7 +58,7 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
     radiance  (H, W, 3) linear, of which display values are compared
     coverage  (H, W) in [0, 1]: the given mask
     fixed     (H, W) bool: pixels of unknown colour, such as transparent ones. They stay as they
-              are, and so do those so near to them that an edge there could be theirs; None: no pixel
+              are, and so do those so near to them that an edge could be theirs; None: no pixel
     Raises    RaggedError
     """
     inside = coverage >= 0.5
