@@ -58,7 +58,7 @@ def write(session: Session) -> Generator[str, None, Downloads]:
     try:
         opened = as_it_is.opened()
         if opened.name != EXAMPLE:  # a photograph that is opened meanwhile replaces its file
-            shutil.copy(opened.path, made)
+            files.write_bytes(made / opened.path.name, opened.path.read_bytes())
         return (yield from _written(as_it_is, made))
     finally:
         shutil.rmtree(made, ignore_errors=True)
