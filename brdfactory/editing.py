@@ -128,7 +128,7 @@ class Decomposition:
         if isinstance(light, str | Path):
             L = rendering.light(light)
         else:
-            L = np.asarray(light, np.float32)
+            L = np.ascontiguousarray(light, np.float32)
         if L.shape != (64, 128, 3):
             raise InputError(
                 "relight: light", "an array (64, 128, 3)", f"{L.shape}", "use bf.light"

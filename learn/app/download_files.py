@@ -53,10 +53,19 @@ def write(session: Session) -> Generator[str, None, Downloads]:
     """
     as_it_is = copy.copy(session)
     as_it_is.kept = list(session.kept)
-    return (yield from _written(as_it_is))
+    made = session.folder / f"work-{secrets.token_hex(6)}"
+    made.mkdir()
+    try:
+        opened = as_it_is.opened()
+        if opened.name != EXAMPLE:  # a photograph that is opened meanwhile replaces its file
+            files.write_bytes(made / opened.path.name, opened.path.read_bytes())
+        return (yield from _written(as_it_is, made))
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
 
 
-def _written(session: Session) -> Generator[str, None, Downloads]:
+def _written(session: Session, made: Path) -> Generator[str, None, Downloads]:
+    """As `write`; made: a folder that holds the photograph, for files on the way."""
     viewer, edit = session.decomposed()
     edits = [edit, *(each.edit for each in session.kept if each.edit != edit)]
     yield rendering(1, len(edits))
@@ -106,7 +115,7 @@ def _written(session: Session) -> Generator[str, None, Downloads]:
     )
     files.write_text(folder / "command.txt", command + "\n")
     others = sorted(path for path in folder.iterdir() if path not in pictures)
-    return Downloads(pictures, _write_work(session, folder, masks), others, command)
+    return Downloads(pictures, _write_work(session, folder, masks, made), others, command)
 
 
 def _write_picture(
@@ -134,7 +143,7 @@ def stem_of(session: Session) -> str:
 
 def _write_comparison(session: Session, folder: Path, shown: list[tuple[str, np.ndarray]]) -> Path:
     """Write one picture of captioned pictures, side by side."""
-    tiles = [(caption, picture[..., :3]) for caption, picture in shown]
+    tiles = [(caption, _on_ground(picture)) for caption, picture in shown]
     columns = min(SHEET_COLUMNS, math.ceil(math.sqrt(len(tiles))))
     rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
     path = folder / f"{stem_of(session)}-compared.jpg"
@@ -142,22 +151,22 @@ def _write_comparison(session: Session, folder: Path, shown: list[tuple[str, np.
     return path
 
 
-def _write_work(session: Session, folder: Path, masks: list[str]) -> Path:
-    """Write the file by which the work continues later."""
+def _on_ground(picture: np.ndarray) -> np.ndarray:
+    """Return display values (H, W, 3) of a picture (H, W, 3 or 4), over grey where transparent."""
+    opacity = picture[..., 3:] / 255.0 if picture.shape[-1] == 4 else 1.0
+    return montage.GROUND + (picture[..., :3] - montage.GROUND) * opacity
+
+
+def _write_work(session: Session, folder: Path, masks: list[str], made: Path) -> Path:
+    """Write the file by which the work continues later, of which `made` holds the photograph."""
     assert session.edit is not None
     opened = session.opened()
-    parts = [*([opened.path] if opened.name != EXAMPLE else []), *(folder / name for name in masks)]
     path = folder / f"{stem_of(session)}-work.zip"
-    made = session.folder / f"work-{secrets.token_hex(6)}"
-    made.mkdir()
     saved = Saved(
         opened.name, session.refined, len(session.kept), session.fit_was_on, session.shape_was
     )
-    try:
-        kept = [each.edit for each in session.kept]
-        work_file.write(path, made, saved, parts, session.edit, kept)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+    kept = [each.edit for each in session.kept]
+    work_file.write(path, made, saved, [folder / name for name in masks], session.edit, kept)
     return path
 
 

@@ -264,11 +264,15 @@ def reduced(decomposed: Decomposition, longest: int) -> Decomposition:
 
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
+    regions = whole.regions[rows][:, columns]
+    for number in range(1, whole.count + 1):  # one that lies between the places that are looked at
+        if not (regions == number).any():
+            regions[small(whole.regions == number) > 0] = number
     photograph = replace(
         whole,
         radiance=np.stack([small(whole.radiance[..., k]) for k in range(3)], -1),
         coverage=small(whole.coverage),
-        regions=whole.regions[rows][:, columns],
+        regions=regions,
         alpha=None if whole.alpha is None else small(whole.alpha),
     )
     top, left, side = decomposed.framed.box

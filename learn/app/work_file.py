@@ -80,8 +80,8 @@ def write(
 ) -> None:
     """Write an archive.
 
-    folder  an empty one, for files on the way
-    parts   files whose names MEMBER has: photograph, mask and regions
+    folder  for files on the way; it may hold files whose names MEMBER has, which are saved too
+    parts   files elsewhere whose names MEMBER has: photograph, mask and regions
     """
     edit_file.write(folder / "edit.json", edit)
     files.write_json(folder / "work.json", msgspec.to_builtins(saved))

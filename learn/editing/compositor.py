@@ -56,7 +56,9 @@ class Compositor:
         self.n = upsample_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
         self.filled = fill_from_nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
-        wide = dilate(self.coverage > 0)[rows][:, rows]
+        # from a coarser grid, pixels are interpolated from its neighbours in all directions
+        pixels = 1 if side <= self.grid else int(np.ceil(1.5 * side / self.grid))
+        wide = dilate(self.coverage > 0, pixels)[rows][:, rows]
         segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
         self.own = decomposition.label
@@ -310,6 +312,6 @@ def upsample_normals(n: torch.Tensor, mask: np.ndarray, size: int) -> torch.Tens
     return F.normalize(smooth, dim=0).movedim(0, -1).contiguous()
 
 
-def dilate(mask: np.ndarray) -> np.ndarray:
-    """Return the mask (H, W) bool widened by one pixel."""
-    return distance_transform_edt(~mask) < 1.5
+def dilate(mask: np.ndarray, pixels: int = 1) -> np.ndarray:
+    """Return the mask (H, W) bool widened by some pixels."""
+    return distance_transform_edt(~mask) < pixels + 0.5

@@ -208,6 +208,11 @@ def labels_by_region(
     ]
     if len(parts) == 1 and parts[0] is not None and len(parts[0]) > 1:
         parts = [part[None] for part in parts[0]]
+    if several := next((len(part) for part in parts if part is not None and len(part) > 1), None):
+        remedy = "name such a file alone, or keep one of its labels"
+        raise InputError(
+            f"--material {text}", "files of one material beside +", f"{several}", remedy
+        )
     if len(parts) not in (1, regions):
         rule = "one material"
         remedy = "give regions with --regions, or several --mask"

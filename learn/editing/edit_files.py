@@ -60,6 +60,8 @@ def reserve(
         name if names.count(name) == 1 else f"{name}-{number}"
         for number, name in enumerate(names, 1)
     ]
+    if len(set(names)) < len(names):  # the number of one is part of another's own name
+        names = [f"{name}-{number}" for number, name in enumerate(names, 1)]
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]

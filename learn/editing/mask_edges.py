@@ -57,7 +57,8 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
 
     radiance  (H, W, 3) linear, of which display values are compared
     coverage  (H, W) in [0, 1]: the given mask
-    fixed     (H, W) bool: pixels that stay as they are; None: no pixel
+    fixed     (H, W) bool: pixels of unknown colour, such as transparent ones. They stay as they
+              are, and so do those so near to them that an edge could be theirs; None: no pixel
     Raises    RaggedError
     """
     inside = coverage >= 0.5
@@ -99,8 +100,8 @@ def _fit(
     """Return `fit` for a part of the picture, cut out around the object."""
     inside = coverage >= 0.5
     band = band_about(inside, width)
-    if fixed is not None:
-        band &= ~fixed
+    if fixed is not None and fixed.any():
+        band &= distance_transform_edt(~fixed) > width
     if (count := int(band.sum())) > MOST_IN_BAND:
         raise RaggedError(f"{count} pixels about the edge")
     object_, background = inside & ~band, ~inside & ~band

@@ -260,9 +260,8 @@ def _assemble(
         coverage, labels = fitted
     elif not contents.is_transparency:
         coverage = mask_preparation.soften(coverage)
-    clear = coverage < CLEAR
-    has_background = not contents.cut_out and clear.any()
-    factors = find_balance(balance, radiance, clear if has_background else coverage >= 0.5)
+    clear = (coverage < CLEAR) & (contents.alpha > 0.5) & (not contents.cut_out)
+    factors = find_balance(balance, radiance, clear if clear.any() else coverage >= 0.5)
     framing.resolve_exposure(radiance * factors, labels > 0, exposure, contents.path)
     own = contents.alpha if not contents.cut_out and (contents.alpha < 1).any() else None
     return Photograph(

@@ -111,6 +111,10 @@ def run(
         transfer_grids.light_names(lights),
     )
     grids, names = transfer_grids.files_of(groups, labels)
+    if len(set(names)) < len(names):  # a in b-in-c, and a-in-b in c
+        twice = next(name for name in names if names.count(name) > 1)
+        remedy = "rename one: results are named after them"
+        raise InputError("pictures", "one result of each name", f"{twice} twice", remedy)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     if edit_options.fit_mask and not any(masks(path, mask_folder) for path in paths):

@@ -119,10 +119,17 @@ def relit_rows(
 
 
 def group_pictures(paths: Sequence[Path], per_grid: int) -> list[list[Path]]:
-    """Return lists of at most `per_grid` pictures, in order, none with a single picture."""
+    """Return lists of at most `per_grid` pictures, in order, none with a single picture.
+
+    Of an odd number of pictures in pairs, the last three share a list.
+    """
     groups = [list(paths[i : i + per_grid]) for i in range(0, len(paths), per_grid)]
     if len(groups) > 1 and len(groups[-1]) == 1:
-        groups[-1].insert(0, groups[-2].pop())
+        if len(groups[-2]) > 2:
+            groups[-1].insert(0, groups[-2].pop())
+        else:
+            alone = groups.pop()
+            groups[-1] += alone
     return groups
 
 

@@ -147,6 +147,9 @@ def test_what_a_decomposition_tells(pictures):
     relit = parts.relight("city", "brass")
     assert relit.display.shape[-1] == 4 and relit.display[0, 0, 3] == 0
     assert abs(relit.linear - parts.relight("city").linear).max() > 0.01
+    mirrored = bf.light("city")[:, ::-1]  # a view, of negative strides
+    turned = parts.relight(mirrored, "brass").linear
+    np.testing.assert_array_equal(turned, parts.relight(mirrored.copy(), "brass").linear)
 
 
 def test_a_stop_of_brightness_doubles_the_new_material(pictures):

@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, download_files, edit_file, gallery
+from learn.app import choices, download_files, edit_file, gallery, viewer
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
@@ -1163,6 +1163,70 @@ def test_downloads_hold_the_edits_of_the_moment_at_which_they_were_asked_for(
     decompose(other, refine=False)
     assert other.edit is not None and other.edit.caption == caption
     assert len(other.kept) == len(session.kept) + 1
+
+
+def test_saved_work_holds_its_own_photograph_if_another_is_opened_meanwhile(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
+) -> None:
+    session = saved_by(sessions, tmp_path)
+    path = session.opened().path
+    first, going = path.read_bytes(), download_files.write(session)
+    next(going)
+    other = tmp_path / f"other{path.suffix}"
+    Image.fromarray(scene()[::-1]).save(other)
+    session.load(other)
+    assert path.read_bytes() != first
+    with pytest.raises(StopIteration) as end:
+        while True:
+            next(going)
+    with zipfile.ZipFile(end.value.value.work) as archive:
+        assert archive.read(path.name) == first
+    assert not list(session.folder.glob("work-*"))
+
+
+def test_pictures_are_compared_without_a_background_that_is_hidden(
+    sessions: Sessions, tmp_path: Path, plain_material_files: None
+) -> None:
+    session = saved_by(sessions, tmp_path)
+    sheets = []
+    for hide in (False, True):
+        session.choose(lambda e, hide=hide: replace(e, hide_background=hide))
+        compared = next(p for p in downloads_of(session).pictures if p.suffix == ".jpg")
+        with Image.open(compared) as picture:
+            sheets.append(np.array(picture, float))
+    green = [((sheet[..., 1] - sheet[..., 0]) > 50).sum() for sheet in sheets]
+    # one of the three or more pictures shows its green ground no longer
+    assert green[1] < green[0] * 0.8
+
+
+def test_the_transparency_of_a_photograph_of_several_parts_is_not_fitted() -> None:
+    """A pale rim of the object, of the colour that the transparent pixels hide, stays in it."""
+    rows, columns = np.mgrid[:160, :160]
+    distance = np.hypot(rows - 80, columns - 80)
+    inside = distance < 60
+    seen = np.where(columns[..., None] > 80, (60, 60, 200), (200, 60, 50))
+    seen = np.where(distance[..., None] < 57, seen, 120)
+    cut_out = np.dstack([seen, 255 * inside]).astype(np.uint8)
+    parts = np.where(inside, 1 + (columns > 80), 0).astype(np.uint8)
+    opened = photograph.from_arrays(cut_out, inside, parts, fit_mask=None)
+    np.testing.assert_array_equal(opened.regions, parts)
+    # where the background is seen, the edge is fitted to it
+    shown = np.dstack([seen, np.full(inside.shape, 255)]).astype(np.uint8)
+    fitted = photograph.from_arrays(shown, inside, parts, fit_mask=None)
+    assert (fitted.regions != parts).sum() > 500
+
+
+def test_a_thread_between_the_pixels_of_the_view_is_seen_in_its_material() -> None:
+    whole = np.full((900, 2400, 3), 120, np.uint8)
+    regions = np.zeros((900, 2400), np.uint8)
+    regions[100:700, 300:900], regions[100:700, 1203] = 1, 2
+    whole[regions > 0] = (200, 60, 50)
+    opened = photograph.from_arrays(whole, None, regions)
+    small = viewer.reduced(
+        decomposition.decompose(opened, Knowing(label_of("brass")), 64), 640
+    ).photograph
+    assert set(np.unique(small.regions)) == {0, 1, 2}
+    assert (small.coverage[small.regions == 2] > 0).all()
 
 
 def test_names_from_a_file_are_shown_as_they_are() -> None:

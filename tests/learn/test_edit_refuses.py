@@ -14,7 +14,8 @@ from PIL import Image
 
 from learn.__main__ import COMMANDS
 from learn.data import framing, photographs, picture_decoding
-from learn.editing import photograph, targets
+from learn.editing import edit_files, photograph, targets, transfer
+from learn.editing.edit import EditOptions
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.encoder_decoder import EncoderDecoder
@@ -444,6 +445,19 @@ def test_transfer_needs_two_pictures_of_different_names(files, capsys):
         files / "out",
     )
     assert status == 1 and "no such file" in line
+
+
+def test_transfer_does_not_write_two_results_into_one_file(tmp_path):
+    names = ("a", "b-in-c", "a-in-b", "c")
+    options = EditOptions(tmp_path / "none.pt", None, 0.01, 0.0)
+    with pytest.raises(ValueError, match=r"found a-in-b-in-c\.png twice"):
+        transfer.run([tmp_path / f"{name}.png" for name in names], None, tmp_path, options)
+
+
+def test_edits_into_files_of_one_name_have_files_of_their_own(tmp_path):
+    texts = ["x/m.json", "y/m.json", "m-2.json"]
+    names = edit_files.reserve(tmp_path / "p.png", texts, [], tmp_path / "out", False)
+    assert len(set(names)) == 3
 
 
 def test_a_folder_without_a_name_in_place_of_a_picture_is_refused_in_a_line(

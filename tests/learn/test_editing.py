@@ -81,6 +81,25 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
 
+def test_an_object_larger_than_the_rendered_grid_has_no_dark_rim(monkeypatch):
+    label = label_of("blue-rubber")
+    coverage = np.zeros((SIZE, SIZE), np.float32)
+    coverage[20:70, 20:70] = 1
+    grey = np.full((SIZE, SIZE, 3), 0.25, np.float32)
+    result = photograph.Photograph(
+        "square", grey, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
+    )
+    decomposed = decomposition.decompose(result, Knowing(label), NETWORK)
+    monkeypatch.setattr(compositor, "COARSEST", 12)
+    monkeypatch.setattr(compositor, "FINEST", 12)
+    painter = Compositor(decomposed)
+    white = targets.resolve_labels("lambert(#ffffff)", None)
+    assert painter.grid < painter.side / 4
+    seen = painter.radiance(white)[painter.coverage > 0]
+    # white and matte in even light: as bright everywhere
+    np.testing.assert_allclose(seen, np.median(seen), rtol=0.05)
+
+
 def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     label = label_of("blue-rubber")
     ground = np.full((SIZE, SIZE, 3), 0.25, np.float32)
@@ -275,6 +294,22 @@ def test_grey_balance_makes_the_background_grey_and_keeps_its_luminance(tmp_path
         result.radiance[:5].mean((0, 1)) @ [0.2126, 0.7152, 0.0722],
         rtol=1e-3,
     )
+
+
+def test_grey_balance_does_not_look_at_what_is_transparent():
+    values = np.full((40, 40, 4), (200, 160, 120, 255), np.uint8)
+    inside = np.zeros((40, 40), bool)
+    inside[10:30, 10:30] = True
+    values[inside, :3] = (60, 90, 180)
+    visible = photograph.from_arrays(values[..., :3], inside, balance="grey")
+    values[:10] = (0, 0, 255, 0)
+    half = photograph.from_arrays(values, inside, balance="grey")
+    np.testing.assert_allclose(half.balance, visible.balance, rtol=1e-5)
+    # with regions as without them, a cut-out has no background
+    values[~inside] = (0, 0, 0, 0)
+    alone = photograph.from_arrays(values, balance="grey")
+    parts = photograph.from_arrays(values, None, inside.astype(np.uint8), balance="grey")
+    np.testing.assert_allclose(parts.balance, alone.balance)
 
 
 def test_a_white_balance_that_is_given_keeps_luminance(tmp_path):
@@ -567,6 +602,16 @@ def test_materials_are_given_to_regions_in_their_order():
         edit.labels_by_region("brass+keep", 1, None)
 
 
+def test_a_file_of_several_materials_stands_alone(tmp_path):
+    label = [float(x) for x in label_of("brass")[0]]
+    file = tmp_path / "two.json"
+    file.write_text(json.dumps({"labels": [label, label]}))
+    assert len(edit.labels_by_region(str(file), 2, None)) == 2
+    for text, count in ((f"{file}+keep", 2), (f"keep+keep+{file}", 3)):
+        with pytest.raises(ValueError, match=r"files of one material beside \+, found 2"):
+            edit.labels_by_region(text, count, None)
+
+
 def test_mirrors_are_shown_by_the_integral_and_fabrics_by_the_sum():
     result = {
         name: method_for(torch.from_numpy(label_of(name)))
@@ -590,6 +635,9 @@ def test_pictures_in_groups_are_all_there_and_none_alone():
         assert sorted(chain(*groups)) == list(range(count)) and all(
             2 <= len(group) <= 6 for group in groups
         )
+        pairs = transfer_grids.group_pictures(list(range(count)), 2)
+        assert list(chain(*pairs)) == list(range(count))
+        assert [len(pair) for pair in pairs] == [2] * (count // 2 - count % 2) + [3] * (count % 2)
 
 
 def test_edit_and_transfer_write_what_they_say(tmp_path, capsys):
