@@ -33,13 +33,20 @@ ALIKE = {
 def suggestion(name: object, known: Collection[str]) -> str:
     """Return what to try instead of an unknown name, as text.
 
-    The text lists materials that look like an everyday word, names that contain the word, or the
-    closest names.
+    The text states the everyday word that is meant, if it is known; otherwise it lists materials
+    that look like that word, names that contain the word, or the closest names.
 
     known  every name that would be understood
     """
     word = str(name).strip().lower()
-    near = difflib.get_close_matches(word, ALIKE, n=1, cutoff=NEAR)
+    # a name has no spaces: of several words, one may be everyday
+    near = [
+        match
+        for part in dict.fromkeys([word, *word.split()])
+        for match in difflib.get_close_matches(part, ALIKE, n=1, cutoff=NEAR)
+    ]
+    if near and near[0] in known and word not in known:
+        return f"did you mean {near[0]}?"
     named = [k for k in known if word in k.lower().replace("_", "-").split("-")]
     looks = [k for k in (ALIKE[near[0]] if near else ()) if k in known]
     if looks and word not in known:

@@ -39,8 +39,7 @@ EPILOG = """examples:
     python -m factory render --mesh chair.obj --material brass --light city --out out/chair
 
 {presets};
-  `plan --presets` says what each is for.
-Run the same command again to continue: pictures that exist are not rendered twice.
+  `python -m factory plan --presets` says what each is for.
 A second job into the same folder adds to the data set.
 Exit status: 0 all pictures made, 1 some failed (failures.jsonl says why), 2 wrong usage."""
 
@@ -53,7 +52,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         description=(
             "Renders a job file, or the meshes, materials and lights that options name, into a data"
             " set: pictures, normals, depth, segments and material labels. The same command"
-            " continues a run that was stopped."
+            " continues a run that was stopped; pictures that exist are not rendered twice."
         ),
         epilog=EPILOG.format(presets=_list_of_presets()),
         formatter_class=HelpFormatter,

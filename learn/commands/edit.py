@@ -69,8 +69,8 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         metavar="MATERIAL",
         help=(
             "one or more materials, each of which makes one edit: a name (`python -m factory"
-            " materials list` prints them), or 'measured(NAME)' for one of MERL's as dark as it was"
-            " measured; a description in quotes, such as"
+            " materials list` prints them; edits brighten those of the database MERL, and"
+            " 'measured(NAME)' is as dark as it was measured); a description in quotes, such as"
             " 'principled(base_color=#a03020, roughness=.35, metallic=0)', 'lambert(#c0c0c0)' or"
             " 'ggx(f0=.9, roughness=.2)'; a material.json; or a picture whose material is to be"
             " used (with transparency, or with its mask in NAME.mask.png in the same folder). For"

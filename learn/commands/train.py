@@ -12,7 +12,9 @@ from manifests.notices import notice
 from manifests.option_types import positive, whole
 
 EPILOG = """example:
-  python -m learn train joint-compact --data geometry-data --out run"""
+  python -m learn train joint-compact --data geometry-data --out run
+
+docs/learning.md describes presets and run files. For geometry-data, render the preset geometry."""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -22,12 +24,13 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "train",
         help="train networks that predict normals, material and light from a picture",
         description=(
-            "Trains a network on a data set's geometry. The rendering layer makes the pictures"
-            " during training, each time with other materials and lights of the data set (or with"
-            " the built-in materials, if the run or --materials says so). Writes"
-            " weights.safetensors, checkpoint.safetensors, log.jsonl, run.json, made.json and, at"
-            " intervals, a contact sheet. To continue a run that was stopped, give the same command"
-            " again; the weights are the same as without the stop."
+            "Trains a network on the normals of a data set. During training, the rendering layer"
+            " relights them: it makes pictures with materials and lights of the data set, or with"
+            " the built-in materials if the run or --materials says so. Writes the network"
+            " (weights.safetensors), what continues an interrupted run (checkpoint.safetensors),"
+            " its settings, log and provenance (run.json, log.jsonl, made.json) and, at intervals,"
+            " a contact sheet. To continue a run that was stopped, give the same command again; the"
+            " weights are the same as without the stop."
         ),
         epilog=EPILOG,
         formatter_class=HelpFormatter,
@@ -56,7 +59,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--tensorboard",
         action="store_true",
-        help="also write events for TensorBoard (needs the package tensorboard)",
+        help="also write events for TensorBoard (extra tensorboard)",
     )
     parser.add_argument(
         "--steps", type=positive, metavar="N", help="number of steps (default: as the run says)"

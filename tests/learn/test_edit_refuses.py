@@ -107,6 +107,15 @@ def test_an_everyday_word_is_answered_with_what_looks_like_it(files, capsys, wor
     )
 
 
+@pytest.mark.parametrize(
+    "text, remedy",
+    [("goldd", "did you mean gold?"), ("shiny wood", "look like wood: cherry-235")],
+)
+def test_an_everyday_word_with_an_error_or_an_adjective_is_understood(files, capsys, text, remedy):
+    status, line = message(capsys, *edit(files, material=text))
+    assert status == 1 and remedy in line
+
+
 def test_a_part_of_a_name_lists_names_that_have_it(files, capsys):
     status, line = message(capsys, *edit(files, material="phenolic"))
     assert status == 1 and "did you mean black-phenolic" in line and "red-phenolic" in line
