@@ -185,7 +185,7 @@ def split_counts(plan: Plan) -> dict[str, int]:
     from manifests.splits import split_of
 
     counts: Counter[str] = Counter()
-    each = plan.each * len(plan.lights)
+    each = plan.shots_per_choice * len(plan.lights)
     for shape in plan.assets.shapes:
         for choice in plan.choices(shape):
             split = (
@@ -259,9 +259,9 @@ def _cluster(
         f" {number_of(cluster.cores, 'core')}: {number_of(workers, 'worker')} of one thread"
     )
     yield f"  time       about {_time(cluster.hours)} ({parts})"
-    if forecast.waited > BUSY and os.getloadavg()[0] > processors():
+    if forecast.slowdown > BUSY and os.getloadavg()[0] > processors():
         yield (
-            f"  busy       other programs made these pictures take {forecast.waited:.1f} times as"
+            f"  busy       other programs made these pictures take {forecast.slowdown:.1f} times as"
             " long as they compute: divide time and cost by that for machines of your own"
         )
     if pictures < workers:

@@ -50,10 +50,10 @@ class Forecast:
     computed: float | None = None
 
     @property
-    def waited(self) -> float:
-        """How many times as long as it computed a worker of one thread took, at least 1.
+    def slowdown(self) -> float:
+        """Seconds by the clock per second of computing, of a worker of one thread; at least 1.
 
-        Where other programs use the processor, this is far above 1, and so are the seconds.
+        If other programs use the processor, this is far above 1.
         """
         return max(1.0, sum(self.seconds.values()) / self.computed) if self.computed else 1.0
 
@@ -109,7 +109,7 @@ def probe_shots(plan: Plan) -> Iterator[Shot]:
         of_shapes, of_lights, of_shots = _places(k)
         shape = shapes[min(int(of_shapes * len(shapes)), len(shapes) - 1)]
         light = lights[min(int(of_lights * len(lights)), len(lights) - 1)]
-        group = list(islice(plan.group(shape, *light), 200))
+        group = list(islice(plan.shots_under(shape, *light), 200))
         shot = next((s for s in group[int(of_shots * len(group)) :] if s.id not in known), None)
         if shot is not None:
             known.add(shot.id)
@@ -215,7 +215,7 @@ def count_events(plan: Plan) -> dict[str, float]:
         for kind in changed:
             changed[kind] += last is None or now[kind] != last[kind]
         last, counted = now, counted + 1
-    combinations = total / max(shapes, 1) / max(plan.each, 1)
+    combinations = total / max(shapes, 1) / max(plan.shots_per_choice, 1)
     views = (
         COUNT * (1 - (1 - job.views.random / COUNT) ** combinations)
         if isinstance(job.views, Draw)

@@ -39,7 +39,7 @@ class _Running(msgspec.Struct):
     written: int = 0
     job: str = ""
 
-    def meets(self, other: _Running) -> bool:
+    def conflicts_with(self, other: _Running) -> bool:
         """Return whether both may make the same shots, or write other entries into one file.
 
         Parts of one division of one job do neither. Runs of different jobs would each write a
@@ -97,7 +97,7 @@ class Lease:
     def _refuse_if_taken(self, note: Callable[[str], None]) -> None:
         others = {name: self._read(name) for name in self._remote.names(FOLDER)}
         others.pop(self._name, None)
-        waiting = {name: data for name, data in others.items() if data and self._is_met(data)}
+        waiting = {name: data for name, data in others.items() if data and self._conflicts(data)}
         if waiting:
             note(
                 f"{self._remote.url}: another run was killed or is still running; waiting up to"
@@ -128,9 +128,9 @@ class Lease:
         except FileNotFoundError:
             return None
 
-    def _is_met(self, data: bytes) -> bool:
+    def _conflicts(self, data: bytes) -> bool:
         """Return whether a run, by its object, may make the same shots; a torn one may."""
         try:
-            return self._running.meets(msgspec.json.decode(data, type=_Running))
+            return self._running.conflicts_with(msgspec.json.decode(data, type=_Running))
         except msgspec.DecodeError:
             return True

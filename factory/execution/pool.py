@@ -198,7 +198,7 @@ class Pool:
         return worker
 
     def _drop(self, number: int) -> None:
-        """End a worker, of which no draft stays; one with pending shots is killed."""
+        """End a worker and remove its drafts; one with pending shots is killed."""
         worker = self._workers.pop(number)
         self._selector.unregister(worker.output)
         if worker.pending:

@@ -107,7 +107,7 @@ class RayPool:
         try:
             while True:
                 self._scale()
-                yield from self._give_up_waiting()
+                yield from self._give_out_lost_shots()
                 self._give_out(shots)
                 if self._is_done():
                     return
@@ -258,8 +258,11 @@ class RayPool:
             raise OSError(f"{self._lost_in_a_row} workers in a row were lost; {reason}")
         self._looked = time.monotonic() - SCALE_SECONDS + 1.0
 
-    def _give_up_waiting(self) -> Iterator[tuple[Shot, Reply]]:
-        """Give the shots of lost workers out again, as soon as their files are free."""
+    def _give_out_lost_shots(self) -> Iterator[tuple[Shot, Reply]]:
+        """Give the shots of lost workers out again, once their files are free.
+
+        Those that the files name or that are given up are yielded.
+        """
         for lost in list(self._lost):
             path = lines_path(lost.config)
             try:

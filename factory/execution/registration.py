@@ -101,7 +101,7 @@ def register_job(store: Store, plan: Plan, shots: int) -> None:
             known,
             orders=orders,
             # ids are hashed with the fingerprint, so it is entered before the first record
-            settings={plan.render: {}, **known.settings},
+            settings={plan.fingerprint: {}, **known.settings},
             shapes={**known.shapes, **shapes},
             materials={**known.materials, **materials},
             lights={**known.lights, **lights},
@@ -153,13 +153,13 @@ def _same_job(known: Job, job: Job) -> bool:
     return msgspec.structs.replace(known, name=job.name, about=job.about) == job
 
 
-def note_settings(store: Store, render: str, reply: Reply) -> None:
+def note_settings(store: Store, fingerprint: str, reply: Reply) -> None:
     """Enter the settings and versions of a worker's first reply in dataset.json.
 
-    render  fingerprint of the settings, under which they are entered
+    fingerprint  of the settings, under which they are entered
     """
     known = store.dataset()
-    settings = {**known.settings, render: reply.settings or {}}
+    settings = {**known.settings, fingerprint: reply.settings or {}}
     store.write_json(
         "dataset.json",
         msgspec.structs.replace(

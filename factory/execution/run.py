@@ -207,7 +207,7 @@ def _make_shots(
         for shot, reply in replies:
             if reply.settings:
                 with lock.changing(store.folder):
-                    note_settings(store, plan.render, reply)
+                    note_settings(store, plan.fingerprint, reply)
             for note in reply.notes:
                 watch("note", note)
             if reply.made:

@@ -114,7 +114,7 @@ class Uploads:
             raise self._problem
 
     def _begin(self) -> None:
-        """Copy what the store holds of the data set, but pictures and geometry."""
+        """Copy what the store holds of the data set, except pictures and geometry."""
         names: list[str] = []
         for kind in (*LINES, facts.FOLDER, "lights"):
             names += self.remote.names(kind)

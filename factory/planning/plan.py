@@ -95,12 +95,12 @@ def require_shots(shots: int, shapes: Iterable[Shape]) -> None:
 class Plan:
     """A job with its assets; iterating over it yields its shots.
 
-    render  fingerprint of the render settings (factory.planning.fingerprint)
+    fingerprint  of the render settings (factory.planning.fingerprint)
     """
 
     job: Job
     assets: Assets
-    render: str
+    fingerprint: str
 
     def __len__(self) -> int:
         if not self.job.pictures:
@@ -108,11 +108,11 @@ class Plan:
         return (
             sum(len(self.choices(shape)) for shape in self.assets.shapes)
             * len(self.job.lights)
-            * self.each
+            * self.shots_per_choice
         )
 
     @property
-    def each(self) -> int:
+    def shots_per_choice(self) -> int:
         """Number of shots per shape, choice of materials and light."""
         job = self.job
         rotations = job.rotations.random if isinstance(job.rotations, Draw) else len(job.rotations)
@@ -150,12 +150,12 @@ class Plan:
                 yield from self.views_alone(shape)
                 continue
             for light, occurrence in self.lights:
-                yield from self.group(shape, light, occurrence)
+                yield from self.shots_under(shape, light, occurrence)
 
     def views_alone(self, shape: Shape) -> Iterator[Shot]:
         """Yield the shots of one shape in a job without pictures."""
         for view in ids.views_alone(self.job, shape.hash):
-            id_ = geometry_id(shape.hash, self._camera(shape, view), view, self.render)
+            id_ = geometry_id(shape.hash, self._camera(shape, view), view, self.fingerprint)
             yield Shot(
                 id=id_,
                 geometry=id_,
@@ -171,7 +171,7 @@ class Plan:
                 picture=False,
             )
 
-    def group(self, shape: Shape, light: Light, occurrence: int = 0) -> list[Shot]:
+    def shots_under(self, shape: Shape, light: Light, occurrence: int = 0) -> list[Shot]:
         """Return the shots of one shape under one light, in order."""
         return sorted(self._under(shape, light, occurrence), key=_order)
 
@@ -234,9 +234,9 @@ class Plan:
             camera = self._camera(shape, view)
             if camera not in shared:
                 shared[camera] = ids.shots_digest(
-                    self.render, shape.hash, hashes, light.hash, camera, ids.sampling(job)
+                    self.fingerprint, shape.hash, hashes, light.hash, camera, ids.sampling(job)
                 )
-            geometry = geometry_id(shape.hash, camera, view, self.render)
+            geometry = geometry_id(shape.hash, camera, view, self.fingerprint)
             for rotation, tier, resolution, repeat in product(
                 of_view, job.tiers, job.light_resolutions, range(job.repeats)
             ):

@@ -78,7 +78,7 @@ class Viewer:
         ):
             if len(at) and not (painted.unchanged and edit.light.unchanged):
                 values = self.map_of(painted, own, edit.light, exact, is_current)
-                radiance[at] = reflectance_store.interpolated(values, n)
+                radiance[at] = reflectance_store.interpolate(values, n)
         radiance *= edit.gain
         object_ = self.small.upsampled(radiance.reshape(self.small.grid, self.small.grid, 3))
         return self._composed(object_, edit)
@@ -113,7 +113,7 @@ class Viewer:
         size = max(len(each) for each in values)
         total = np.zeros((size, size, 3), np.float32)
         for (weight, _), each in zip(parts, values, strict=True):
-            total += np.float32(weight) * reflectance_store.finer(each, size)
+            total += np.float32(weight) * reflectance_store.upsample(each, size)
         return total
 
     def _one_map(self, label: np.ndarray, light: LightChoice, exact: bool) -> np.ndarray:
@@ -126,7 +126,7 @@ class Viewer:
         if exact:
             values, _ = reflectance_store.values_of(label, scene)
         else:
-            values = reflectance_store.rendered(label, scene, QUICK, "auto")
+            values = reflectance_store.render_map(label, scene, QUICK, "auto")
         with self._lock:
             self._maps[self._key(label, light, exact)] = values
             while len(self._maps) > KEPT_MAPS:

@@ -1,4 +1,4 @@
-"""What is behind an object's edge in a photograph, and values continued from near pixels."""
+"""Estimates the background behind an object's edge, and fills pixels from their neighbours."""
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
@@ -10,7 +10,7 @@ BEHIND_WIDTH = 1.0  # pixels, of the Gaussian by which a background is the mean 
 
 
 def fill_from_nearest(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Replace values (H, W) or (H, W, C) outside `where` (H, W) by the nearest ones inside."""
+    """Return values (H, W) or (H, W, C), outside `where` (H, W) replaced by the nearest inside."""
     if not where.any():
         return values
     index = distance_transform_edt(~where, return_distances=False, return_indices=True)
@@ -47,7 +47,7 @@ def background_behind(
 
 
 def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Replace values (H, W, C) outside `where` (H, W) by the mean of nearby ones inside.
+    """Return values (H, W, C), outside `where` (H, W) replaced by the mean of nearby ones inside.
 
     They are weighted by a Gaussian of BEHIND_WIDTH. Where none is near, the nearest one is used.
     """

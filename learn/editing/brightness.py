@@ -15,5 +15,5 @@ STOPS = 0.8  # by which a material of nothing but narrow lobes is too bright, by
 
 
 def factor(label: np.ndarray) -> float:
-    """Return the factor by which radiance in a target material (108,) is multiplied."""
+    """Return the factor ≤ 1 that corrects radiance in a target material (108,)."""
     return float(2 ** (-STOPS * narrow_share(label)))

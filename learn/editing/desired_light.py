@@ -46,6 +46,7 @@ def resolve_light(
 
 
 def _compute(text: str) -> np.ndarray:
+    """Return the map of computed:SEED."""
     seed = text.removeprefix(COMPUTED)
     if not (seed.isascii() and seed.isdigit() and int(seed) <= LARGEST_SEED):
         raise InputError(f"--light {text}", "a whole number after computed:", seed, "computed:7")
@@ -53,6 +54,7 @@ def _compute(text: str) -> np.ndarray:
 
 
 def _of_collection(text: str) -> np.ndarray:
+    """Return the map of FILE.npz#NAME."""
     path, _, name = text.partition("#")
     maps = lights.read_maps(path)
     if not name and len(maps) == 1:
@@ -64,6 +66,7 @@ def _of_collection(text: str) -> np.ndarray:
 
 
 def _of_map(path: Path) -> np.ndarray:
+    """Return the map of an EXR file, resized to L's shape."""
     radiance, _ = photographs.read_exr(path)
     height, width = radiance.shape[:2]
     if width != 2 * height:

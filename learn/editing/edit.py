@@ -1,7 +1,7 @@
 """What `learn edit` does: decompose a photograph, and render its object in other materials.
 
-`run` does everything: `compute` makes the edits, learn.editing.drawing draws the contact sheet, and
-learn.editing.edit_files writes the files.
+`run` does everything: `make_edits` makes the edits, learn.editing.drawing draws the contact sheet,
+and learn.editing.edit_files writes the files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,22 +26,22 @@ from manifests.progress import tqdm
 class EditOptions:
     """How pictures are decomposed and edited.
 
-    weights    file of the network's weights
-    settings   how to refine; None: do not refine
-    tolerance  largest relative error of the rendering layer
-    detail     share of the photograph's residual shading that edits keep, 0 to 1
-    exposure   factor by which the photograph's radiance, after white balance, is multiplied for the
-               network; None: estimated
-    balance    "none", "grey", or three factors by which colours are multiplied
-    device     where the network, refinement and the layer run, as torch.device takes it
-    fit_mask   whether to fit the edges of masks to the photographs' colours; None: only those of
-               black and white masks
-    shape      of the photograph's object, one of learn.primitives.PRIMITIVES; None: predicted
-    stops      by which edits are made brighter, MOST_STOPS at most
+    weights     file of the network's weights
+    refinement  its settings; None: do not refine
+    tolerance   largest relative error of the rendering layer
+    detail      share of the photograph's residual shading that edits keep, 0 to 1
+    exposure    factor by which the photograph's radiance, after white balance, is multiplied for
+                the network; None: estimated
+    balance     "none", "grey", or three factors by which colours are multiplied
+    device      where the network, refinement and the layer run, as torch.device takes it
+    fit_mask    whether to fit the edges of masks to the photographs' colours; None: only those of
+                black and white masks
+    shape       of the photograph's object, one of learn.primitives.PRIMITIVES; None: predicted
+    stops       by which edits are made brighter, MOST_STOPS at most
     """
 
     weights: Path
-    settings: RefinementSettings | None
+    refinement: RefinementSettings | None
     tolerance: float
     detail: float
     exposure: float | None = None
@@ -59,7 +59,7 @@ class EditOptions:
             "detail": self.detail,
             "fit_mask": self.fit_mask,
             "shape": self.shape,
-            "refinement": None if self.settings is None else asdict(self.settings),
+            "refinement": None if self.refinement is None else asdict(self.refinement),
         }
 
 
@@ -121,7 +121,7 @@ def run(
     parts = [part for text in materials for part in targets.split_by_region(text)]
     inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *parts]
     pages = [interactive.NAME] if with_page else []
-    names = edit_files.reserve(path, materials, inputs, out, overwrite, pages)
+    names = edit_files.reserve_names(path, materials, inputs, out, overwrite, pages)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
     opened = photograph.open_photograph(
         path,
@@ -135,9 +135,9 @@ def run(
     )
     labels = requested_labels(opened, materials, network, metadata["size"], edit_options)
     with tqdm(total=2 + len(materials), unit="step", desc="decomposing") as progress:
-        result = compute(opened, labels, network, metadata, edit_options, progress)
+        result = make_edits(opened, labels, network, metadata, edit_options, progress)
         progress.set_description("writing")
-        texts = {name: interactive.page(result, edit_options) for name in pages}
+        texts = {name: interactive.make_page(result, edit_options) for name in pages}
         report = edit_files.write(
             out, names, result, edit_options, texts, inputs if overwrite else None
         )
@@ -145,7 +145,7 @@ def run(
     return report
 
 
-def compute(
+def make_edits(
     opened: Photograph,
     labels: Mapping[str, list[np.ndarray | None]],
     network: torch.nn.Module,
@@ -159,7 +159,7 @@ def compute(
     progress  a bar that is advanced by one for the decomposition and for each edit
     """
     result = decomposition.decompose(
-        opened, network, metadata["size"], edit_options.settings, shape=edit_options.shape
+        opened, network, metadata["size"], edit_options.refinement, shape=edit_options.shape
     )
     progress.update()
     compositor = Compositor(result, edit_options.tolerance, edit_options.detail)
@@ -244,7 +244,7 @@ def read_label_from_picture(
         remedy=f"put {path.stem}.mask.png beside it",
         fit_mask=edit_options.fit_mask if beside else None,
     )
-    return decomposition.decompose(opened, network, size, edit_options.settings).label[:1]
+    return decomposition.decompose(opened, network, size, edit_options.refinement).label[:1]
 
 
 def find_truth(opened: Photograph, text: str) -> np.ndarray | None:

@@ -34,7 +34,7 @@ PARTS = (
 SOMETIMES_WRITTEN = re.compile(r"edited(-.+)?\.(png|exr)|interactive\.html")
 
 
-def reserve(
+def reserve_names(
     path: Path,
     materials: Sequence[str],
     inputs: Sequence[str | Path],
@@ -42,8 +42,10 @@ def reserve(
     overwrite: bool,
     pages: Sequence[str] = (),
 ) -> list[str]:
-    """Return the names, without endings, of the edited pictures, once they may be written.
+    """Return the names, without endings, of the edited pictures, which may then be written.
 
+    path    the photograph
+    inputs  files that are read, which no result may replace
     pages   names of text files that are written as well
     Raises  InputError for a material named twice, or for files that are there already
     """
@@ -96,11 +98,11 @@ def write(
     with files.transaction():
         photographs.write_exr(out / "normals.exr", n * mask[..., None], "XYZ")
         photographs.write_exr(out / "light.exr", L)
-        save(out / "normals.png", montage.normals_picture(n, mask))
-        save(out / "light.png", montage.light_picture(L))
-        save(out / "rendering.png", tone.display(result.rendering, exposure))
-        save(out / "ball.png", own[0])
-        save(
+        save_png(out / "normals.png", montage.normals_picture(n, mask))
+        save_png(out / "light.png", montage.light_picture(L))
+        save_png(out / "rendering.png", tone.display(result.rendering, exposure))
+        save_png(out / "ball.png", own[0])
+        save_png(
             out / "reflectance.png",
             montage.contact_sheet([maps], drawing.TILE),
         )
@@ -113,10 +115,10 @@ def write(
         )
         for name, edit in zip(names, result.edits, strict=True):
             picture = tone.display(edit.picture, exposure)
-            save(out / f"{name}.png", drawing.with_alpha(picture, opened))
+            save_png(out / f"{name}.png", drawing.with_alpha(picture, opened))
             if opened.linear:
                 photographs.write_picture(out / f"{name}.exr", edit.picture, opened.opacity)
-        save(
+        save_png(
             out / "sheet.png",
             montage.contact_sheet(
                 drawing.make_sheet_rows(result, exposure, own, maps), drawing.TILE
@@ -164,7 +166,7 @@ def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:
     } | edit_options.as_metadata()
 
 
-def save(path: Path, picture: np.ndarray) -> None:
+def save_png(path: Path, picture: np.ndarray) -> None:
     """Write a PNG of display values (H, W, 3 or 4). Raises InputError for values not finite."""
     photographs.require_finite(path, picture)
     # half the time of Pillow's usual level 6, for files one per cent larger

@@ -15,8 +15,8 @@ The page differs from `learn edit` in these points:
   shading, which belongs to its own light, is left out.
 - The viewer is distant, as for all edits.
 
-How fine the maps are says learn.editing.interactive_maps, and how data are stored
-learn.editing.chunks; all of them together stand in the page as base64.
+learn.editing.interactive_maps decides how fine the maps are, and learn.editing.chunks how data are
+stored; the page holds all of them as base64.
 """
 
 import base64
@@ -65,7 +65,7 @@ MEASURED = {
 MEASURED_FILE = Path(light_maps.__file__).parents[2] / "manifests" / "measured-lights" / "maps.npz"
 
 
-def page(result: "EditResult", edit_options: "EditOptions") -> str:
+def make_page(result: "EditResult", edit_options: "EditOptions") -> str:
     """Return the page of an EditResult, and show progress.
 
     Raises  InputError: it is larger than LARGEST_FILE
@@ -82,7 +82,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
         "steps": reflectance_store.STEPS,
         "bend": reflectance_store.BEND,
     }
-    picture, n = picture_data(compositor, chunks)
+    picture, n = add_picture(compositor, chunks)
     header |= picture
     materials = material_list.list_materials(result)
     header["materials"] = [
@@ -120,7 +120,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     left = LARGEST_FILE - len(assemble(header, chunks).encode()) - FRAME
     interactive_maps.reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
     header["lights"] = [
-        {"name": name} | interactive_maps.light_data(each, L, chunks)
+        {"name": name} | interactive_maps.add_light_maps(each, L, chunks)
         for (name, L), each in zip(lights.items(), maps, strict=True)
     ]
     result_page = assemble(header, chunks)
@@ -135,7 +135,7 @@ def page(result: "EditResult", edit_options: "EditOptions") -> str:
     return result_page
 
 
-def picture_data(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
+def add_picture(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
     """Add the photograph, coverage, regions, residual shading and normals.
 
     A photograph with transparency adds its opacity, and the object's share of each pixel's colour.

@@ -67,7 +67,7 @@ def reduce_maps(maps: Sequence[list[TriedMap]], bytes_left: int) -> None:
             heapq.heappush(queue, (loss(number), number))
 
 
-def light_data(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chunks) -> dict:
+def add_light_maps(maps: Sequence[list[TriedMap]], light: torch.Tensor, chunks: Chunks) -> dict:
     """Add the finest maps of all materials under a light (1, 3, Hl, Wl); return their header."""
     chosen = [each[-1] for each in maps]
     parts = [np.frombuffer(zlib.decompress(map_.packed), np.uint8) for map_ in chosen]

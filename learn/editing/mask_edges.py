@@ -107,15 +107,15 @@ def _fit(
     object_, background = inside & ~band, ~inside & ~band
     if not (band.any() and object_.any() and background.any()):
         return coverage
-    share, certainty = mixtures(display, band, object_, background)
-    moved = _walked(display, inside, band, share, certainty, width)
+    share, certainty = object_shares(display, band, object_, background)
+    moved = _minimise_energy(display, inside, band, share, certainty, width)
     depth = signed_distance(moved)
     soft = (np.abs(depth) <= SOFT) & band
     blurred = gaussian_filter(moved.astype(np.float32), SOFTENING)
     result = np.where(band, blurred, np.where(inside == moved, coverage, blurred))
     object_, background = depth > SOFT, depth < -SOFT
     if soft.any() and object_.any() and background.any():
-        share, certainty = mixtures(np.minimum(radiance, 1), soft, object_, background)
+        share, certainty = object_shares(np.minimum(radiance, 1), soft, object_, background)
         result[soft] = certainty * share + (1 - certainty) * blurred[soft]
     return result.astype(np.float32)
 
@@ -136,7 +136,7 @@ def band_about(inside: np.ndarray, width: int) -> np.ndarray:
     return result
 
 
-def mixtures(
+def object_shares(
     colours: np.ndarray,
     where: np.ndarray,
     object_: np.ndarray,
@@ -199,7 +199,7 @@ def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.nd
     return share, apart2 / (apart2 + unsure2)
 
 
-def _walked(
+def _minimise_energy(
     display: np.ndarray,
     inside: np.ndarray,
     band: np.ndarray,
@@ -248,10 +248,12 @@ def _walked(
     shares = inside.astype(np.float32)
     shares[band] = spsolve(system, right)
     result = np.where(band, gaussian_filter(shares, SMOOTH * width) >= 0.5, inside)
-    return _connected(result, inside & ~band, ~inside & ~band)
+    return _remove_islands_and_holes(result, inside & ~band, ~inside & ~band)
 
 
-def _connected(moved: np.ndarray, object_: np.ndarray, background: np.ndarray) -> np.ndarray:
+def _remove_islands_and_holes(
+    moved: np.ndarray, object_: np.ndarray, background: np.ndarray
+) -> np.ndarray:
     """Return a mask (H, W) without islands and holes that contain no pixel known to be so."""
     for certain, value in ((object_, True), (background, False)):
         parts, _ = label(moved == value)

@@ -15,7 +15,7 @@ from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
 from learn.editing import light_colour, material_file, photograph
 from learn.editing.decomposition import Parts, predict_framed, require_parts
-from learn.editing.edit_files import save
+from learn.editing.edit_files import save_png
 from learn.editing.exposure import correct_exposure, measure_background, render_prediction
 from learn.figures import montage
 from learn.networks import weights as checkpoint
@@ -73,10 +73,10 @@ def run(
     """
     out = Path(out)
     outputs.reserve_outputs(out, WRITTEN, overwrite, (image, mask))
-    write(out, compute(image, mask, weights, exposure, device, fit_mask), weights)
+    write(out, predict_picture(image, mask, weights, exposure, device, fit_mask), weights)
 
 
-def compute(
+def predict_picture(
     image: Path,
     mask: Path | None,
     weights: Path,
@@ -118,9 +118,9 @@ def write(out: Path, result: PredictedPicture, weights: Path) -> None:
         photographs.write_exr(out / "light.exr", to_numpy(parts.light[0].movedim(0, -1)))
         photographs.write_exr(out / "rendering.exr", result.rendering)
         for name, cell in cells.items():
-            save(out / f"{name}.png", cell)
-        save(out / "mask.png", 255.0 * framed.mask)
-        save(out / "sheet.png", montage.contact_sheet([row], TILE))
+            save_png(out / f"{name}.png", cell)
+        save_png(out / "mask.png", 255.0 * framed.mask)
+        save_png(out / "sheet.png", montage.contact_sheet([row], TILE))
         material_file.write(
             out / "material.json", to_numpy(parts.label[0]), framed, result.metadata, weights
         )

@@ -71,7 +71,7 @@ class Scene(NamedTuple):
     checked    (N, 3) unit normals, camera frame, where maps are compared with the layer
     finest     largest side of a map
     nodes      {side: Nodes at which maps of that side are rendered}; all nodes where it lacks one
-    coded      whether maps are those of their codes, whose rounding then counts in their errors
+    coded      whether maps are rounded to codes, which their errors then include
     """
 
     light: torch.Tensor
@@ -105,10 +105,10 @@ def maps_of(label: np.ndarray, scene: Scene) -> list[tuple[np.ndarray, float]]:
         if error > 4 * LIMIT and side < scene.finest:
             error /= 4
             continue
-        values = np.sum([rendered(part, scene, side, method) for part, method in parts], 0)
+        values = np.sum([render_map(part, scene, side, method) for part, method in parts], 0)
         if scene.coded:
             values = values_of_codes(codes_of(values))
-        error = _grey_levels_apart(interpolated(values, scene.checked), shown)
+        error = _grey_levels_apart(interpolate(values, scene.checked), shown)
         results.append((values, error))
         if error <= (LIMIT_OF_FINEST if 2 * side == SIDES[-1] else LIMIT):
             break
@@ -142,9 +142,9 @@ def radiance_at_normals(
     if sides is None:
         return _radiance_of_parts(n, parts, scene)
     coarse, fine = (
-        np.sum([rendered(part, scene, side, how) for part, how in parts], 0) for side in sides
+        np.sum([render_map(part, scene, side, how) for part, how in parts], 0) for side in sides
     )
-    result = interpolated(fine, n)
+    result = interpolate(fine, n)
     exposure = tone.auto_exposure(result[None], np.ones((1, len(n)), bool))
     doubtful = _error_of_coarse_map(coarse, fine, exposure)[_nearest_node(n, len(fine))] > DOUBT
     if doubtful.mean() > MOST_RENDERED:
@@ -166,14 +166,14 @@ def _error_of_coarse_map(coarse: np.ndarray, fine: np.ndarray, exposure: float) 
 
     It is in grey levels, (size²,): what a coarse map is off by there.
     """
-    again = finer(coarse, len(fine))
+    again = upsample(coarse, len(fine))
     difference = tone.display(again, exposure) - tone.display(fine, exposure)
     return maximum_filter(np.abs(difference).max(-1), 3).ravel()
 
 
 def _nearest_node(n: np.ndarray, size: int) -> np.ndarray:
     """Return the flat index of the node nearest to each normal (N, 3), of a map of that size."""
-    column, row = (np.rint((places(n) + 1) * (size - 5) / 2).astype(int) + MARGIN).T
+    column, row = (np.rint((disk_points(n) + 1) * (size - 5) / 2).astype(int) + MARGIN).T
     return row * size + column
 
 
@@ -249,20 +249,20 @@ def nodes_of(side: int) -> Nodes:
     # the rim and a point as far within
     step = np.maximum(r[beyond] - RIM, h)
     share = 1 + (r[beyond] - RIM) / step
-    n = normals(np.concatenate([p[inside], out * RIM, out * (RIM - step)[:, None]]))
+    n = normals_at_points(np.concatenate([p[inside], out * RIM, out * (RIM - step)[:, None]]))
     read = np.zeros(size * size, bool)
     read[inside] = read[beyond] = True
     return Nodes(n, inside, beyond, share[:, None], _nearest_of(read, size))
 
 
-def normals(p: np.ndarray) -> np.ndarray:
+def normals_at_points(p: np.ndarray) -> np.ndarray:
     """Return unit normals (N, 3) of points (N, 2) of the disk."""
     z = 1 - (p * p).sum(-1, keepdims=True)
     return np.concatenate([p * np.sqrt(1 + z), z], -1)
 
 
-def places(n: np.ndarray) -> np.ndarray:
-    """Return the points (…, 2) of the disk of unit normals (…, 3): the inverse of `normals`."""
+def disk_points(n: np.ndarray) -> np.ndarray:
+    """Return the points (…, 2) of the disk of unit normals (…, 3): undoes `normals_at_points`."""
     return n[..., :2] / np.sqrt(1 + np.maximum(n[..., 2:], 0))
 
 
@@ -272,7 +272,7 @@ def nodes_read(n: np.ndarray, side: int) -> Nodes:
     side  COARSE at least
     """
     nodes, size = nodes_of(side), side + 5
-    corner = np.floor((places(n) + 1) * side / 2).astype(int) + MARGIN
+    corner = np.floor((disk_points(n) + 1) * side / 2).astype(int) + MARGIN
     read = np.zeros((size, size), bool)
     read[corner[:, 1].clip(0, size - 1), corner[:, 0].clip(0, size - 1)] = True
     # interpolation reads nodes −1 to 2 from the corner; one more, because whoever looks up rounds
@@ -299,7 +299,7 @@ def _nearest_of(kept: np.ndarray, size: int) -> np.ndarray:
     return (index[0] * size + index[1]).ravel()
 
 
-def rendered(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndarray:
+def render_map(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndarray:
     """Return the values of a map of `side` intervals, rendered by a method of the layer."""
     nodes, size = (scene.nodes or {}).get(side) or nodes_of(side), side + 5
     result = radiance(nodes.n, label, scene, method)
@@ -311,7 +311,7 @@ def rendered(label: np.ndarray, scene: Scene, side: int, method: str) -> np.ndar
     return values[nodes.nearest].reshape(size, size, 3)
 
 
-def interpolated(values: np.ndarray, n: np.ndarray) -> np.ndarray:
+def interpolate(values: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Return values (N, 3) of a map at unit normals (N, 3), by Catmull–Rom weights."""
     size = len(values)
     n_, table = torch.from_numpy(np.ascontiguousarray(n, np.float32)), torch.from_numpy(values)
@@ -319,7 +319,7 @@ def interpolated(values: np.ndarray, n: np.ndarray) -> np.ndarray:
     return reflectance_map.look_up(n_, table.reshape(-1, 3), nodes, size).numpy()
 
 
-def finer(values: np.ndarray, size: int) -> np.ndarray:
+def upsample(values: np.ndarray, size: int) -> np.ndarray:
     """Return a reflectance map (a, a, 3) read at the nodes of a finer one (size, size, 3)."""
     if len(values) == size:
         return values

@@ -23,7 +23,7 @@ from learn.editing import (
 )
 from learn.editing.decomposition import Decomposition
 from learn.editing.edit import EditOptions
-from learn.editing.edit_files import save
+from learn.editing.edit_files import save_png
 from learn.editing.photograph import Photograph
 from learn.figures import montage
 from learn.networks import weights as checkpoint
@@ -117,7 +117,7 @@ def run(
         raise InputError("pictures", "one result of each name", f"{twice} twice", remedy)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
-    if edit_options.fit_mask and not any(masks(path, mask_folder) for path in paths):
+    if edit_options.fit_mask and not any(list_masks(path, mask_folder) for path in paths):
         rule, remedy = "a mask besides the pictures' own transparency", "leave it out"
         raise InputError("--fit-mask", rule, "none", remedy)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
@@ -130,7 +130,7 @@ def run(
     def of_picture(path: Path) -> np.ndarray:
         photo = open_with_mask(path, mask_folder, edit_options)
         return light_in(
-            decomposition.decompose(photo, network, metadata["size"], edit_options.settings)
+            decomposition.decompose(photo, network, metadata["size"], edit_options.refinement)
         )
 
     maps = [desired_light.resolve_light(text, of_picture, rotation_deg) for text in lights]
@@ -143,7 +143,9 @@ def run(
         for number, group in enumerate(groups):
             name = grids[number * max(len(maps), 1)]
             pictures = {path: open_with_mask(path, mask_folder, edit_options) for path in group}
-            decompositions = compute(pictures, network, metadata["size"], edit_options, progress)
+            decompositions = decompose_pictures(
+                pictures, network, metadata["size"], edit_options, progress
+            )
             report += transfer_grids.metadata_of(decompositions, name)
             if maps:
                 of_group = grids[number * len(maps) : (number + 1) * len(maps)]
@@ -151,10 +153,10 @@ def run(
                     rows = transfer_grids.relit_rows(
                         out, decompositions, label, light, edit_options, progress
                     )
-                    save(out / grid, montage.contact_sheet(rows, drawing.TILE))
+                    save_png(out / grid, montage.contact_sheet(rows, drawing.TILE))
                 continue
             rows = transfer_grids.edit_rows(out, pictures, decompositions, edit_options, progress)
-            save(out / name, montage.contact_sheet(rows, drawing.TILE))
+            save_png(out / name, montage.contact_sheet(rows, drawing.TILE))
         about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
         written = earlier_results.written_hashes()
         files.write_json(
@@ -175,7 +177,7 @@ def light_in(decomposed: Decomposition) -> np.ndarray:
 
 def open_with_mask(path: Path, mask_folder: Path | None, edit_options: EditOptions) -> Photograph:
     """Return the Photograph at a path, with its mask; transparency is never fitted."""
-    given = masks(path, mask_folder)
+    given = list_masks(path, mask_folder)
     return photograph.open_photograph(
         path,
         given,
@@ -187,8 +189,8 @@ def open_with_mask(path: Path, mask_folder: Path | None, edit_options: EditOptio
     )
 
 
-def masks(path: Path, folder: Path | None) -> list[Path]:
-    """Return the mask file of a picture, in a list; an empty one where its transparency serves."""
+def list_masks(path: Path, folder: Path | None) -> list[Path]:
+    """Return the mask file of a picture in a list, which is empty if its transparency serves."""
     beside = region_masks.find_mask_beside(path, folder)
     if folder is not None and beside is None:
         raise InputError(
@@ -200,7 +202,7 @@ def masks(path: Path, folder: Path | None) -> list[Path]:
     return [] if beside is None else [beside]
 
 
-def compute(
+def decompose_pictures(
     pictures: Mapping[Path, Photograph],
     network: torch.nn.Module,
     size: int,
@@ -211,6 +213,8 @@ def compute(
     decompositions = {}
     for path, photo in pictures.items():
         progress.set_description(f"decomposing {path.stem}"[:30])
-        decompositions[path] = decomposition.decompose(photo, network, size, edit_options.settings)
+        decompositions[path] = decomposition.decompose(
+            photo, network, size, edit_options.refinement
+        )
         progress.update()
     return decompositions

@@ -10,7 +10,7 @@ from learn.editing import desired_light, drawing, targets
 from learn.editing.compositor import Compositor
 from learn.editing.decomposition import Decomposition
 from learn.editing.edit import EditOptions
-from learn.editing.edit_files import save
+from learn.editing.edit_files import save_png
 from learn.editing.photograph import Photograph
 from learn.figures import montage
 from learn.figures.montage import Tile
@@ -107,7 +107,7 @@ def relit_rows(
             chosen = decomposed.label if material is shape else other.label[:1]
             shown = tone.display(compositor.relit(chosen, light, list(chosen)), exposure)
             alpha = 255.0 * photo.coverage[..., None]
-            save(
+            save_png(
                 out / relit_name(shape, material, label),
                 np.concatenate([shown, alpha], -1),
             )
@@ -156,7 +156,7 @@ def edits_of(
 def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
     """Write a PNG of an edited photograph (H, W, 3), linear, as transparent as the photograph."""
     shown = tone.display(picture, drawing.display_exposure(photo))
-    save(path, drawing.with_alpha(shown, photo))
+    save_png(path, drawing.with_alpha(shown, photo))
 
 
 def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:

@@ -80,7 +80,7 @@ def described(plan):
     assets = plan.assets
     return Dataset(
         orders=(Order(job=plan.job, shots=len(plan), begun=""),),
-        settings={plan.render: {}},
+        settings={plan.fingerprint: {}},
         shapes={
             s.name: ShapeEntry(
                 hash=s.hash, category=s.category, side=s.side, role=s.role, segments=1, licence=""

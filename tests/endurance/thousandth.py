@@ -62,7 +62,7 @@ class Sample(Plan):
         shapes = self.assets.shapes
         for k in range(self.runs):
             light = self.lights[k % len(self.lights)]
-            group = self.group(shapes[k * len(shapes) // self.runs], *light)
+            group = self.shots_under(shapes[k * len(shapes) // self.runs], *light)
             start = (k * len(group) // self.runs) // RUN * RUN
             start = min(start, len(group) - RUN)
             yield from group[start : start + RUN]
@@ -159,7 +159,7 @@ def main():
         camera = msgspec.structs.replace(job.camera, size=(options.size, options.size))
         job = msgspec.structs.replace(job, camera=camera)
         plan = make_plan(job, resolve(job, folder, processes=processors()))
-        sample = Sample(plan.job, plan.assets, plan.render, options.share)
+        sample = Sample(plan.job, plan.assets, plan.fingerprint, options.share)
         before, rows = costs(plan), options.out / f"{name}.jsonl"
         rendered(sample, options.out / name, rows, end)
         made = list(outputs.read_lines(rows))

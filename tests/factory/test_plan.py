@@ -113,7 +113,7 @@ def test_over_the_whole_paper_plan_training_and_test_share_no_shape_and_no_mater
         plan = stub(jobs.load(preset)[0])
         pictures += len(plan)
         for shape in plan.assets.shapes:
-            for shot in plan.group(shape, *plan.lights[0])[::5]:
+            for shot in plan.shots_under(shape, *plan.lights[0])[::5]:
                 assert shot.split == ("test" if preset == "test" else "train")
                 for kind, name in (
                     ("shape", shot.shape),

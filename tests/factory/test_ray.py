@@ -159,7 +159,7 @@ def test_what_a_lost_worker_had_recorded_counts_and_the_rest_is_given_out_again(
     partial.mkdir()
     for name in ("worker-ray-00-x.exr", "worker-ray-01-x.exr"):
         (partial / name).write_bytes(b"half")
-    yielded = list(made._give_up_waiting())
+    yielded = list(made._give_out_lost_shots())
     assert [each.name for each in partial.iterdir()] == ["worker-ray-01-x.exr"]
     assert [shot.id for shot, _ in yielded] == [shot.id for shot in shots[:2]]
     assert all(reply.made == shot.id for shot, reply in yielded)
@@ -172,11 +172,11 @@ def test_a_lost_worker_that_still_writes_is_waited_for_and_then_kept_out(pool):
     path = lose(0, shots[:4], there=[])
     other = holder(path)
     other.stdout.readline()
-    assert list(made._give_up_waiting()) == [] and made._lost and not made._units
+    assert list(made._give_out_lost_shots()) == [] and made._lost and not made._units
     other.stdin.close()
     other.wait()
     other.stdout.close()
-    assert list(made._give_up_waiting()) == [] and not made._lost and len(made._units[0]) == 4
+    assert list(made._give_out_lost_shots()) == [] and not made._lost and len(made._units[0]) == 4
     late = holder(path)  # ends with an error instead of a line
     assert late.stdout.readline() == b"" and late.wait() != 0
     late.stdin.close()
@@ -187,7 +187,7 @@ def test_a_shot_whose_worker_is_lost_again_and_again_is_given_up(pool):
     made, shots, lose = pool
     for number in range(MOST_LOSSES):
         lose(number, shots[:2], there=[])
-        given_up = list(made._give_up_waiting())
+        given_up = list(made._give_out_lost_shots())
         last = made._units.popleft()
     ((shot, reply),) = given_up
     assert shot.id == shots[0].id and reply.bad and "lost 5 times" in reply.reason

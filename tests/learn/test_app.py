@@ -457,7 +457,9 @@ def test_a_coarse_map_is_read_at_the_nodes_of_a_finer_one() -> None:
         return np.stack([x + 3, y + 3, x * y + 3], -1).astype(np.float32)
 
     inner = np.s_[3:-3, 3:-3]
-    assert np.allclose(reflectance_store.finer(plane(16), 69)[inner], plane(64)[inner], atol=1e-4)
+    assert np.allclose(
+        reflectance_store.upsample(plane(16), 69)[inner], plane(64)[inner], atol=1e-4
+    )
 
 
 def test_edit_json_may_name_a_material_as_it_was_measured(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from learn.editing import brightness, decomposition, light_colour, targets
 from learn.editing.compositor import Compositor
-from learn.editing.edit import EditOptions, compute
+from learn.editing.edit import EditOptions, make_edits
 from learn.evaluation.methods import AsEdited, Layered, render_by_layer
 from learn.layer import predictions
 from learn.layer.albedo import narrow_share
@@ -94,7 +94,7 @@ def test_edit_darkens_a_name_and_not_a_file_of_the_same_label(tmp_path) -> None:
     with tqdm(total=9, disable=True) as progress:
         labels = {text: [metal] for text in texts}
         size = {"size": NETWORK}
-        edits = compute(picture, labels, Knowing(own), size, options, progress).edits
+        edits = make_edits(picture, labels, Knowing(own), size, options, progress).edits
     named, read = (each.picture[inside].mean() for each in edits)
     assert named / read == pytest.approx(brightness.factor(metal), rel=0.02)
 

@@ -92,7 +92,7 @@ def made(tmp_path_factory):
         patch.setattr(interactive, "MEASURED", {})
         result = result_of()
         options = SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)
-        text = interactive.page(result, options)
+        text = interactive.make_page(result, options)
     path = tmp_path_factory.mktemp("page") / interactive.NAME
     path.write_text(text, "utf-8")
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
@@ -166,7 +166,7 @@ def test_radiance_from_the_stored_maps_is_the_layers(made, name):
     top, left, side = made.result.decomposition.framed.box
     assert top >= 0 and left >= 0 and compositor.grid == side, "one normal for each pixel"
     mask = mask[top : top + side, left : left + side]
-    picture = store.interpolated(page.values(0, name), n).reshape(side, side, 3)
+    picture = store.interpolate(page.values(0, name), n).reshape(side, side, 3)
     truth = compositor.radiance(label_of(name))
     a, b = (tone.display(x, 1.0) for x in (picture, truth))
     assert b[mask].std() > 5 and distance(a, b, mask) < LIMIT
@@ -185,7 +185,7 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     # a label that differs by nothing that shows, because equal ones are one material
     read = label + np.float32(1e-4)
     result.edits[:] = [edit.Edit(str(file), [read, None], result.edits[0].picture, None)]
-    page = Page(interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)))
+    page = Page(interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)))
     for light in range(len(page.header["lights"])):
         named, own = (np.median(page.values(light, name)) for name in ("nickel", "material.json"))
         assert named / own == pytest.approx(brightness.factor(label), rel=0.05)
@@ -197,7 +197,7 @@ def test_the_page_begins_with_the_edits_brightness(made, monkeypatch):
     monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     options = SimpleNamespace(tolerance=1e-2, detail=0.25, stops=-0.5)
-    page = Page(interactive.page(made.result, options))
+    page = Page(interactive.make_page(made.result, options))
     assert page.header["stops"] == -0.5 and Page(made.text).header["stops"] == 0
 
 
@@ -243,18 +243,20 @@ def test_a_page_that_would_be_too_large_is_refused(made, monkeypatch):
     monkeypatch.setattr(material_list, "DESCRIBED", {})
     monkeypatch.setattr(interactive, "MEASURED", {})
     with pytest.raises(InputError, match=r"at most 0\.001 MB"):
-        interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
+        interactive.make_page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
 
 
 def test_a_page_that_is_there_is_not_replaced(tmp_path):
     (tmp_path / interactive.NAME).write_text("earlier")
-    edit_files.reserve(tmp_path / "a.png", ["brass"], [], tmp_path, False)
+    edit_files.reserve_names(tmp_path / "a.png", ["brass"], [], tmp_path, False)
     with pytest.raises(InputError, match=re.escape(interactive.NAME)):
-        edit_files.reserve(tmp_path / "a.png", ["brass"], [], tmp_path, False, [interactive.NAME])
+        edit_files.reserve_names(
+            tmp_path / "a.png", ["brass"], [], tmp_path, False, [interactive.NAME]
+        )
 
 
 def test_the_page_is_written_where_it_is_requested(tmp_path, monkeypatch):
-    monkeypatch.setattr(interactive, "page", lambda result, options: result.edits[0].text)
+    monkeypatch.setattr(interactive, "make_page", lambda result, options: result.edits[0].text)
     options = edit.EditOptions(weights_file(EDITING_WEIGHTS), None, 1e-2, 0.25)
     cup = "example:espresso-cup"
     for name, with_page in (("with", True), ("without", False)):
@@ -326,7 +328,7 @@ def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
     monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
     monkeypatch.setattr(store, "LIMIT", 0.0)
     monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
-    text = interactive.page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
+    text = interactive.make_page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
     page, path = Page(text), tmp_path / interactive.NAME
     assert page.header["lights"][0]["sides"][page.names.index("chrome")] == store.SIDES[-1]
     path.write_text(text, "utf-8")
@@ -371,7 +373,7 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
     result = result_of(cut_out=True)
     path = tmp_path / interactive.NAME
     path.write_text(
-        interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     opened, own = result.decomposition.photograph, result.decomposition.label
@@ -409,7 +411,7 @@ def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp
     result = result_of(alpha=alpha)
     path = tmp_path / interactive.NAME
     path.write_text(
-        interactive.page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     own = result.decomposition.label
@@ -491,11 +493,11 @@ def test_maps_that_are_good_enough_are_reduced_before_those_that_are_not():
 
 def test_errors_are_those_of_the_stored_codes(made):
     page, light = Page(made.text), made.result.decomposition.parts.light
-    _, n = interactive.picture_data(made.compositor, Chunks())
+    _, n = interactive.add_picture(made.compositor, Chunks())
     scene = interactive.make_scene(made.compositor, light)
     checked = interactive.normals_to_check(n)
     for name in CHOSEN:
-        read = store.interpolated(page.values(0, name), checked)
+        read = store.interpolate(page.values(0, name), checked)
         label = label_of(name)[0]
         truth = made.compositor.brightness(label) * store.radiance(checked, label, scene, "")
         a, b = (tone.display(each, 1.0) for each in (read, truth))

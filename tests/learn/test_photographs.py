@@ -204,7 +204,7 @@ def test_a_grey_balance_asks_for_a_background_that_is_not_black(tmp_path, ball, 
 def test_no_picture_is_written_that_is_not_finite(tmp_path):
     bad = np.ones((4, 4, 3), np.float32)
     bad[1, 2, 0] = np.nan
-    for write, name in ((photographs.write_exr, "a.exr"), (edit_files.save, "a.png")):
+    for write, name in ((photographs.write_exr, "a.exr"), (edit_files.save_png, "a.png")):
         with pytest.raises(InputError, match="a finite picture"):
             write(tmp_path / name, bad)
         assert not (tmp_path / name).exists()

@@ -159,7 +159,7 @@ def test_a_record_is_rendered_again_by_its_own_camera(weights, tmp_path, rng, mo
         method="quadrature",
         elevation_deg=50.0,
     )
-    predict.compute(tmp_path, None, weights, None, "cpu")
+    predict.predict_picture(tmp_path, None, weights, None, "cpu")
     assert np.degrees(seen) == pytest.approx([50.0])
 
 
