@@ -185,7 +185,9 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     # a label that differs by nothing that shows, because equal ones are one material
     read = label + np.float32(1e-4)
     result.edits[:] = [edit.Edit(str(file), [read, None], result.edits[0].picture, None)]
-    page = Page(interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)))
+    page = Page(
+        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
+    )
     for light in range(len(page.header["lights"])):
         named, own = (np.median(page.values(light, name)) for name in ("nickel", "material.json"))
         assert named / own == pytest.approx(brightness.factor(label), rel=0.05)
@@ -328,7 +330,9 @@ def test_a_browser_shows_the_largest_maps(made, monkeypatch, tmp_path, address):
     monkeypatch.setattr(interactive, "lights_of", lambda own: {"own": own})
     monkeypatch.setattr(store, "LIMIT", 0.0)
     monkeypatch.setattr(store, "LIMIT_OF_FINEST", 0.0)
-    text = interactive.make_page(made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0))
+    text = interactive.make_page(
+        made.result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)
+    )
     page, path = Page(text), tmp_path / interactive.NAME
     assert page.header["lights"][0]["sides"][page.names.index("chrome")] == store.SIDES[-1]
     path.write_text(text, "utf-8")
@@ -373,7 +377,8 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
     result = result_of(cut_out=True)
     path = tmp_path / interactive.NAME
     path.write_text(
-        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)),
+        "utf-8",
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     opened, own = result.decomposition.photograph, result.decomposition.label
@@ -411,7 +416,8 @@ def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp
     result = result_of(alpha=alpha)
     path = tmp_path / interactive.NAME
     path.write_text(
-        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)), "utf-8"
+        interactive.make_page(result, SimpleNamespace(tolerance=1e-2, detail=0.25, stops=0.0)),
+        "utf-8",
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     own = result.decomposition.label

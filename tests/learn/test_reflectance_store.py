@@ -27,7 +27,7 @@ def normals(count):
     rng = np.random.default_rng(np.random.SeedSequence(3))
     p = rng.uniform(-1, 1, (4 * count, 2))
     p = p[np.linalg.norm(p, axis=1) < 0.97][:count]
-    return store.normals(p).astype(np.float32)
+    return store.normals_at_points(p).astype(np.float32)
 
 
 def label(name):
