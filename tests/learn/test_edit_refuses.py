@@ -465,7 +465,7 @@ def test_transfer_does_not_write_two_results_into_one_file(tmp_path):
 
 def test_edits_into_files_of_one_name_have_files_of_their_own(tmp_path):
     texts = ["x/m.json", "y/m.json", "m-2.json"]
-    names = edit_files.reserve(tmp_path / "p.png", texts, [], tmp_path / "out", False)
+    names = edit_files.reserve_names(tmp_path / "p.png", texts, [], tmp_path / "out", False)
     assert len(set(names)) == 3
 
 
