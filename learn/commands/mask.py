@@ -13,7 +13,7 @@ from manifests.help_format import HelpFormatter
 EPILOG = """examples:
   python -m learn mask photo.jpg --around 120,80 520,460 --out mask.png
   python -m learn mask photo.jpg --around 40%,10% 80%,30% 70%,90% 30%,85% --out mask.png
-  python -m learn mask photo.jpg --around 120,80 520,460 --background 300,440 --out mask.png"""
+  python -m learn mask photo.jpg --around 120,80 520,460 --background 300,440 --out better.png"""
 NEGATIVE = re.compile(r"-\.?\d")  # the beginning of a value such as -5%,10% and of no option
 PREVIEW_SIDE = 1000  # pixels of the preview's longer side at most
 PREVIEW_QUALITY = 90
@@ -71,7 +71,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         action="extend",
         default=[],
         metavar="X,Y",
-        help="points on the object, on what the mask lacks",
+        help="points on parts of the object that the mask leaves out",
     )
     parser.add_argument(
         "--background",
@@ -79,7 +79,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         action="extend",
         default=[],
         metavar="X,Y",
-        help="points beside the object, on what the mask should not have",
+        help="points on what is not the object, but in the mask",
     )
     parser.add_argument(
         "--out",

@@ -34,7 +34,7 @@ def background_behind(
     share, clear, whole = coverage[..., None], coverage < CLEAR, coverage > 1 - CLEAR
     if within is not None:
         clear &= within
-    behind = fill_from_near(radiance, clear)
+    behind = fill_by_nearby_mean(radiance, clear)
     if not whole.any():  # a thread, whose own colour no pixel shows
         return behind.astype(np.float32)
     object_ = fill_from_nearest(radiance, whole)
@@ -46,7 +46,7 @@ def background_behind(
     return np.clip(corrected, least, most).astype(np.float32)
 
 
-def fill_from_near(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+def fill_by_nearby_mean(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Return values (H, W, C), outside `where` (H, W) replaced by the mean of nearby ones inside.
 
     They are weighted by a Gaussian of BEHIND_WIDTH. Where none is near, the nearest one is used.

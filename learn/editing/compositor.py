@@ -23,7 +23,7 @@ from scipy.ndimage import distance_transform_edt
 from learn.data import framing
 from learn.data.devices import to_numpy
 from learn.editing import brightness, reflectance_store, residual_shading
-from learn.editing.backgrounds import background_behind, fill_from_near, fill_from_nearest
+from learn.editing.backgrounds import background_behind, fill_by_nearby_mean, fill_from_nearest
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
@@ -222,7 +222,9 @@ class Compositor:
             if photograph.alpha is None:
                 self._background = background_behind(cut, self.coverage, self._within())
             else:
-                self._background = fill_from_near(cut, (self.coverage < CLEAR) & self._within())
+                self._background = fill_by_nearby_mean(
+                    cut, (self.coverage < CLEAR) & self._within()
+                )
         return self._background
 
     def _within(self) -> np.ndarray:

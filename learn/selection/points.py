@@ -20,7 +20,7 @@ from learn.selection.superpixels import BACKGROUND
 from manifests.errors import InputError
 
 OBJECT = 1
-NUMBER = re.compile(r"\s*(-?\d+(?:\.\d*)?)\s*(%?)\s*")
+NUMBER = re.compile(r"\s*(-?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*(%?)\s*")
 REMEDY = "write X,Y in pixels, such as 120,80, or in per cent, such as 25%,40%"
 Coordinate = float | str  # pixels, or a text such as "25%"
 Point = str | Sequence[Coordinate]  # "X,Y", or (X, Y)

@@ -13,7 +13,7 @@ import brdfactory as bf
 from learn.__main__ import COMMANDS
 from learn.data import framing, photographs
 from learn.editing import decomposition, mask_edges, photograph
-from learn.editing.backgrounds import background_behind, fill_from_near, fill_from_nearest
+from learn.editing.backgrounds import background_behind, fill_by_nearby_mean, fill_from_nearest
 from learn.editing.compositor import Compositor
 from learn.layer import predictions
 from manifests import exr
@@ -132,7 +132,7 @@ def test_a_thread_of_which_no_pixel_shows_the_own_colour_leaves_the_background_a
     stripes = np.where(Y.astype(int) % 4 < 2, 0.1, 0.5)[..., None] * np.ones(3)
     thread = np.clip(1 - np.abs(X) / 2, 0, 0.7)
     seen = thread[..., None] * INK + (1 - thread[..., None]) * stripes
-    near = fill_from_near(seen, thread < 0.02)
+    near = fill_by_nearby_mean(seen, thread < 0.02)
     np.testing.assert_allclose(background_behind(seen, thread), near, rtol=1e-6)
 
 

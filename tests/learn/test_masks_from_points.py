@@ -131,7 +131,7 @@ def test_the_command_writes_a_mask_and_a_preview_of_an_upright_photograph(tmp_pa
     assert out.read_bytes() != before
 
 
-@pytest.mark.parametrize("left", ["-5%", "-12", "-0.5%"])
+@pytest.mark.parametrize("left", ["-5%", "-12", "-0.5%", "1e-5", "-2E0"])
 def test_a_corner_may_lie_left_of_the_photograph_and_above_it(left, tmp_path, capsys):
     Image.fromarray(scene()[0]).save(tmp_path / "photo.png")
     masks = []
