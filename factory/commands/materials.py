@@ -1,12 +1,18 @@
 """`materials`: list, preview, report, export, fit and add measured materials."""
 
 import argparse
-from collections.abc import Iterable
+import shutil
+import textwrap
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from factory.commands import material_export, material_fitting
 from factory.commands.actions import add_action, add_catalogues, add_command, add_picture_output
 from manifests.wording import number_of
+
+if TYPE_CHECKING:
+    from manifests.materials import Material
 
 EPILOG = """examples:
   python -m factory materials list
@@ -55,10 +61,15 @@ def _add_list(actions: argparse._SubParsersAction) -> None:
         actions,
         "list",
         run_list,
-        "print the name, family, split, number of closures and fit errors of every material",
-        "python -m factory materials list --catalogue my-materials.json",
+        "print the names of all materials by family, or a table with the errors of their fits",
+        "python -m factory materials list --errors",
     )
     add_catalogues(one)
+    one.add_argument(
+        "--errors",
+        action="store_true",
+        help="print a table with each material's split, number of closures and errors of its fit",
+    )
 
 
 def _add_preview(actions: argparse._SubParsersAction) -> None:
@@ -171,13 +182,44 @@ def _add_condition(actions: argparse._SubParsersAction) -> None:
 
 
 def run_list(options: argparse.Namespace) -> None:
-    """Print one line for each material."""
-    import numpy as np
-
+    """Print the materials' names, or with --errors a table."""
     from manifests.described_materials import DESCRIBED
     from manifests.materials import load_catalogue
 
     materials = load_catalogue(*(options.catalogue or ()))
+    if options.errors:
+        _print_errors(materials)
+        return
+    if not options.catalogue:
+        print("Everyday materials, described by numbers. They are for edits, not for data sets:")
+        print(f"{_wrapped(DESCRIBED)}\n\nMeasured materials:")
+    families = sorted({m.family for m in materials.values()})
+    for family in families:
+        names = [
+            m.name + "*" * (m.split == "test") for m in materials.values() if m.family == family
+        ]
+        print(f"{family}\n{_wrapped(names)}")
+    if any(m.split == "test" for m in materials.values()):
+        print("* is kept for testing: training jobs leave it out.")
+
+
+def _wrapped(names: Iterable[str]) -> str:
+    """Return names as indented lines that fit the terminal; names are not divided."""
+    width = min(shutil.get_terminal_size((100, 24)).columns, 100)
+    return textwrap.fill(
+        ", ".join(names),
+        width,
+        initial_indent="  ",
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _print_errors(materials: "Mapping[str, Material]") -> None:
+    """Print one line for each material, and what the columns mean."""
+    import numpy as np
+
     width = max(map(len, materials), default=4)
     print(
         f"{'name':<{width}} {'family':<22} {'split':<5} {'closures':>8} {'L–N':>6} {'worst':>6}"
@@ -206,8 +248,6 @@ def run_list(options: argparse.Namespace) -> None:
         "display L2: mean squared difference, of values in [0, 255], between pictures of a sphere"
         " rendered from label and nodes"
     )
-    if not options.catalogue:
-        print(f"Described, not measured; for edits only: {', '.join(DESCRIBED)}")
 
 
 def run_preview(options: argparse.Namespace) -> None:

@@ -15,7 +15,9 @@ from factory.__main__ import COMMANDS
 from factory.planning.material_names import choose_entries
 from manifests import materials
 from manifests.cli import main
+from manifests.described_materials import DESCRIBED
 from manifests.errors import InputError
+from manifests.materials import load_catalogue
 from tests.support.merl_file import smooth, write_binary
 
 
@@ -137,6 +139,34 @@ def test_adding_under_other_light_maps_is_refused(own, capsys):
 def test_the_list_shows_every_material(own, capsys):
     assert run("materials", "list", "--catalogue", own / "own.json") == 0
     assert "own-wood" in capsys.readouterr().out
+
+
+def test_the_list_has_every_name_once_by_family_and_within_the_terminals_width(capsys):
+    assert run("materials", "list") == 0
+    printed = capsys.readouterr().out
+    everyday, measured = printed.split("Measured materials:\n")
+    catalogue = load_catalogue()
+    listed = {}
+    for line in measured.splitlines()[:-1]:
+        if not line.startswith("  "):
+            family = line
+        else:
+            names = [name for name in line.strip().split(", ") if name]
+            listed |= {name.rstrip(","): family for name in names}
+    assert listed == {m.name + "*" * (m.split == "test"): m.family for m in catalogue.values()}
+    words = everyday.replace(",", " ").split()
+    assert set(DESCRIBED) <= set(words)
+    assert max(map(len, printed.splitlines())) <= 100
+
+
+def test_the_list_has_the_errors_of_fits_if_they_are_asked_for(capsys):
+    assert run("materials", "list", "--errors") == 0
+    header, *lines = capsys.readouterr().out.splitlines()
+    columns = ["name", "family", "split", "closures", "L–N", "worst", "N–M", "display", "L2"]
+    assert header.split() == columns
+    brass = next(line for line in lines if line.startswith("brass "))
+    errors = load_catalogue()["brass"].errors
+    assert f"{errors.nodes_vs_label.mean:.3f} {errors.nodes_vs_label.worst:6.3f}" in brass
 
 
 def test_the_contact_sheet_shows_balls_on_a_ground(own):
