@@ -18,6 +18,9 @@ EPILOG = """examples:
   python -m factory preview out/demo --material brass --count 6 --out brass-preview"""
 
 
+LARGEST = 1 << 25  # pixels of all records' pictures; 24 of 1,024² took 1.2 GB of memory
+
+
 def register(subparsers: argparse._SubParsersAction) -> None:
     """Add the parser of `preview`."""
     parser = subparsers.add_parser(
@@ -92,6 +95,13 @@ def run(options: argparse.Namespace) -> int:
             "records",
             "none that fit",
             "render some, or leave out --material and --tier",
+        )
+    if (pixels := len(chosen) * options.size**2) > LARGEST:
+        raise InputError(
+            "preview",
+            f"{LARGEST:,} pixels of pictures at most",
+            f"{pixels:,} in {len(chosen)} pictures of {options.size}²",
+            "give a smaller --count or --size",
         )
     rows = [
         row(store, dataset, materials, record, options.size)

@@ -8,7 +8,7 @@ import subprocess
 import msgspec
 import pytest
 
-from factory.commands import export
+from factory.commands import export, preview
 from manifests.cli import main
 from manifests.errors import InputError
 from manifests.schema import Dataset
@@ -286,6 +286,18 @@ def test_missing_files_are_named_and_made_again_after_repair(command, render, sm
     assert command("verify", tmp_path / "data", "--repair")[0] == 0
     assert render(small_job, tmp_path / "data").made == 1
     assert command("verify", tmp_path / "data")[0] == 0
+
+
+def test_a_preview_that_would_fill_the_memory_is_refused(
+    command, render, small_job, tmp_path, monkeypatch
+):
+    render(small_job, tmp_path / "data", limit=2)
+    monkeypatch.setattr(preview, "LARGEST", 2 * 16**2)
+    words = ("preview", tmp_path / "data", "--out", tmp_path / "p", "--count", "1000")
+    status, said = command(*words, "--size", "17")
+    assert status == 1 and "expected 512 pixels of pictures at most, found 578" in said
+    assert not (tmp_path / "p" / "sheet.png").exists()
+    assert command(*words, "--size", "16")[0] == 0
 
 
 def test_a_preview_of_the_folder_one_is_in_lies_beside_it(
