@@ -23,6 +23,7 @@ from manifests.errors import InputError
 
 ENDING = re.compile(r"\.[a-z0-9]{2,5}")  # of a photograph's file that saved work can have
 EXAMPLE = "example:espresso-cup"
+MOST_BYTES = 64 << 20  # of a photograph's file
 
 
 def open_file(sent: Path, folder: Path) -> MarkedPhotograph:
@@ -30,6 +31,9 @@ def open_file(sent: Path, folder: Path) -> MarkedPhotograph:
 
     Raises  InputError: no picture, a damaged or too large one
     """
+    if (size := sent.stat().st_size) > MOST_BYTES:
+        rule, result = f"at most {MOST_BYTES >> 20} MB", f"{size / (1 << 20):.1f} MB"
+        raise InputError(sent.name, rule, result, "save it smaller, or as JPEG")
     return _kept(sent, folder, sent.name, *_read(sent))
 
 

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from learn.app import gallery
+from learn.app import gallery, work_file
 from learn.app.background_decomposition import Network
 from learn.app.download_tab import DownloadTab
 from learn.app.event_handling import QUIET
@@ -19,7 +19,7 @@ from learn.app.object_tab import ObjectTab
 from learn.app.offline_gradio import gr
 from learn.app.page_script import KEEP_KEY, RECALL_KEY, SCRIPT
 from learn.app.page_style import CSS, theme
-from learn.app.session import MOST_BYTES, Session
+from learn.app.session import Session
 from learn.app.sessions import MOST_SESSIONS, Sessions
 from manifests import files
 from manifests.errors import InputError
@@ -62,7 +62,7 @@ def serve(
             quiet=True,
             share=False,
             show_error=True,
-            max_file_size=MOST_BYTES,
+            max_file_size=work_file.MOST_BYTES,
             state_session_capacity=MOST_SESSIONS,
             enable_monitoring=False,
             ssr_mode=False,

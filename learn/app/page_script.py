@@ -1,7 +1,7 @@
 """What the page does in the browser, beside what Gradio does."""
 
 from learn.app.object_tab import FIT_HELP, PHOTO_BUTTON, SHAPE_HELP, SHAPE_LABEL, WORK_BUTTON
-from learn.app.session import MOST_BYTES
+from learn.app.opening import MOST_BYTES
 
 # - asks before a page with a photograph is left, since it cannot be brought back, and tells the
 #   server if the user stays (a timer runs only then)

@@ -25,7 +25,6 @@ from learn.editing.photograph import Photograph
 from manifests import files
 from manifests.errors import InputError
 
-MOST_BYTES = 64 << 20  # of a file that is sent to the page
 KEPT_VIEWS = 4  # pictures of results that a page may still be loading
 NEXT = "Next: choose a material"  # the button that decomposes
 NO_PHOTOGRAPH = (THE_PAGE, "a photograph", "none", "choose a photograph first, in step 1")

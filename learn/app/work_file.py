@@ -27,7 +27,7 @@ from learn.primitives import PRIMITIVES
 from manifests import files, reading
 from manifests.errors import InputError
 
-MOST_BYTES = 64 << 20  # of an archive, as of any file that is sent to the page
+MOST_BYTES = 80 << 20  # of an archive: the largest photograph, its masks and 13 light maps
 MOST_UNPACKED = 128 << 20  # bytes of all members
 MOST_KEPT = 12
 LARGEST_MANIFEST = 1 << 16  # bytes of a work.json

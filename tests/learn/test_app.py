@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from learn.app import choices, download_files, edit_file, gallery, viewer
+from learn.app import choices, download_files, edit_file, gallery, opening, viewer, work_file
 from learn.app.background_decomposition import Network, Stopped
 from learn.app.choices import Chosen, Edit, Painted, Principled
 from learn.app.composition import composed, displayed
@@ -1037,6 +1037,27 @@ def test_saved_work_brings_photograph_mask_and_edits_back(
     a, b = (each.decomposed()[0].view(each.edit, True) for each in (session, other))
     np.testing.assert_array_equal(a, b)
     assert not list(other.folder.glob("work-*"))  # nothing is left of what was unpacked
+
+
+def test_saved_work_of_the_largest_photograph_opens_again_and_a_larger_one_is_refused(
+    sessions: Sessions,
+    tmp_path: Path,
+    plain_material_files: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session = saved_by(sessions, tmp_path)
+    sent = session.opened().path.read_bytes()
+    more = work_file.MOST_BYTES - opening.MOST_BYTES
+    monkeypatch.setattr(opening, "MOST_BYTES", len(sent))
+    monkeypatch.setattr(work_file, "MOST_BYTES", len(sent) + more)
+    work = tmp_path / "work.zip"
+    work.write_bytes(downloads_of(session).work.read_bytes())
+    assert work.stat().st_size > len(sent)
+    assert "Your saved work is open" in sessions.of("two").load_work(work)
+    larger = tmp_path / "larger.png"
+    larger.write_bytes(sent + b"-")
+    with pytest.raises(InputError, match=r"larger.png: expected at most .*save it smaller"):
+        sessions.of("three").load(larger)
 
 
 def test_saved_work_of_other_hands_is_refused(sessions: Sessions, tmp_path: Path) -> None:
