@@ -245,6 +245,7 @@ WRITERS = {
 INTO_MEMORY = {"buffer", "data", "file", "png"}  # first arguments that are streams
 # modules of ours whose save() goes through manifests.files
 OURS = {"checkpoint", "weights", "priors", "edit"}
+SHUTIL_THAT_WRITES_NO_FILE = {"rmtree", "get_terminal_size"}
 
 
 def writing(call):
@@ -272,7 +273,7 @@ def writing(call):
         return text if owner not in ("", "files") else None
     if name in ("save", "savefig", "savez", "savez_compressed", "ParquetWriter"):
         return text if owner not in ("", *OURS) and first not in INTO_MEMORY else None
-    if (owner == "shutil" and name != "rmtree") or text == "os.link":
+    if (owner == "shutil" and name not in SHUTIL_THAT_WRITES_NO_FILE) or text == "os.link":
         return text
     if name in ("rename", "save_file", "tofile", "imsave", "mkstemp", "TemporaryDirectory"):
         return text
