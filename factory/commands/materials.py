@@ -200,7 +200,7 @@ def run_list(options: argparse.Namespace) -> None:
         ]
         print(f"{family}\n{_wrapped(names)}")
     if any(m.split == "test" for m in materials.values()):
-        print("* is kept for testing: training jobs leave it out.")
+        print("* is kept for testing (docs/materials.md, Splits).")
 
 
 def _wrapped(names: Iterable[str]) -> str:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 EPILOG = """examples:
   python -m factory preview out/demo
   python -m factory preview out/demo --material brass --count 6 --out brass-preview"""
-
-
 LARGEST = 1 << 25  # pixels of all records' pictures; 24 of 1,024² took 1.2 GB of memory
 
 

@@ -5,17 +5,16 @@ of the first shapes are made while the remaining shapes are read (factory.execut
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec import structs
 
+from factory.execution.absolute_paths import with_absolute_paths
 from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.parts import (
     Part,
@@ -30,7 +29,6 @@ from factory.execution.pool import Pool
 from factory.execution.registration import note_settings, require_no_foreign_files
 from factory.execution.uploads import uploading
 from factory.execution.worker import STUDIO, Reply, WorkerConfig
-from factory.lights.files import is_light_path
 from factory.planning.assets import Assets
 from factory.planning.facts import Memory
 from factory.planning.fingerprint import render_fingerprint
@@ -193,7 +191,7 @@ def _make_shots(
     known = store.known_ids("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
     if run_options.ray is not None:
-        plan, parts, run_options = _with_absolute_paths(plan, parts, run_options)
+        plan, parts, run_options = with_absolute_paths(plan, parts, run_options)
     counts = {"already_there": 0, "made": 0, "failed": 0}
     missing = _missing_shots(parts, known, sources, counts, run_options.limit, watch)
     assignment = make_assignment(plan, run_options.library)
@@ -220,40 +218,6 @@ def _make_shots(
             counts["failed"] += 1
             watch("failed", failure)
     return Outcome(**counts)
-
-
-def _with_absolute_paths(
-    plan: Plan, parts: Iterable[Part | None], run_options: RunOptions
-) -> tuple[Plan, Iterator[Part | None], RunOptions]:
-    """Return what `_make_shots` is given with absolute paths of meshes and lights.
-
-    The workers of a Ray cluster run in the folder where it was started.
-    """
-    lights = {
-        key: replace(light, source=_absolute(light.source))
-        if is_light_path(light.source)
-        else light
-        for key, light in plan.assets.lights.items()
-    }
-    library = None if run_options.library is None else _absolute(run_options.library)
-    moved = (None if part is None else part._replace(shapes=_moved(part.shapes)) for part in parts)
-    assets = replace(plan.assets, lights=lights)
-    return replace(plan, assets=assets), moved, replace(run_options, library=library)
-
-
-def _moved(shapes: Iterable[Shape]) -> list[Shape]:
-    """Return shapes whose files are named by absolute paths."""
-    return [
-        structs.replace(s, source=structs.replace(s.source, place=_absolute(s.source.place)))
-        if s.source.is_file
-        else s
-        for s in shapes
-    ]
-
-
-def _absolute(path: str) -> str:
-    """Return the path from the root; what follows after its '#' or '?' stays."""
-    return os.path.join(os.getcwd(), path)
 
 
 def _failures_file(store: Store, prefix: str) -> Path:
