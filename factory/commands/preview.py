@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "preview",
             f"{LARGEST:,} pixels of pictures at most",
-            f"{pixels:,} in {len(chosen)} pictures of {options.size}²",
+            f"{pixels:,} in {number_of(len(chosen), 'picture')} of {options.size}²",
             "give a smaller --count or --size",
         )
     rows = [
