@@ -23,7 +23,7 @@ WITHOUT_SHAPE = "leave --shape out"  # what to do if the named shape does not su
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options to a parser: those that most users leave alone in a group of their own."""
     finer = parser.add_argument_group(
-        "finer control", "The defaults suit most photographs; docs/editing.md explains each option."
+        "finer control", "The defaults suit most photographs; docs/editing-options.md explains each option."
     )
     finer.add_argument(
         "--refine",
