@@ -87,7 +87,7 @@ class Decomposition:
     @cached_property
     def rendering(self) -> Picture:
         """The photograph with its object rendered from the estimated parts."""
-        return self._picture(self._compositor.rendered_again())
+        return self._picture(self._compositor.render_again())
 
     @property
     def error(self) -> float:
@@ -113,7 +113,7 @@ class Decomposition:
         read = _labels_read_from_pictures(chosen)
         linear: np.ndarray | float = 0.0
         for weight, labels in _weighted_labels(chosen):
-            linear = linear + weight * self._compositor.edited(labels, read, brightness)
+            linear = linear + weight * self._compositor.edit(labels, read, brightness)
         shown = self._picture(np.asarray(linear, np.float32))
         single = chosen[0] if len(chosen) == 1 else None
         return EditedPicture(shown.linear, shown.exposure, shown.opacity, self, single)
@@ -150,7 +150,7 @@ class Decomposition:
             label = np.stack(
                 [mine if new is None else new for mine, new in zip(own, labels, strict=True)]
             )
-            linear = linear + weight * self._compositor.relit(label, L, read)
+            linear = linear + weight * self._compositor.relight(label, L, read)
         radiance = np.asarray(linear, np.float32)
         exposure = tone.auto_exposure(radiance, self.photograph.mask)
         return Picture(radiance, exposure, self.photograph.coverage)
@@ -215,9 +215,9 @@ def decompose(
     Raises         InputError
     """
     from learn.commands.editing_options import (
-        balance_of,
         check,
         check_exposure,
+        parse_balance,
         refinement_of_photographs,
     )
 
@@ -228,7 +228,9 @@ def decompose(
         remedy = "leave it out, and the network guesses the shape"
         raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", str(shape), remedy)
     chosen = _device(device)
-    opened = _open_photograph(photo, mask, regions, balance_of(white_balance), exposure, fit_mask)
+    opened = _open_photograph(
+        photo, mask, regions, parse_balance(white_balance), exposure, fit_mask
+    )
     file = weights_file(str(weights))
     modified = file.stat().st_mtime_ns if file.exists() else 0
     network, size = _network(str(file), modified, str(chosen))

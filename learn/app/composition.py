@@ -18,7 +18,7 @@ def composed(compositor: Compositor, object_: np.ndarray, edit: Edit) -> np.ndar
         if edit.detail:
             object_ = object_ * compositor.kept_shading(edit.detail)
         kept = [number for number, p in enumerate(edit.regions, 1) if p.unchanged]
-        unchanged = np.isin(compositor.filled, kept)
+        unchanged = np.isin(compositor.filled_regions, kept)
     return compositor.put_back(object_.astype(np.float32), unchanged, edit.hide_background)
 
 
@@ -88,7 +88,7 @@ def covered_pixels(compositor: Compositor, exposure: float) -> Covered:
         rows,
         columns,
         inside.astype(np.float32),
-        compositor.filled.ravel()[at],
+        compositor.filled_regions.ravel()[at],
         compositor.residual().reshape(-1, 3)[at],
         seen,
         behind.astype(np.float32),

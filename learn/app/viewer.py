@@ -80,7 +80,7 @@ class Viewer:
                 values = self.map_of(painted, own, edit.light, exact, is_current)
                 radiance[at] = reflectance_store.interpolate(values, n)
         radiance *= edit.gain
-        object_ = self.small.upsampled(radiance.reshape(self.small.grid, self.small.grid, 3))
+        object_ = self.small.upsample(radiance.reshape(self.small.grid, self.small.grid, 3))
         return self._composed(object_, edit)
 
     def is_exact(self, edit: Edit) -> bool:
@@ -108,7 +108,7 @@ class Viewer:
         for _, label in parts:
             if exact and not is_current():
                 raise Superseded
-            factor = self.small.brightness(label, read_labels([painted]))
+            factor = self.small.mirror_correction(label, read_labels([painted]))
             values.append(self._one_map(label, light, exact) * factor)
         size = max(len(each) for each in values)
         total = np.zeros((size, size, 3), np.float32)
@@ -169,7 +169,7 @@ class Viewer:
             ]
             label = np.stack([label for _, label in parts]).astype(np.float32)
             rendered = self._rendered(compositor, label, edit)
-            share = np.array([0.0, *weights], np.float32)[compositor.filled]
+            share = np.array([0.0, *weights], np.float32)[compositor.filled_regions]
             object_ = object_ + share[..., None] * rendered
         linear = composed(compositor, edit.gain * np.asarray(object_), edit)
         photograph = self.decomposition.photograph
@@ -181,7 +181,7 @@ class Viewer:
         if light.unchanged:
             return compositor.radiance(label, read)
         L = np.ascontiguousarray(light.of(self.own_light), np.float32)
-        frame = compositor.relit(label, L, read)
+        frame = compositor.relight(label, L, read)
         square = framing.cut_square(frame, self.decomposition.framed.box)
         return square / self.decomposition.exposure.astype(np.float32)
 
@@ -221,7 +221,7 @@ class Viewer:
         decomposed, photograph = self.decomposition, self.small.decomposition.photograph
         n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
         again = drawing.on_ground(
-            tone.display(self.small.rendered_again(), self.exposure), photograph
+            tone.display(self.small.render_again(), self.exposure), photograph
         )
         names = [f"material {s}" for s in range(1, len(decomposed.label) + 1)]
         return [

@@ -11,14 +11,14 @@ from learn.commands import options
 from manifests.help_format import HelpFormatter
 from manifests.option_types import positive
 
-# exit status: the report is whole, and says that the renderers disagree beyond the limit
+# exit status: the report is complete, and says that the renderers disagree beyond the limit
 DISAGREE = 3
 
 EPILOG = """example:
   python -m learn agree demo-data --out agreement
 
-Exit status: 0 where the two renderers agree within the limit, or where the pictures do not suffice
-to judge it; 3 where they disagree beyond it; 1 and 2 as for every command."""
+Exit status: 0 if the two renderers agree within the limit, or if the pictures do not suffice to
+judge it; 3 if they disagree beyond it; 1 and 2 as for every command."""
 
 
 def register(subparsers: argparse._SubParsersAction) -> None:
@@ -61,7 +61,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 
 def fraction(text: str) -> float:
-    """A number above 0 and below 1. Raises ValueError."""
+    """Return a text's number above 0 and below 1. Raises ValueError for any other text."""
     value = float(text)
     if not 0 < value < 1:
         raise ValueError(text)
@@ -69,7 +69,7 @@ def fraction(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Return the exit status: DISAGREE where the limit is judged and not kept, else 0."""
+    """Return the exit status: DISAGREE if the limit can be judged and is exceeded, else 0."""
     from learn.agreement import page, report
     from learn.data import devices
 

@@ -1,4 +1,4 @@
-"""`learn app`: a page to edit photographs in, and the repetition of an edit made there."""
+"""`learn app`: serves a page to edit photographs in, or repeats an edit that was made there."""
 
 from __future__ import annotations
 
@@ -76,21 +76,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.repeat is not None:
         _repeat(arguments)
         return
-    for name in ("photo", "mask", "regions", "out"):
-        if getattr(arguments, name) is not None:
-            where = "PHOTO" if name == "photo" else f"--{name}"
-            raise InputError(where, "--repeat FILE with it", "none", "choose files on the page")
-    for name in ("refine", "fit-mask"):
-        chosen = getattr(arguments, name.replace("-", "_"))
-        if chosen is not None:
-            where = f"--{name}" if chosen else f"--no-{name}"
-            raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
-    if arguments.shape is not None:
-        remedy = "choose it on the page"
-        raise InputError("--shape", "--repeat FILE with it", "none", remedy)
-    if arguments.overwrite:
-        remedy = "leave it out: the page writes into no folder"
-        raise InputError("--overwrite", "--repeat FILE with it", "none", remedy)
+    _refuse_options_of_repeat(arguments)
     host = LOCAL if arguments.host is None else arguments.host
     _require_address(host)
     if arguments.port is not None and not 1 <= arguments.port <= LARGEST_PORT:
@@ -113,7 +99,27 @@ def run(arguments: argparse.Namespace) -> None:
     )
 
 
+def _refuse_options_of_repeat(arguments: argparse.Namespace) -> None:
+    """Raise InputError for an option that has a meaning only with --repeat, which is not given."""
+    for name in ("photo", "mask", "regions", "out"):
+        if getattr(arguments, name) is not None:
+            where = "PHOTO" if name == "photo" else f"--{name}"
+            raise InputError(where, "--repeat FILE with it", "none", "choose files on the page")
+    for name in ("refine", "fit-mask"):
+        chosen = getattr(arguments, name.replace("-", "_"))
+        if chosen is not None:
+            where = f"--{name}" if chosen else f"--no-{name}"
+            raise InputError(where, "--repeat FILE with it", "none", "choose it on the page")
+    if arguments.shape is not None:
+        remedy = "choose it on the page"
+        raise InputError("--shape", "--repeat FILE with it", "none", remedy)
+    if arguments.overwrite:
+        remedy = "leave it out: the page writes into no folder"
+        raise InputError("--overwrite", "--repeat FILE with it", "none", remedy)
+
+
 def _require_address(host: str) -> None:
+    """Raise InputError unless `host` is an IP address or localhost."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
@@ -122,17 +128,8 @@ def _require_address(host: str) -> None:
             raise InputError("--host", rule, host, "leave it out") from None
 
 
-def _repeat(arguments: argparse.Namespace) -> None:
-    """Repeat an edit: write edited.png and edited.exr."""
-    from learn.app import edit_file
-    from learn.app.composition import opacity_of
-    from learn.app.viewer import Viewer
-    from learn.data import devices, photographs
-    from learn.editing import decomposition, photograph
-    from learn.networks import weights as checkpoint
-    from learn.refinement import PHOTOGRAPHS
-    from manifests import files, outputs
-
+def _require_options_of_repeat(arguments: argparse.Namespace) -> None:
+    """Raise InputError if --repeat lacks an option that it needs, or has one of the page."""
     for name in ("photo", "out"):
         if getattr(arguments, name) is None:
             where = "PHOTO" if name == "photo" else f"--{name}"
@@ -143,6 +140,20 @@ def _repeat(arguments: argparse.Namespace) -> None:
             remedy = "leave it out: --repeat serves no page"
             repeated = f"--repeat {arguments.repeat}"
             raise InputError(f"--{name}", "no --repeat with it", repeated, remedy)
+
+
+def _repeat(arguments: argparse.Namespace) -> None:
+    """Repeat an edit that was made on the page: write edited.png and edited.exr."""
+    from learn.app import edit_file
+    from learn.app.composition import opacity_of
+    from learn.app.viewer import Viewer
+    from learn.data import devices, photographs
+    from learn.editing import decomposition, photograph
+    from learn.networks import weights as checkpoint
+    from learn.refinement import PHOTOGRAPHS
+    from manifests import files, outputs
+
+    _require_options_of_repeat(arguments)
     inputs = [arguments.photo, arguments.repeat, arguments.mask, arguments.regions]
     outputs.reserve_outputs(
         arguments.out,

@@ -15,15 +15,16 @@ if TYPE_CHECKING:
     from learn.editing.edit import EditOptions
     from learn.refinement import RefinementSettings
 
-LARGEST_FACTOR = 100  # of a white balance
+LARGEST_FACTOR = 100  # of white balance; the smallest is its reciprocal
 ALPHA = "alpha"  # in place of a mask's file: the photograph's transparency
 WITHOUT_SHAPE = "leave --shape out"  # what to do if the named shape does not suit the mask
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the options to a parser: those that most users leave alone in a group of their own."""
+    """Add the shared options to a parser, those that few users need in a group of their own."""
     finer = parser.add_argument_group(
-        "finer control", "The defaults suit most photographs; docs/editing-options.md explains each option."
+        "finer control",
+        "The defaults suit most photographs; docs/editing-options.md explains each option.",
     )
     finer.add_argument(
         "--refine",
@@ -68,7 +69,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def add_fit_mask(parser: argparse.ArgumentParser, note: str = "") -> None:
-    """Add --fit-mask and --no-fit-mask to a parser; note: what the help says further."""
+    """Add --fit-mask and --no-fit-mask to a parser; note: what is appended to the help."""
     parser.add_argument(
         "--fit-mask",
         action=argparse.BooleanOptionalAction,
@@ -81,7 +82,7 @@ def add_fit_mask(parser: argparse.ArgumentParser, note: str = "") -> None:
 
 
 def add_shape(parser: argparse.ArgumentParser, note: str = "") -> None:
-    """Add --shape to a parser; note: what the help says further."""
+    """Add --shape to a parser; note: what is appended to the help."""
     parser.add_argument(
         "--shape",
         choices=PRIMITIVES,
@@ -130,7 +131,7 @@ def edit_options(arguments: argparse.Namespace) -> EditOptions:
     settings = refinement_of_photographs(
         arguments.refine, arguments.refinement_method, "--refinement-method"
     )
-    balance = balance_of(arguments.white_balance)
+    balance = parse_balance(arguments.white_balance)
     device = devices.choose(arguments.device)
     return EditOptions(
         arguments.weights,
@@ -188,7 +189,7 @@ def check(name: str, holds: bool, rule: str, value: float) -> None:
         raise InputError(name, rule, f"{value:g}", "see --help")
 
 
-def balance_of(given: str | Sequence[float]) -> str | tuple[float, ...]:
+def parse_balance(given: str | Sequence[float]) -> str | tuple[float, ...]:
     """Parse a white balance: "none", "grey", or three positive factors as text or as numbers.
 
     Raises InputError for anything else.

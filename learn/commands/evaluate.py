@@ -1,5 +1,5 @@
-"""`learn evaluate`: edits against their truth, and every part of them, for all methods there
-are.
+"""`learn evaluate`: compares edits by all methods, and the parts that they are made of, with their
+truth.
 """
 
 from __future__ import annotations
@@ -64,28 +64,28 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         "--lpips",
         type=Path,
         metavar="FILE",
-        help="LPIPS' AlexNet weights, .safetensors (docs/evaluation-methods.md); else no such"
-        " column",
+        help="LPIPS' AlexNet weights, .safetensors (docs/evaluation-methods.md); without them,"
+        " reports have no column LPIPS",
     )
     parser.add_argument(
         "--lights",
         type=Path,
         metavar="FILE",
         help=".npz of the light maps that the weights were trained with, for the table of edits by"
-        " distance to the nearest of them; the program's measured maps need no file where the"
-        " weights say which they saw",
+        " distance to the nearest of them; not needed if these were the program's measured maps"
+        " and the weights say which of them they saw",
     )
     parser.add_argument(
         "--geometry",
         type=Path,
         metavar="DIR",
         help="a data set with geometry of the shapes that the weights were trained on, for the"
-        " table of edits by distance to the nearest of them; else no such rows",
+        " table of edits by distance to the nearest of them; without it, these rows are left out",
     )
     options.add_materials(
         parser,
-        "whose training materials the row 'mean material' is the mean of: the data set's own, or"
-        " the built-in ones (default: dataset)",
+        "the training materials whose mean is the row 'mean material': the data set's own, or the"
+        " built-in ones (default: dataset)",
     )
     options.add_seed(parser, "seed with which edits are drawn")
     parser.add_argument(

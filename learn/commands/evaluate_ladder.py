@@ -12,7 +12,7 @@ from manifests.wording import number_of
 
 SIDES = ("development", "test", "second-test")
 RUNGS = ("direct", "shadow", "full", "square", "8-bit", "camera")
-MESHES = 6  # that are used of a folder, unless --mesh-count is given
+MESHES = 6  # number of meshes of a folder that are used, unless --mesh-count is given
 
 EPILOG = """examples:
   python -m learn evaluate-ladder --jobs ladder-jobs
@@ -140,6 +140,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _write_jobs(arguments: argparse.Namespace) -> None:
+    """Write the jobs that render the pictures, and print the commands that do so."""
     from learn.evaluation import ladder, ladder_design
 
     count = MESHES if arguments.mesh_count is None else arguments.mesh_count

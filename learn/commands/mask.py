@@ -14,7 +14,7 @@ EPILOG = """examples:
   python -m learn mask photo.jpg --around 120,80 520,460 --out mask.png
   python -m learn mask photo.jpg --around 40%,10% 80%,30% 70%,90% 30%,85% --out mask.png
   python -m learn mask photo.jpg --around 120,80 520,460 --background 300,440 --out better.png"""
-NEGATIVE = re.compile(r"-\.?\d")  # the beginning of a value such as -5%,10% and of no option
+NEGATIVE = re.compile(r"-\.?\d")  # how a value such as -5%,10% begins, and no option
 PREVIEW_SIDE = 1000  # pixels of the preview's longer side at most
 PREVIEW_QUALITY = 90
 
@@ -33,7 +33,7 @@ def register(subparsers: argparse._SubParsersAction) -> None:
         epilog=EPILOG,
         formatter_class=HelpFormatter,
     )
-    # argparse's own takes a single negative number alone for a value, not a pair or a percentage
+    # argparse's own pattern accepts a negative number as a value, but no pair and no percentage
     parser._negative_number_matcher = NEGATIVE
     parser.add_argument(
         "photo",
@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> None:
     if out.suffix.lower() != ".png":
         raise InputError(f"--out {out}", "a name that ends in .png", out.suffix or "none", "add it")
     points = Points(arguments.around, arguments.without, arguments.object, arguments.background)
-    selection = select(_file_of(arguments.photo), points)
+    selection = select(_resolve_example(arguments.photo), points)
     mask = selection.labels() > 0
     shown = overlay.draw(selection, min(1.0, PREVIEW_SIDE / max(mask.shape)))
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -123,8 +123,8 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"brdfactory edit {photo} --mask {mask_file} --material leather --out edited")
 
 
-def _file_of(photo: Path) -> Path:
-    """Return the file of a photograph, also of the program's example."""
+def _resolve_example(photo: Path) -> Path:
+    """Return the file of a photograph, which may be the program's example."""
     if not str(photo).startswith("example:"):
         return photo
     from learn.editing.photograph import resolve_example  # which loads torch

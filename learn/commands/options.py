@@ -12,7 +12,8 @@ from manifests.training_runs import LAYER_METHODS
 # where options can be added: a parser, or a group of its options
 ParserOrGroup = argparse.ArgumentParser | argparse._ArgumentGroup
 
-DEVICES = ("auto", "cpu", "cuda")  # those of learn.data.devices, which needs torch to be imported
+# what learn.data.devices.choose takes; to import that would load torch
+DEVICES = ("auto", "cpu", "cuda")
 WEIGHTS_FOLDER = own_weights.FOLDER
 EDITING_WEIGHTS = own_weights.EDITING
 TABLE_WEIGHTS = WEIGHTS_FOLDER / "joint-compact.safetensors"  # of the published figures
@@ -95,7 +96,10 @@ def weights_file(text: str) -> Path:
 def add_count(
     parser: argparse.ArgumentParser, name: str, default: int, what: str, least: int = 1
 ) -> None:
-    """Add an option of a whole number of at least 1 or 0; its help is `what` and the default."""
+    """Add an option that takes a whole number; its help is `what` and the default.
+
+    least  the smallest number that is accepted: 1 or 0
+    """
     parser.add_argument(
         name,
         type=positive if least else whole,
@@ -191,7 +195,7 @@ def add_ray(parser: argparse.ArgumentParser) -> None:
 
 
 def require_cpu(arguments: argparse.Namespace) -> None:
-    """Raise InputError for --ray with a --device other than the CPU, which workers do not use."""
+    """Raise InputError for --ray with a --device other than the CPU: workers use only CPUs."""
     from manifests.errors import InputError
 
     if arguments.ray is not None and arguments.device not in ("auto", "cpu"):
@@ -200,7 +204,7 @@ def require_cpu(arguments: argparse.Namespace) -> None:
 
 
 def add_allow_overlap(parser: argparse.ArgumentParser) -> None:
-    """Add --allow-overlap, without which pictures of what weights saw are refused."""
+    """Add --allow-overlap, without which pictures of what weights saw in training are refused."""
     parser.add_argument(
         "--allow-overlap",
         action="store_true",

@@ -88,7 +88,6 @@ def register(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the command on parsed arguments."""
-
     import torch
 
     from learn.baselines.material_swap import SwapTraining

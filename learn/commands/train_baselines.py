@@ -1,6 +1,4 @@
-"""`learn train-baselines`: everything that the comparison of Section 4.5 needs besides our own
-weights.
-"""
+"""`learn train-baselines`: makes what the comparison of Section 4.5 needs besides our weights."""
 
 from __future__ import annotations
 

@@ -38,8 +38,8 @@ def background_behind(
     if not whole.any():  # a thread, whose own colour no pixel shows
         return behind.astype(np.float32)
     object_ = fill_from_nearest(radiance, whole)
-    left = radiance - share * object_ - (1 - share) * behind
-    corrected = behind + left * (1 - share) / (share**2 + (1 - share) ** 2)
+    residual = radiance - share * object_ - (1 - share) * behind
+    corrected = behind + residual * (1 - share) / (share**2 + (1 - share) ** 2)
     size = (2 * BEHIND_REACH + 1, 2 * BEHIND_REACH + 1, 1)
     least = minimum_filter(np.where(clear[..., None], radiance, behind), size)
     most = maximum_filter(np.where(clear[..., None], radiance, behind), size)

@@ -1,6 +1,6 @@
-"""Arrays of whole numbers as compressed chunks of one block of data, for a script to read.
+"""Stores arrays of whole numbers as compressed chunks of one block of data, for a script to read.
 
-Each chunk is compressed by zlib. Neighbours differ little, so that arrays are stored as differences
+Each chunk is compressed by zlib. Neighbours differ little, so arrays are stored as differences
 modulo 2^8 or 2^16; those of 16 bits as all low bytes and then all high ones.
 """
 
@@ -34,9 +34,9 @@ def differences(values: np.ndarray, axes: int) -> np.ndarray:
 
 
 def split_bytes(values: np.ndarray) -> bytes:
-    """Return uint16 differences as their low bytes, then their high ones.
+    """Return uint16 differences in zigzag coding: all low bytes, then all high ones.
 
-    Small differences of either sign have a high byte of 0: the sign is the lowest bit.
+    The sign is the lowest bit, so that small differences of either sign have a high byte of 0.
     """
     signed = values.astype(np.uint16).view(np.int16).astype(np.int32)
     zigzag = ((signed << 1) ^ (signed >> 15)).astype(np.uint16)

@@ -2,8 +2,9 @@
 
     edited = share · S · O / (exposure · balance) + (1 − share) · background
 
-where O is the layer's picture of normals, light and target material, times the correction of
-learn.editing.brightness, and S the residual shading that is kept (learn.editing.residual_shading).
+where O is the layer's picture of normals, light and target material, times the factor of
+learn.editing.mirror_correction, and S the residual shading that is kept
+(learn.editing.residual_shading).
 
 - Background behind the object's soft edge: the mean of nearby pixels that the object does not
   cover, corrected so that its mixture with the object's colour is closer to the photograph.
@@ -22,7 +23,7 @@ from scipy.ndimage import distance_transform_edt
 
 from learn.data import framing
 from learn.data.devices import to_numpy
-from learn.editing import brightness, reflectance_store, residual_shading
+from learn.editing import mirror_correction, reflectance_store, residual_shading
 from learn.editing.backgrounds import background_behind, fill_by_nearby_mean, fill_from_nearest
 from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
@@ -40,6 +41,9 @@ class Compositor:
 
     tolerance  largest relative error of the rendering layer
     detail     how much of the photograph's residual shading to keep: 0 none, 1 all
+
+    The square about the object has `side` pixels a side in the photograph, and the grid on which
+    the layer renders it has `grid`.
     """
 
     def __init__(
@@ -53,15 +57,17 @@ class Compositor:
         self.side, self.grid = side, int(np.clip(side, COARSEST, FINEST))
         self.regions = framing.cut_square(decomposition.photograph.regions, (top, left, side))
         self.coverage = framing.cut_square(decomposition.photograph.coverage, (top, left, side))
+        # unit normals (grid, grid, 3), camera frame
         self.n = upsample_normals(decomposition.parts.n[0], decomposition.framed.mask, self.grid)
-        self.filled = fill_from_nearest(self.regions, self.regions > 0)
+        # beyond the object, the number of the nearest region
+        self.filled_regions = fill_from_nearest(self.regions, self.regions > 0)
         rows = ((np.arange(self.grid) + 0.5) * side / self.grid).astype(int)
         # from a coarser grid, pixels are interpolated from its neighbours in all directions
         pixels = 1 if side <= self.grid else int(np.ceil(1.5 * side / self.grid))
         wide = dilate(self.coverage > 0, pixels)[rows][:, rows]
-        segments = np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
+        segments = np.where(wide, self.filled_regions[rows][:, rows], 0).astype(np.int64)
         self.segments = torch.from_numpy(segments).to(self.n.device)
-        self.own = decomposition.label
+        self.own_labels = decomposition.label
         self._own_radiance: np.ndarray | None = None
         self._residual: np.ndarray | None = None
         self._unlabelled: np.ndarray | None = None
@@ -74,12 +80,12 @@ class Compositor:
         """Return linear radiance (side, side, 3) of the object in the photograph's own exposure.
 
         label  (S, 108), or (1, 108) for all regions
-        read   as `brightness` takes it
+        read   as `mirror_correction` takes it
         """
-        picture = self._rendered(label, self.decomposition.parts.light, read)
+        picture = self._render(label, self.decomposition.parts.light, read)
         return picture / self.decomposition.exposure.astype(np.float32)
 
-    def relit(
+    def relight(
         self,
         label: np.ndarray | torch.Tensor,
         light: np.ndarray,
@@ -92,14 +98,14 @@ class Compositor:
 
         label  (S, 108), or (1, 108) for all regions
         light  (64, 128, 3), light frame
-        read   as `brightness` takes it
+        read   as `mirror_correction` takes it
         """
         L = torch.from_numpy(light).movedim(-1, 0)[None].to(self.n.device)
-        picture = self._rendered(label, L, read) * (self.coverage > 0)[..., None]
+        picture = self._render(label, L, read) * (self.coverage > 0)[..., None]
         frame = np.zeros_like(self.decomposition.photograph.radiance)
         return framing.paste_square(frame, picture, self.decomposition.framed.box)
 
-    def _rendered(
+    def _render(
         self,
         label: np.ndarray | torch.Tensor,
         light: torch.Tensor,
@@ -112,7 +118,7 @@ class Compositor:
         for number, row in enumerate(labels, 1):
             inside = segments == number if len(labels) > 1 else segments > 0
             if inside.any():
-                picture[inside] = self.brightness(
+                picture[inside] = self.mirror_correction(
                     row, read
                 ) * reflectance_store.radiance_at_normals(
                     row,
@@ -121,9 +127,9 @@ class Compositor:
                     self.decomposition.batch.elevation,
                     self.tolerance,
                 )
-        return self.upsampled(picture)
+        return self.upsample(picture)
 
-    def brightness(self, label: np.ndarray, read: Sequence[np.ndarray] = ()) -> np.float32:
+    def mirror_correction(self, label: np.ndarray, read: Sequence[np.ndarray] = ()) -> np.float32:
         """Return the factor that corrects the layer's radiance in a material (108,).
 
         It is 1 for materials that were read from a picture, this one or another, because they were
@@ -131,15 +137,15 @@ class Compositor:
 
         read  labels (108,) of materials that were read from other pictures
         """
-        if any(np.array_equal(label, each) for each in (*self.own, *read)):
+        if any(np.array_equal(label, each) for each in (*self.own_labels, *read)):
             return np.float32(1)
-        return np.float32(brightness.factor(label))
+        return np.float32(mirror_correction.factor(label))
 
-    def upsampled(self, picture: np.ndarray) -> np.ndarray:
+    def upsample(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture on the rendered grid at the photograph's size (side, side, 3)."""
         return framing.resize_square(picture, self.side)
 
-    def edited(
+    def edit(
         self,
         labels: Sequence[np.ndarray | None],
         read: Sequence[np.ndarray] = (),
@@ -149,24 +155,24 @@ class Compositor:
 
         labels  a label (108,) for each region, or None for a region that stays as it is; a single
                 one is for all regions
-        read    as `brightness` takes it
+        read    as `mirror_correction` takes it
         stops   by which what is rendered is made brighter
         """
-        regions = len(self.own)
+        regions = len(self.own_labels)
         requested = list(labels) * regions if len(labels) == 1 else list(labels)
         label = np.stack(
             [
                 own if target is None else np.asarray(target, np.float32)
-                for own, target in zip(self.own, requested, strict=True)
+                for own, target in zip(self.own_labels, requested, strict=True)
             ]
         )
         object_ = self.radiance(label, read) * np.float32(2.0**stops)
         if self.detail:
             object_ = object_ * self.kept_shading()
         unchanged = [s + 1 for s in range(regions) if requested[s] is None]
-        return self.put_back(object_, np.isin(self.filled, unchanged))
+        return self.put_back(object_, np.isin(self.filled_regions, unchanged))
 
-    def rendered_again(self) -> np.ndarray:
+    def render_again(self) -> np.ndarray:
         """Return the photograph (H, W, 3), linear, with its object in its own materials."""
         return self.put_back(self.own_radiance())
 
@@ -183,7 +189,7 @@ class Compositor:
         inside = self.share(alone)
         if unchanged is not None:
             inside = inside * ~unchanged
-        cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
+        cut = self._photograph_square()
         soft = (inside > 0) & (inside < 1 - CLEAR)
         behind = np.where(soft[..., None], self.background(), cut) if soft.any() else cut
         mixed = inside[..., None] * object_ + (1 - inside)[..., None] * behind
@@ -205,7 +211,7 @@ class Compositor:
             self._share = self.coverage
             if photograph.alpha is not None:
                 alpha = framing.cut_square(photograph.alpha, self.decomposition.framed.box)
-                clear = (self.coverage < CLEAR) & self._within()
+                clear = (self.coverage < CLEAR) & self._inside_photograph()
                 behind = (1 - self.coverage) * fill_from_nearest(alpha, clear)
                 whole = np.where(self.coverage > 0, self.coverage + behind, 1)
                 self._share = (self.coverage / whole).astype(np.float32)
@@ -218,16 +224,16 @@ class Compositor:
         """
         if self._background is None:
             photograph = self.decomposition.photograph
-            cut = framing.cut_square(photograph.radiance, self.decomposition.framed.box)
+            cut = self._photograph_square()
             if photograph.alpha is None:
-                self._background = background_behind(cut, self.coverage, self._within())
+                self._background = background_behind(cut, self.coverage, self._inside_photograph())
             else:
                 self._background = fill_by_nearby_mean(
-                    cut, (self.coverage < CLEAR) & self._within()
+                    cut, (self.coverage < CLEAR) & self._inside_photograph()
                 )
         return self._background
 
-    def _within(self) -> np.ndarray:
+    def _inside_photograph(self) -> np.ndarray:
         """Return the square's pixels (side, side) bool that the photograph has."""
         everywhere = np.ones(self.decomposition.photograph.radiance.shape[:2], bool)
         return framing.cut_square(everywhere, self.decomposition.framed.box)
@@ -235,7 +241,7 @@ class Compositor:
     def own_radiance(self) -> np.ndarray:
         """Return radiance (side, side, 3) of the object in its own materials, rendered once."""
         if self._own_radiance is None:
-            self._own_radiance = self.radiance(self.own)
+            self._own_radiance = self.radiance(self.own_labels)
         return self._own_radiance
 
     def residual(self) -> np.ndarray:
@@ -246,7 +252,7 @@ class Compositor:
         """
         if self._residual is None:
             parts = (
-                self._seen(),
+                self._photograph_square(),
                 self.own_radiance(),
                 np.where(self.coverage > 1 - CLEAR, self.regions, 0),
                 self._label_weights(),
@@ -265,28 +271,26 @@ class Compositor:
         """
         return np.exp(np.float32(self.detail if detail is None else detail) * self.residual())
 
-    def _seen(self) -> np.ndarray:
+    def _photograph_square(self) -> np.ndarray:
         """Return linear radiance (side, side, 3) of the photograph in the object's square."""
         return framing.cut_square(
             self.decomposition.photograph.radiance, self.decomposition.framed.box
         )
 
     def _label_weights(self) -> np.ndarray:
-        """Return weights (side, side) of refinement's `label_weights`, 0 beyond the object.
+        """Return weights (side, side) of refinement's `label_weights`: 0 on printed labels.
 
-        Of a square above FINEST pixels, every second, third, … pixel is looked at, for each takes
-        about 100 bytes.
+        They are 0 beyond the object, too.
+
+        In a square of more than FINEST pixels a side, only every second, third, … pixel is looked
+        at, because each takes about 100 bytes.
         """
         if self._unlabelled is not None:
             return self._unlabelled
-        photograph, framed, seen = (
-            self.decomposition.photograph,
-            self.decomposition.framed,
-            self._seen(),
-        )
+        photograph, framed = self.decomposition.photograph, self.decomposition.framed
         step = -(-self.side // FINEST)
         regions = self.regions[::step, ::step]
-        inside, seen = regions > 0, seen[::step, ::step]
+        inside, seen = regions > 0, self._photograph_square()[::step, ::step]
         clipped = None
         if photograph.clipped is not None:
             share = framing.cut_square(photograph.clipped, framed.box)[::step, ::step].max(-1)

@@ -25,7 +25,7 @@ from shaders.frames import ELEVATION
 if TYPE_CHECKING:
     from learn.primitives.fitting import PrimitiveFit
 
-LEAST_OVERLAP = 0.95  # of a named shape's outline and the mask, below which a line warns
+LEAST_OVERLAP = 0.95  # of a named shape's outline and the mask: the user is warned of a smaller one
 
 
 class Parts(NamedTuple):
@@ -115,9 +115,9 @@ def decompose(
     batch, start = predict_framed(framed, network, regions, photograph.count)
     cues = None
     if photograph.exposure is None:
-        again = exposure.render_prediction(batch, start)
+        rendered = exposure.render_prediction(batch, start)
         framed, batch, cues = exposure.correct_exposure(
-            framed, batch, again, exposure.measure_background(photograph)
+            framed, batch, rendered, exposure.measure_background(photograph)
         )
     batch = replace(batch, elevation=photograph.elevation)
     fitted = None
@@ -132,7 +132,7 @@ def decompose(
 
 
 def shape_warning(shape: str | None, overlap: float | None, remedy: str) -> str:
-    """Return a sentence without its stop if a named shape does not suit the mask, else "".
+    """Return a sentence, without its full stop, if a named shape does not suit the mask; else "".
 
     shape    the name; None: none was named
     overlap  intersection over union of its outline and the mask

@@ -1,4 +1,4 @@
-"""Lights that a user asks for: a map from a file, a computed one, or the light of a picture.
+"""Lights that a user names: a map from a file, a computed one, or the light of a picture.
 
 L  (64, 128, 3) float32 radiance of unit mean luminance, light frame
 
@@ -29,16 +29,16 @@ def resolve_light(
     """Return L of the light that `text` names.
 
     text          FORMS
-    of_picture    path → L: takes a picture's light
+    of_picture    path → L: reads the light of a picture
     rotation_deg  about the vertical, rounded to the map's columns of 2.8°
     Raises        InputError: no such file, a map of other proportions, a black one
     """
     if text.startswith(COMPUTED):
         L = _compute(text)
     elif ".npz" in text.lower():
-        L = _of_collection(text)
+        L = _read_from_collection(text)
     elif text.lower().endswith(".exr"):
-        L = _of_map(Path(text))
+        L = _read_map(Path(text))
     else:
         L = of_picture(Path(text))
     turned = envmap.roll(L, round(rotation_deg / 360 * WIDTH))
@@ -53,7 +53,7 @@ def _compute(text: str) -> np.ndarray:
     return lights.draw_computed(np.random.default_rng(int(seed)))
 
 
-def _of_collection(text: str) -> np.ndarray:
+def _read_from_collection(text: str) -> np.ndarray:
     """Return the map of FILE.npz#NAME."""
     path, _, name = text.partition("#")
     maps = lights.read_maps(path)
@@ -65,7 +65,7 @@ def _of_collection(text: str) -> np.ndarray:
     return maps[name]
 
 
-def _of_map(path: Path) -> np.ndarray:
+def _read_map(path: Path) -> np.ndarray:
     """Return the map of an EXR file, resized to L's shape."""
     radiance, _ = photographs.read_exr(path)
     height, width = radiance.shape[:2]

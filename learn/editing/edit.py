@@ -167,10 +167,10 @@ def make_edits(
     for text, each in labels.items():
         progress.set_description(text[:24])
         read = targets.labels_from_pictures(text, each)
-        edited = compositor.edited(each, read, edit_options.stops)
+        edited = compositor.edit(each, read, edit_options.stops)
         edits.append(Edit(text, each, edited, find_truth(opened, text)))
         progress.update()
-    return EditResult(result, compositor.rendered_again(), edits, metadata)
+    return EditResult(result, compositor.render_again(), edits, metadata)
 
 
 def requested_labels(

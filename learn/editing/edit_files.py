@@ -18,9 +18,10 @@ from manifests.notices import notice
 from shaders import tone
 
 if TYPE_CHECKING:
+    from learn.editing.decomposition import Decomposition
     from learn.editing.edit import EditOptions, EditResult
 
-PARTS = (
+DECOMPOSITION_FILES = (
     "normals.exr",
     "normals.png",
     "light.exr",
@@ -42,7 +43,7 @@ def reserve_names(
     overwrite: bool,
     pages: Sequence[str] = (),
 ) -> list[str]:
-    """Return the names, without endings, of the edited pictures, which may then be written.
+    """Return the names, without endings, of the edited pictures, and reserve all files of the edit.
 
     path    the photograph
     inputs  files that are read, which no result may replace
@@ -62,13 +63,16 @@ def reserve_names(
         name if names.count(name) == 1 else f"{name}-{number}"
         for number, name in enumerate(names, 1)
     ]
-    if len(set(names)) < len(names):  # the number of one is part of another's own name
+    if len(set(names)) < len(names):  # a name with its number is also the name of another material
         names = [f"{name}-{number}" for number, name in enumerate(names, 1)]
     linear = Path(path).is_dir() or Path(path).suffix.lower() == ".exr"
     endings = (".png", ".exr") if linear else (".png",)
     edited = [name + ending for name in names for ending in endings]
     outputs.reserve_outputs(
-        out, [*PARTS, "sheet.png", "edit.json", *pages, *edited], overwrite, list(inputs)
+        out,
+        [*DECOMPOSITION_FILES, "sheet.png", "edit.json", *pages, *edited],
+        overwrite,
+        list(inputs),
     )
     return names
 
@@ -87,28 +91,20 @@ def write(
     inputs  which stay where other results of an earlier run are removed; None: all of them stay
     """
     decomposed, opened = result.decomposition, result.decomposition.photograph
-    parts, mask = decomposed.parts, decomposed.framed.mask
-    n, L = to_numpy(parts.n[0].movedim(0, -1)), to_numpy(parts.light[0].movedim(0, -1))
     exposure = drawing.display_exposure(opened)
     report = make_report(result, edit_options)
     # drawn once: each takes a third of a second where a material is sharp
-    own = [drawing.material_sphere(label, decomposed) for label in parts.label[0]]
+    own = [drawing.material_sphere(label, decomposed) for label in decomposed.parts.label[0]]
     maps = drawing.reflectance_maps(decomposed)
     out.mkdir(parents=True, exist_ok=True)
     with files.transaction():
-        photographs.write_exr(out / "normals.exr", n * mask[..., None], "XYZ")
-        photographs.write_exr(out / "light.exr", L)
-        save_png(out / "normals.png", montage.normals_picture(n, mask))
-        save_png(out / "light.png", montage.light_picture(L))
+        write_decomposition(out, decomposed)
         save_png(out / "rendering.png", tone.display(result.rendering, exposure))
         save_png(out / "ball.png", own[0])
-        save_png(
-            out / "reflectance.png",
-            montage.contact_sheet([maps], drawing.TILE),
-        )
+        save_png(out / "reflectance.png", montage.contact_sheet([maps], drawing.TILE))
         material_file.write(
             out / "material.json",
-            to_numpy(parts.label[0]),
+            to_numpy(decomposed.parts.label[0]),
             decomposed.framed,
             result.metadata,
             edit_options.weights,
@@ -118,12 +114,9 @@ def write(
             save_png(out / f"{name}.png", drawing.with_alpha(picture, opened))
             if opened.linear:
                 photographs.write_picture(out / f"{name}.exr", edit.picture, opened.opacity)
-        save_png(
-            out / "sheet.png",
-            montage.contact_sheet(
-                drawing.make_sheet_rows(result, exposure, own, maps), drawing.TILE
-            ),
-        )
+        # made last: the rows hold pictures of the photograph's size
+        rows = drawing.make_sheet_rows(result, exposure, own, maps)
+        save_png(out / "sheet.png", montage.contact_sheet(rows, drawing.TILE))
         for name, text in (texts or {}).items():
             files.write_text(out / name, text)
         report["files"] = earlier_results.written_hashes()
@@ -135,6 +128,16 @@ def write(
             if line is not None:
                 notice(line)
     return report
+
+
+def write_decomposition(out: Path, decomposed: "Decomposition") -> None:
+    """Write normals and light of a decomposition into the folder `out`, as EXR and as PNG."""
+    parts, mask = decomposed.parts, decomposed.framed.mask
+    n, L = to_numpy(parts.n[0].movedim(0, -1)), to_numpy(parts.light[0].movedim(0, -1))
+    photographs.write_exr(out / "normals.exr", n * mask[..., None], "XYZ")
+    photographs.write_exr(out / "light.exr", L)
+    save_png(out / "normals.png", montage.normals_picture(n, mask))
+    save_png(out / "light.png", montage.light_picture(L))
 
 
 def make_report(result: "EditResult", edit_options: "EditOptions") -> dict:

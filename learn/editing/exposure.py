@@ -28,10 +28,10 @@ from learn.networks.prediction import Prediction, require_part
 from shaders.tone import LUMINANCE
 
 MOST = 4.0  # stops, the largest correction of the first guess
-LEAST_PIXELS = 16
+LEAST_PIXELS = 16  # unclipped pixels that suffice to measure the object's brightness
 LEAST_BACKGROUND = 0.05  # share of the picture below which it counts as a cut-out
 DARKEST = 1 / 256  # smallest luminance relative to the background's mean that 8 bits can hold
-LEAST_LUMINANCE = 1e-6
+LEAST_LUMINANCE = 1e-6  # below which an object counts as black
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Cues:
     """What a photograph says about its exposure, in stops: logarithms to base 2.
 
     object      mean luminance of the object in the file
-    again       how much brighter the re-rendered prediction is than the picture in its first
-                exposure; None: unknown
+    again       by how much the prediction, rendered again, is brighter than the picture in its
+                first exposure; None: unknown
     background  mean logarithm of the background's luminance; None: hardly any background is visible
     """
 
@@ -72,7 +72,8 @@ class Line:
 
 
 FIRST = Line(float(np.log2(TYPICAL)), -DEPENDENCE)  # the first guess, that of learn.data.framing
-# fitted alike to objects in front of their light map and in rooms (docs/results/exposure-line)
+# fitted to objects in front of their light map and in rooms, which have equal weights
+# (docs/results/exposure-line)
 WITH_BACKGROUND = Line(-2.3, again=0.47, background=-0.77)
 CUT_OUT = Line(-0.83, again=0.55)
 # cues of the background are limited to about its 5th and 95th percentile in these photographs
@@ -150,7 +151,7 @@ def render_prediction(batch: ExampleBatch, prediction: Prediction) -> np.ndarray
 
 
 def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:
-    """Return how many times as bright as the picture a re-rendering (H, W, 3) is; None: unknown.
+    """Return the brightness of a re-rendering (H, W, 3) over that of the picture; None: unknown.
 
     Brightness is the mean luminance of the object where the file clips no channel. The ratio is
     unknown if the picture is white almost everywhere, or if the re-rendering is black.
@@ -158,5 +159,5 @@ def brightness_ratio(framed: Framed, rendered: np.ndarray) -> float | None:
     kept = framed.mask if framed.clipped is None else framed.mask & (framed.clipped.max(-1) == 0)
     if kept.sum() < LEAST_PIXELS:
         return None
-    seen, again = (float((each[kept] @ LUMINANCE).mean()) for each in (framed.radiance, rendered))
-    return None if min(seen, again) < LEAST_LUMINANCE else again / seen
+    before, after = (float((each[kept] @ LUMINANCE).mean()) for each in (framed.radiance, rendered))
+    return None if min(before, after) < LEAST_LUMINANCE else after / before

@@ -51,12 +51,13 @@ NAME = "interactive.html"
 FOLDER = Path(__file__).parent / "interactive_page"
 LONGEST = 1024  # pixels of the photograph's longer side
 LARGEST_FILE = 15_000_000  # bytes
-SMALL = 160  # pixels of the pictures of the decomposition
+PART_SIDE = 160  # pixels of the pictures of the decomposition
 # pixels at which a map is compared with the layer; highlights of sharp materials are a few pixels
-CHECKED = 1024
-CHECKED_NORMALS = 512  # the same, of the network's normals, where a picture is shown at once
-FRAME = 60_000  # bytes of the lights' part of the header
-FINE = tuple(side for side in reflectance_store.SIDES if side > reflectance_store.COARSE)
+CHECKED_PIXELS = 1024
+# the same for the Scene of `make_scene`, whose maps the app renders while its user waits
+CHECKED_NORMALS = 512
+LIGHTS_HEADER = 60_000  # bytes that are kept free for the lights' part of the header
+FINE_SIDES = tuple(side for side in reflectance_store.SIDES if side > reflectance_store.COARSE)
 MEASURED = {
     "blender_city": "City square",
     "blender_sunset": "Sunset",
@@ -92,61 +93,106 @@ def make_page(result: "EditResult", edit_options: "EditOptions") -> str:
     read = [
         x for each in result.edits for x in targets.labels_from_pictures(each.text, each.labels)
     ]
-    labels = [material["label"] for material in materials]
     lights = lights_of(decomposed.parts.light)
-    nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE}
-    maps: list[list[list[interactive_maps.TriedMap]]] = []
-    with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
-        for L in lights.values():
-            scene = make_scene(compositor, L)._replace(
-                checked=normals_to_check(n),
-                finest=reflectance_store.SIDES[-1],
-                nodes=nodes,
-                coded=True,
-            )
-            maps.append([])
-            for label in labels:
-                exposure = scene.exposure * compositor.brightness(label, read)
-                maps[-1].append(interactive_maps.try_maps(label, scene._replace(exposure=exposure)))
-                progress.update()
+    labels = [material["label"] for material in materials]
+    maps = render_maps(compositor, labels, read, list(lights.values()), n)
     header["parts"] = [
         {
             "caption": caption,
-            "picture": html.encode_picture(montage.fit_into_square(picture, SMALL)),
+            "picture": html.encode_picture(montage.fit_into_square(picture, PART_SIDE)),
         }
         for caption, picture in draw_decomposition(result)
     ]
     # four characters of base64 hold three bytes
-    left = LARGEST_FILE - len(assemble(header, chunks).encode()) - FRAME
+    left = LARGEST_FILE - len(assemble(header, chunks).encode()) - LIGHTS_HEADER
     interactive_maps.reduce_maps([map_ for each in maps for map_ in each], left * 3 // 4)
     header["lights"] = [
         {"name": name} | interactive_maps.add_light_maps(each, L, chunks)
         for (name, L), each in zip(lights.items(), maps, strict=True)
     ]
-    result_page = assemble(header, chunks)
-    if len(result_page.encode()) > LARGEST_FILE:
-        size = f"{len(result_page) / 1e6:.1f} MB"
+    page = assemble(header, chunks)
+    if len(page.encode()) > LARGEST_FILE:
+        size = f"{len(page) / 1e6:.1f} MB"
         raise InputError(
             "--interactive",
             f"a page of at most {LARGEST_FILE / 1e6:g} MB",
             size,
             "reduce the photograph",
         )
-    return result_page
+    return page
+
+
+def render_maps(
+    compositor: Compositor,
+    labels: Sequence[np.ndarray],
+    read: Sequence[np.ndarray],
+    lights: Sequence[torch.Tensor],
+    n: np.ndarray,
+) -> list[list[list[interactive_maps.TriedMap]]]:
+    """Return for each light and each label the maps that were tried, and show progress.
+
+    labels  (108,) each
+    read    the labels that were read from pictures, as Compositor.mirror_correction takes them
+    lights  (1, 3, Hl, Wl) each
+    n       (N, 3) unit normals that the page looks up
+    """
+    nodes = {side: reflectance_store.nodes_read(n, side) for side in FINE_SIDES}
+    maps: list[list[list[interactive_maps.TriedMap]]] = []
+    with tqdm(total=len(labels) * len(lights), unit="map", desc="reflectance maps") as progress:
+        for L in lights:
+            scene = make_scene(compositor, L)._replace(
+                checked=choose_normals(n, CHECKED_PIXELS),
+                finest=reflectance_store.SIDES[-1],
+                nodes=nodes,
+                coded=True,
+            )
+            maps.append([])
+            for label in labels:
+                exposure = scene.exposure * compositor.mirror_correction(label, read)
+                maps[-1].append(interactive_maps.try_maps(label, scene._replace(exposure=exposure)))
+                progress.update()
+    return maps
 
 
 def add_picture(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarray]:
-    """Add the photograph, coverage, regions, residual shading and normals.
-
-    A photograph with transparency adds its opacity, and the object's share of each pixel's colour.
+    """Add the picture's planes and the normals to the page's data.
 
     Return their header, and the unit normals (N, 3) that the page looks up.
     """
     decomposed = compositor.decomposition
-    opened, box = decomposed.photograph, decomposed.framed.box
-    height, width = opened.mask.shape
+    height, width = decomposed.photograph.mask.shape
     scale = min(1.0, LONGEST / max(height, width))
     size = max(1, round(height * scale)), max(1, round(width * scale))
+    planes = picture_planes(compositor, size)
+    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
+    filled = fill_from_nearest(n, decomposed.framed.mask)
+    normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
+    square = [float(x * scale) for x in decomposed.framed.box]
+    header = {
+        "height": size[0],
+        "width": size[1],
+        "box": square,
+        "planes": [plane.shape[-1] for plane in planes],
+        "pictureData": chunks.add(
+            b"".join(differences(plane, 1).astype(np.uint8).tobytes() for plane in planes)
+        ),
+        "normalsSize": len(n),
+        "normalsData": chunks.add(split_bytes(differences(normals, 2).ravel())),
+    }
+    covered = planes[2][..., 0] > 0
+    return header, interpolate_normals(normals.view(np.int16), square, covered)
+
+
+def picture_planes(compositor: Compositor, size: tuple[int, int]) -> list[np.ndarray]:
+    """Return what the page composes a picture of, each (height, width, C) uint8, at `size`.
+
+    They are the photograph, what is behind the object's soft edge minus the photograph, coverage,
+    regions and residual shading. A photograph with transparency has two more: its opacity, and the
+    object's share of each pixel's colour.
+    """
+    decomposed = compositor.decomposition
+    opened, box = decomposed.photograph, decomposed.framed.box
+    height, width = opened.mask.shape
     exposure = drawing.display_exposure(opened)
 
     def small(picture: np.ndarray) -> np.ndarray:
@@ -154,7 +200,7 @@ def add_picture(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarra
 
     frame = np.zeros((height, width), np.float32)
     coverage = framing.paste_square(frame, compositor.coverage, box)
-    regions = framing.paste_square(frame.astype(np.uint8), compositor.filled, box)
+    regions = framing.paste_square(frame.astype(np.uint8), compositor.filled_regions, box)
     share = compositor.share()
     cut = framing.cut_square(opened.radiance, box)
     soft = (share > 0) & (share < 1 - CLEAR)
@@ -177,25 +223,10 @@ def add_picture(compositor: Compositor, chunks: Chunks) -> tuple[dict, np.ndarra
     if opened.opacity is not None:
         share = framing.paste_square(frame, share, box)
         planes += [small(255 * opened.opacity[..., None]), small(255 * share[..., None])]
-    n = to_numpy(decomposed.parts.n[0].movedim(0, -1))
-    filled = fill_from_nearest(n, decomposed.framed.mask)
-    normals = np.rint(filled.clip(-1, 1) * 32767).astype(np.int16).view(np.uint16)
-    square = [float(x * scale) for x in box]
-    header = {
-        "height": size[0],
-        "width": size[1],
-        "box": square,
-        "planes": [plane.shape[-1] for plane in planes],
-        "pictureData": chunks.add(
-            b"".join(differences(plane, 1).astype(np.uint8).tobytes() for plane in planes)
-        ),
-        "normalsSize": len(n),
-        "normalsData": chunks.add(split_bytes(differences(normals, 2).ravel())),
-    }
-    return header, normals_shown(normals.view(np.int16), square, planes[2][..., 0] > 0)
+    return planes
 
 
-def normals_shown(codes: np.ndarray, box: Sequence[float], covered: np.ndarray) -> np.ndarray:
+def interpolate_normals(codes: np.ndarray, box: Sequence[float], covered: np.ndarray) -> np.ndarray:
     """Return the unit normals (N, 3) that the page looks up at the pixels `covered` (H, W) bool.
 
     They are interpolated bilinearly, as page.js does it.
@@ -233,12 +264,12 @@ def make_scene(compositor: Compositor, light: torch.Tensor) -> reflectance_store
         decomposed.batch.elevation,
         drawing.display_exposure(decomposed.photograph) / decomposed.exposure,
         compositor.tolerance,
-        normals_to_check(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
+        choose_normals(n / np.linalg.norm(n, axis=-1, keepdims=True), CHECKED_NORMALS),
     )
 
 
-def normals_to_check(n: np.ndarray, count: int = CHECKED) -> np.ndarray:
-    """Return `count` of unit normals (N, 3), drawn among those that face the viewer."""
+def choose_normals(n: np.ndarray, count: int) -> np.ndarray:
+    """Return `count` of unit normals (N, 3), drawn at random among those that face the viewer."""
     facing = n[n[:, 2] > 1e-2]
     return facing[np.random.default_rng(0).integers(len(facing), size=count)]
 
@@ -261,7 +292,7 @@ def draw_decomposition(result: "EditResult") -> list[tuple[str, np.ndarray]]:
     n, L = (
         to_numpy(part[0].movedim(0, -1)) for part in (decomposed.parts.n, decomposed.parts.light)
     )
-    again = drawing.on_ground(
+    rendering = drawing.on_ground(
         tone.display(result.rendering, drawing.display_exposure(opened)), opened
     )
     names = (
@@ -277,7 +308,7 @@ def draw_decomposition(result: "EditResult") -> list[tuple[str, np.ndarray]]:
             (f"{name}, on a sphere", drawing.material_sphere(label, decomposed))
             for name, label in zip(names, decomposed.parts.label[0], strict=True)
         ),
-        ("rendered again from these", again),
+        ("rendered again from these", rendering),
     ]
 
 

@@ -1,7 +1,7 @@
-"""Reflectance maps for the page to edit in: as fine as needed and as there is room for.
+"""Reflectance maps for the page to edit in: as fine as needed, if there is room for them.
 
-Each map is as coarse as keeps radiance at the page's own pixels (reflectance_store.LIMIT). Where
-all of them together are too large, first those are reduced that stay below TOLERABLE grey levels.
+Each map is the coarsest whose error at the page's own pixels is small (reflectance_store.LIMIT). If
+all of them together are too large, those are reduced first whose error then stays below TOLERABLE.
 """
 
 import heapq
@@ -25,7 +25,7 @@ class TriedMap(NamedTuple):
 
     side    intervals across the disk
     error   grey levels
-    packed  its codes' differences, as split_bytes has them, compressed
+    packed  the differences of its codes in the order of split_bytes, compressed
     """
 
     side: int
@@ -46,8 +46,8 @@ def try_maps(label: np.ndarray, scene: reflectance_store.Scene) -> list[TriedMap
 def reduce_maps(maps: Sequence[list[TriedMap]], bytes_left: int) -> None:
     """Remove the finest of some maps until all together have at most so many bytes.
 
-    First those go without which the error stays below TOLERABLE, and of these first the ones by
-    which the mean squared error grows least per byte.
+    Those are removed first without which the error stays below TOLERABLE; among these, and then
+    among the others, those without which the squared error grows least per byte.
 
     maps  each material's maps, from coarse to fine; the last will be stored
     """

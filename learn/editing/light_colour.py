@@ -1,7 +1,7 @@
-"""A predicted light's green or magenta, which lights do not have, is taken back.
+"""Removes the green or magenta cast of a predicted light, which real lights hardly ever have.
 
-Lamps and skies are reddish or bluish, as black bodies are; across that, from magenta to green, they
-differ little. Predicted lights differ there. The material that was read has the opposite cast, so
+Lamps and skies are reddish or bluish, as black bodies are, but differ little from magenta to green.
+Predicted lights do differ there. The material that was read has the opposite cast, so
 that the object looks right in it and has the light's cast in every other material
 (`python -m learn.experiments photographed-edits` measures both).
 """
@@ -19,7 +19,7 @@ from shaders.tone import LUMINANCE
 if TYPE_CHECKING:
     from learn.editing.decomposition import Parts
 
-MOST = 1.0  # stops of green that are taken back at most: a coloured lamp keeps the rest
+MOST = 1.0  # stops of green or magenta that are removed at most: a coloured lamp keeps the rest
 
 
 def green_of(colour: np.ndarray) -> float:

@@ -26,25 +26,25 @@ from scipy.spatial import cKDTree
 
 from shaders import tone
 
-# how far an edge may move, as shares of the longer sides of the picture and of the object's box
-SHARE, OF_OBJECT = 0.008, 0.02
-NARROWEST, WIDEST = 4, 16  # pixels
+# how far an edge may move, as shares of the longer side of the picture and of the object's box
+OF_PICTURE, OF_OBJECT = 0.008, 0.02
+NARROWEST, WIDEST = 4, 16  # pixels that an edge may move at least and at most
 THIN = 0.5  # largest part of the half width of a thin part, or of a gap, that the band may cover
 NEAREST = 6  # number of pixels beyond the band, on either side, that a pixel is compared with
 NOISE = 0.03  # of values in [0, 1]: colours that differ by this much hardly differ
-# at a difference of display values of CONTRAST, or of ROUGH times the median difference in the band
-# if that is more, two neighbours are tied with e^-1/2 times the weight
+# the weight that ties two neighbours falls to e^-1/2 of its maximum at a difference of display
+# values of CONTRAST, or of ROUGH times the median difference in the band if that is more
 CONTRAST, ROUGH = 0.05, 1.5
 EVIDENCE, GIVEN = 0.1, 0.02  # weights of the best mixture and of the given mask in the energy
 SMOOTH = 0.15  # width of the Gaussian that smooths the shares, as a part of the band's width
-# the certainty is a half if the squared difference of the mean colours of both sides is so many
+# the certainty is a half if the squared difference of the mean colours of both sides is UNSURE
 # times the sum of noise, spread and misfit
 UNSURE = 4.0
-SOFT = 1.0  # pixels
+SOFT = 1.0  # pixels about the new edge whose coverage is the share in the best mixture
 SOFTENING = 0.7  # pixels, of the Gaussian that blurs a hard edge so that its steps do not show
 CHUNK = 1 << 15  # pixels compared at once
-# of a band, for each of which the energy's minimum takes about 600 bytes; an object that fills a
-# photograph of 25 megapixels has up to about a million
+# pixels of a band: finding the energy's minimum takes about 600 bytes for each. The band of an
+# object that fills a photograph of 25 megapixels has up to about a million
 MOST_IN_BAND = 1_500_000
 
 
@@ -77,7 +77,7 @@ def fit(radiance: np.ndarray, coverage: np.ndarray, fixed: np.ndarray | None = N
 def band_width(inside: np.ndarray) -> int:
     """Return how many pixels an object's edge may be moved in a picture (H, W) bool."""
     object_ = max(np.ptp(np.flatnonzero(inside.any(axis))) + 1 for axis in (0, 1))
-    width = min(SHARE * max(inside.shape), OF_OBJECT * int(object_))
+    width = min(OF_PICTURE * max(inside.shape), OF_OBJECT * int(object_))
     return int(np.clip(round(width), NARROWEST, WIDEST))
 
 
@@ -97,7 +97,7 @@ def _fit(
     fixed: np.ndarray | None,
     width: int,
 ) -> np.ndarray:
-    """Return `fit` for a part of the picture, cut out around the object."""
+    """Return fitted coverage (h, w) of the part of a picture around the object; see `fit`."""
     inside = coverage >= 0.5
     band = band_about(inside, width)
     if fixed is not None and fixed.any():
@@ -182,7 +182,7 @@ def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.nd
     The certainty grows with the difference between F and B, and falls with the spread within each
     and with the misfit of the mixture.
     """
-    apart2 = ((F.mean(1) - B.mean(1)) ** 2).sum(-1)
+    difference2 = ((F.mean(1) - B.mean(1)) ** 2).sum(-1)
     spread2 = F.var(1).sum(-1) + B.var(1).sum(-1)
     F, B = F[:, :, None], B[:, None]
     step = F - B
@@ -196,7 +196,7 @@ def _best_mixture(seen: np.ndarray, F: np.ndarray, B: np.ndarray) -> tuple[np.nd
     pick = np.arange(len(seen)), flat
     share, residual2 = (each.reshape(len(seen), -1)[pick] for each in (share, residual2))
     unsure2 = UNSURE * (NOISE**2 + spread2 + residual2)
-    return share, apart2 / (apart2 + unsure2)
+    return share, difference2 / (difference2 + unsure2)
 
 
 def _minimise_energy(
@@ -208,6 +208,24 @@ def _minimise_energy(
     width: int,
 ) -> np.ndarray:
     """Return the pixels (H, W) bool that the object covers by half at the energy's minimum.
+
+    share, certainty  (N,) of the band's pixels
+    """
+    system, right = _energy_equations(display, inside, band, share, certainty)
+    shares = inside.astype(np.float32)
+    shares[band] = spsolve(system, right)
+    result = np.where(band, gaussian_filter(shares, SMOOTH * width) >= 0.5, inside)
+    return _remove_islands_and_holes(result, inside & ~band, ~inside & ~band)
+
+
+def _energy_equations(
+    display: np.ndarray,
+    inside: np.ndarray,
+    band: np.ndarray,
+    share: np.ndarray,
+    certainty: np.ndarray,
+) -> tuple[sparse.csc_matrix, np.ndarray]:
+    """Return the matrix (N, N) and right side (N,) whose solution is the energy's minimum.
 
     share, certainty  (N,) of the band's pixels
     """
@@ -245,10 +263,7 @@ def _minimise_energy(
         ),
         (count, count),
     )
-    shares = inside.astype(np.float32)
-    shares[band] = spsolve(system, right)
-    result = np.where(band, gaussian_filter(shares, SMOOTH * width) >= 0.5, inside)
-    return _remove_islands_and_holes(result, inside & ~band, ~inside & ~band)
+    return system, right
 
 
 def _remove_islands_and_holes(

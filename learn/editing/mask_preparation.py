@@ -1,4 +1,4 @@
-"""Gives masks the soft edge that an edit needs: by the photograph, or by a blur.
+"""Gives masks the soft edge that an edit needs: fits it to the photograph, or blurs it.
 
 coverage  (H, W) in [0, 1]: the object's share of each pixel
 """

@@ -53,7 +53,7 @@ def is_expression(text: str) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def fit_expression(text: str) -> LabelFit:
-    """Return the label of an expression with its error. Raises InputError."""
+    """Return the label that is fitted to an expression, with its error. Raises InputError."""
     return principled_fit.fit(parse_expression(text))
 
 
@@ -72,7 +72,7 @@ def parse_expression(text: str) -> PrincipledMaterial:
         raise InputError(where, f"at most {LONGEST} characters", f"{len(text)}", usage)
     if not inner.endswith(")") or set(inner[:-1]) & set("()"):
         raise InputError(where, "one pair of parentheses, closed at the end", inner[-20:], usage)
-    values = _values(inner[:-1], name, where, usage)
+    values = _parse_values(inner[:-1], name, where, usage)
     missing = [key for key in KEYS[name] if key not in values]
     if name != "principled" and missing:
         raise InputError(where, f"a value of {missing[0]}", "none", usage)
@@ -82,8 +82,8 @@ def parse_expression(text: str) -> PrincipledMaterial:
         raise InputError(where, "values within their ranges", str(error), usage) from None
 
 
-def _values(inner: str, name: str, where: str, usage: str) -> dict[str, Value]:
-    """Return {key: value} of the text between the parentheses."""
+def _parse_values(inner: str, name: str, where: str, usage: str) -> dict[str, Value]:
+    """Return {key: value} of the text between the parentheses. Raises InputError."""
     values: dict[str, Value] = {}
     for position, part in enumerate(inner.split(",") if inner.strip() else ()):
         key, equals, written = (word.strip() for word in part.partition("="))
@@ -95,12 +95,12 @@ def _values(inner: str, name: str, where: str, usage: str) -> dict[str, Value]:
             raise InputError(where, expected, shown, f"{closest(key, KEYS[name])}; {usage}")
         if key in values:
             raise InputError(where, "every key once", f"{key} twice", usage)
-        values[key] = _value(key, written, where, usage)
+        values[key] = _parse_value(key, written, where, usage)
     return values
 
 
-def _value(key: str, written: str, where: str, usage: str) -> Value:
-    """Return a number, or a colour as three linear numbers."""
+def _parse_value(key: str, written: str, where: str, usage: str) -> Value:
+    """Return a number, or a colour as three linear numbers. Raises InputError."""
     if NUMBER.fullmatch(written):
         number = float(written)
         return (number, number, number) if key in COLORS else number

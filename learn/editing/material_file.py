@@ -25,7 +25,7 @@ Label = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 
 
 class MaterialFile(msgspec.Struct, frozen=True):
-    """What is taken from a material.json.
+    """What is read of a material.json.
 
     label   of one region
     labels  of several, one each
@@ -52,8 +52,8 @@ def read_with_origin(path: Path) -> tuple[np.ndarray, list[bool]]:
     require_file(path, "a material.json", REMEDY, LARGEST_JSON)
     rule = f'JSON with "label": {SIZE} numbers'
     try:
-        # every number as a float: 10^400 is then infinity, which is out of range, and no error of
-        # its own
+        # an integer such as 10^400 becomes infinity, which is refused as out of range; as an int it
+        # would raise an error of its own
         values = json.loads(path.read_text(encoding="utf-8"), parse_int=float)
         report = msgspec.convert(values, MaterialFile)
     except (
@@ -67,11 +67,11 @@ def read_with_origin(path: Path) -> tuple[np.ndarray, list[bool]]:
     if not stored:
         raise InputError(path, rule, "none", REMEDY)
     labels = require_label(np.asarray(stored, np.float64), path)
-    were = report.read or [True] * len(labels)
-    if len(were) != len(labels):
+    from_picture = report.read or [True] * len(labels)
+    if len(from_picture) != len(labels):
         rule = f'"read" with {len(labels)} values, one for each label'
-        raise InputError(path, rule, f"{len(were)}", REMEDY)
-    return labels, were
+        raise InputError(path, rule, f"{len(from_picture)}", REMEDY)
+    return labels, from_picture
 
 
 def require_label(labels: np.ndarray, where: object) -> np.ndarray:
@@ -122,8 +122,8 @@ def write(
 def nearest(label: np.ndarray, ranges: Ranges) -> list[str]:
     """Return names of the catalogue's materials whose codes are nearest to a label's (108,).
 
-    A material counts as near as the nearer of two labels: as it was measured, which a data set's
-    pictures show, and calibrated, which photographs show.
+    A material has two labels, the nearer of which counts: as it was measured, which pictures of
+    data sets show, and calibrated, which photographs show.
     """
     catalogue = load_catalogue()
     names = sorted(catalogue)

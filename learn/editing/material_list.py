@@ -44,10 +44,10 @@ def list_materials(result: "EditResult") -> list[dict]:
     here = dict(zip(names, own, strict=True))
     catalogue = load_catalogue()
     for edit in result.edits:
-        for text, label in targets.of_regions(edit.text, edit.labels):
+        for text, label in targets.pair_with_regions(edit.text, edit.labels):
             if label is None:
                 continue
-            name = _name_of(text, label)
+            name = _page_name(text, label)
             if name not in catalogue and name not in DESCRIBED:
                 here[name] = label
     materials = [
@@ -64,7 +64,7 @@ def list_materials(result: "EditResult") -> list[dict]:
     return materials
 
 
-def _name_of(text: str, label: np.ndarray) -> str:
+def _page_name(text: str, label: np.ndarray) -> str:
     """Return how the page calls a material that the user named by a text.
 
     A data set's own materials are as measured; their names would stand for calibrated ones here.
@@ -80,6 +80,6 @@ def chosen_materials(result: "EditResult", materials: list[dict]) -> list[int]:
     index = {material["name"]: number for number, material in enumerate(materials)}
     first = result.edits[0]
     return [
-        -1 if label is None else index.get(_name_of(text, label), index.get(text, 0))
-        for text, label in targets.of_regions(first.text, first.labels)
+        -1 if label is None else index.get(_page_name(text, label), index.get(text, 0))
+        for text, label in targets.pair_with_regions(first.text, first.labels)
     ]

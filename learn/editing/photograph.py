@@ -136,7 +136,7 @@ def open_photograph(
     """
     path, regions = resolve_example(path, masks, regions)
     if path.is_dir():
-        _require_none(
+        _refuse_options_of_photographs(
             path,
             "a photograph: a dataset's records have masks and regions, and light of known colour",
             masks,
@@ -161,7 +161,7 @@ def open_photograph(
         whole = photographs.read_labels(regions, radiance.shape[:2])
         labels = whole * (coverage >= 0.5)
         region_masks.require_pixels(labels, whole.max(), regions)
-        coverage = region_masks.without_unlabelled(coverage, labels)
+        coverage = region_masks.remove_unlabelled(coverage, labels)
     cut_out = not masks and regions is None
     is_transparency = not masks and bool((alpha < 0.5).any())
     linear = photographs.holds_radiance(path)
@@ -204,7 +204,7 @@ def from_arrays(
     if whole is not None:
         labels = whole * (coverage >= 0.5)
         region_masks.require_pixels(labels, whole.max(), f"{name}: regions")
-        coverage = region_masks.without_unlabelled(coverage, labels)
+        coverage = region_masks.remove_unlabelled(coverage, labels)
     cut_out = mask is None and regions is None
     is_transparency = mask is None and bool((alpha < 0.5).any())
     contents = _Contents(
@@ -218,7 +218,8 @@ class _Contents(NamedTuple):
 
     path             of the picture, or its name
     radiance         (H, W, 3) linear
-    coverage         (H, W) in [0, 1]; labels: (H, W) 0 … S
+    coverage         (H, W) in [0, 1]
+    labels           (H, W) 0 … S: the regions
     alpha            (H, W) the picture's own transparency, 1 where it has none
     cut_out          whether no mask and no regions were given
     is_transparency  whether the coverage is the picture's own transparency
@@ -241,7 +242,7 @@ def _assemble(
     exposure: float | None,
     fit_mask: bool | None,
 ) -> Photograph:
-    """Return the Photograph of what was read, after softening its mask and finding its balance.
+    """Return the Photograph of what was read, with its mask prepared and its balance resolved.
 
     The picture's own transparency is neither softened nor fitted.
     """
@@ -278,7 +279,8 @@ def _assemble(
     )
 
 
-def _require_none(path, rule, masks, regions, balance, fit_mask):
+def _refuse_options_of_photographs(path, rule, masks, regions, balance, fit_mask):
+    """Raise InputError if an option is given that the dataset `path` leaves no place for."""
     given = {
         "--fit-mask": bool(fit_mask),
         "--mask": bool(masks),

@@ -98,8 +98,8 @@ def predict_picture(
     batch = replace(batch, elevation=opened.elevation)
     parts = light_colour.remove_green(require_parts(predicted))
     if opened.exposure is None:
-        again = render_prediction(batch, predicted)
-        framed, batch, _ = correct_exposure(framed, batch, again, measure_background(opened))
+        rendered = render_prediction(batch, predicted)
+        framed, batch, _ = correct_exposure(framed, batch, rendered, measure_background(opened))
     shown = predicted._replace(label=parts.label, light=parts.light)
     rendering = render_prediction(batch, shown)
     return PredictedPicture(framed, batch, shown, parts, rendering, metadata)

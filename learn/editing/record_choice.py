@@ -1,4 +1,4 @@
-"""Which record of a data set is edited."""
+"""Chooses the record of a data set that is edited."""
 
 from collections.abc import Sequence
 

@@ -16,10 +16,10 @@ codes   The same shape, uint16, by which a map is sent: STEPS · log(1 + BEND ·
 error   Root mean square difference from the layer at the normals that a picture shows, in grey
         levels of the display, from 0 to 255.
 
-How fine a map must be is tried: `maps_of` renders the sides of SIDES, the coarsest first, until the
-error is at most LIMIT; sides that cannot suffice are left out. A fine map may be rendered at fewer
-nodes, those that a given picture reads and every (side / COARSE)-th of the others; each node that
-is left out has the value of the nearest one (`nodes_read`).
+How fine a map must be is found by trial: `maps_of` renders maps of the sides in SIDES, the coarsest
+first, until the error is at most LIMIT; sides that cannot suffice are left out. A fine map may be
+rendered at fewer nodes, those that a given picture reads and every (side / COARSE)-th of the
+others; each node that is left out has the value of the nearest one (`nodes_read`).
 
 Narrow lobes are integrated, and broad ones summed over the light's texels, which is cheaper and
 then as good (`separate_lobes`). `radiance_at_normals` uses two such maps to render a single picture
@@ -44,7 +44,7 @@ from shaders.dsbrdf import SHAPE
 
 SIDES = (16, 32, 64, 128, 256, 512, 1024)
 LARGEST = 256  # of SIDES, unless a Scene has another
-COARSE = 64  # intervals that a map has also where no pixel reads it
+COARSE = 64  # intervals across the disk to which a map is rendered where no pixel reads it
 MARGIN = reflectance_map.MARGIN
 LIMIT = 1.2  # grey levels, root mean square
 # the finest maps take seconds and a quarter of a megabyte each: below this they are left out
@@ -53,12 +53,12 @@ STEPS, BEND, BRIGHTEST = 256, 32.0, 1e4
 # natural logarithm of κ: a lobe that reflects nothing. In float32 its exp is 0 and methods skip it;
 # of the smallest κ above 0, they would sum it over all texels
 NOTHING = -200.0
-# so many normals or more are looked up in two maps, of these sides
+# (N, sides): N normals or more are looked up in two maps of these sides
 LOOKED_UP = ((40_000, (64, 128)), (20_000, (32, 64)))
-# Where the coarse map is off by more grey levels, the normals are rendered; all of them, where that
-# would be a larger share.
+# Where the coarse map is off by more than DOUBT grey levels, normals are rendered instead of looked
+# up. If these were more than the share MOST_RENDERED, all normals are rendered.
 DOUBT, MOST_RENDERED = 3.0, 0.5
-RIM = 0.999  # |p| of the outermost normals that the layer is asked for
+RIM = 0.999  # |p| of the outermost normals at which the layer renders
 
 
 class Scene(NamedTuple):
@@ -85,7 +85,7 @@ class Scene(NamedTuple):
 
 
 def values_of(label: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
-    """Return the reflectance map of a label (108,) that suffices, and its error in grey levels."""
+    """Return the coarsest sufficient map of a label (108,), and its error in grey levels."""
     return maps_of(label, scene)[-1]
 
 
@@ -124,7 +124,7 @@ def radiance_at_normals(
 ) -> np.ndarray:
     """Return radiance (N, 3) float32 of a material at unit normals (N, 3), camera frame.
 
-    The integral over a narrow lobe is costly, so broad lobes are summed apart from it. Many normals
+    The integral over a narrow lobe is costly, so broad lobes are summed separately. Many normals
     are looked up in two reflectance maps, a coarse and a fine one, and only those are rendered
     about which the coarse map is off by more than DOUBT grey levels at the fine map's nodes, under
     automatic exposure.
@@ -142,7 +142,8 @@ def radiance_at_normals(
     if sides is None:
         return _radiance_of_parts(n, parts, scene)
     coarse, fine = (
-        np.sum([render_map(part, scene, side, how) for part, how in parts], 0) for side in sides
+        np.sum([render_map(part, scene, side, method) for part, method in parts], 0)
+        for side in sides
     )
     result = interpolate(fine, n)
     exposure = tone.auto_exposure(result[None], np.ones((1, len(n)), bool))
@@ -166,8 +167,8 @@ def _error_of_coarse_map(coarse: np.ndarray, fine: np.ndarray, exposure: float) 
 
     It is in grey levels, (size²,): what a coarse map is off by there.
     """
-    again = upsample(coarse, len(fine))
-    difference = tone.display(again, exposure) - tone.display(fine, exposure)
+    upsampled = upsample(coarse, len(fine))
+    difference = tone.display(upsampled, exposure) - tone.display(fine, exposure)
     return maximum_filter(np.abs(difference).max(-1), 3).ravel()
 
 
@@ -180,8 +181,8 @@ def _nearest_node(n: np.ndarray, size: int) -> np.ndarray:
 def separate_lobes(label: np.ndarray) -> list[tuple[np.ndarray, str]]:
     """Return labels (108,) whose radiances add up to a label's, each with its method.
 
-    Lobes add up. The sum over texels is right for broad ones, and much cheaper than the integral,
-    which is left for narrow ones.
+    The sum over texels is accurate for broad lobes, and much cheaper than the integral, so only
+    narrow lobes are integrated.
     """
     lobes = np.asarray(label, np.float32).reshape(SHAPE)
     narrow = lobe_shapes.sharpness(np.exp(lobes)) > BROAD
@@ -203,7 +204,7 @@ def _grey_levels_apart(values: np.ndarray, shown: np.ndarray) -> float:
 def radiance(n: np.ndarray, label: np.ndarray, scene: Scene, method: str) -> np.ndarray:
     """Return the layer's radiance (N, 3) at normals (N, 3), times the exposure of the display.
 
-    method  of the layer; "": that which suits the material
+    method  of the layer; "": the one that suits the material
     """
     device = scene.light.device
     picture = predictions.picture(
@@ -220,7 +221,7 @@ def radiance(n: np.ndarray, label: np.ndarray, scene: Scene, method: str) -> np.
 class Nodes(NamedTuple):
     """The nodes of a grid.
 
-    n        (N, 3) normals at which the layer is asked: nodes on the disk, then two for each beyond
+    n        (N, 3) normals at which the layer renders: nodes on the disk, then two for each beyond
     inside   flat indices of nodes on the disk
     beyond   flat indices of nodes beyond it that interpolation on the disk reads
     share    (len(beyond), 1) of radiance at the rim in the linear continuation

@@ -1,4 +1,4 @@
-"""Masks of a photograph's regions: where they lie, how several become one, what they must hold."""
+"""Masks of a photograph's regions: finds, merges and checks them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,7 +58,7 @@ def read_region_masks(
     return coverage, labels
 
 
-def without_unlabelled(coverage: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def remove_unlabelled(coverage: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Return coverage with 0 where the object is in no region, except for a rim of RIM pixels.
 
     coverage (H, W) in [0, 1]; labels (H, W) 1 … S, 0 in no region

@@ -24,43 +24,47 @@ from shaders.tone import LUMINANCE
 # spread of the residual's colour, natural logarithms, at which half of its coarse part is left, and
 # how sharply that falls there (docs/editing-measurements.md)
 COLOURED, STEEPNESS = 0.15, 4
-LEAST_FINE = 0.5  # share of the fine part that is always left, LARGEST_FINE of it at most
-LARGEST_FINE = 1.5  # factor by which this fine part may brighten or darken a pixel
+LEAST_FINE = 0.5  # share of the fine part that is always left
+LARGEST_FINE = 1.5  # factor by which the fine part may brighten or darken a pixel at most
 FINE_WIDTH = 1.5  # network pixels: what a Gaussian of this width removes is fine
-LARGEST = 4.0  # factor by which the whole residual may brighten or darken a pixel
+LARGEST = 4.0  # factor by which the whole residual may brighten or darken a pixel at most
 FLOOR = 0.02  # of the object's mean radiance: what is darker counts as this dark
-FLOOR_OF_COLOURS = 0.05  # the same where colours are compared, which the dark show too little of
-FILL_SIDE, FILL_WIDTH = 128, 6.0  # residual behind a label: pixels along the square, and of a blur
+FLOOR_OF_COLOURS = (
+    0.05  # the same where colours are compared, because dark pixels show little colour
+)
+# the residual behind a printed label is filled in at so many pixels along the square's side, by a
+# Gaussian of this width in these pixels
+FILL_SIDE, FILL_WIDTH = 128, 6.0
 
 
 def log_ratio(
-    seen: np.ndarray, again: np.ndarray, inside: np.ndarray, floor: float = FLOOR
+    seen: np.ndarray, rendered: np.ndarray, inside: np.ndarray, floor: float = FLOOR
 ) -> np.ndarray:
-    """Return log(seen / again) (h, w, 3).
+    """Return log(seen / rendered) (h, w, 3).
 
-    seen, again  (h, w, 3) linear radiance of the photograph and of its re-rendering
-    inside       (h, w) bool: the object
-    floor        of the object's mean radiance; in both, what is darker counts as this dark
+    seen, rendered  (h, w, 3) linear radiance of the photograph and of its re-rendering
+    inside          (h, w) bool: the object
+    floor           of the object's mean radiance; in both, what is darker counts as this dark
     """
     mean = float(seen[inside].mean()) if inside.any() else 0.0
     least = floor * max(mean, 1e-6)
-    return np.log(np.maximum(seen, least)) - np.log(np.maximum(again, least))
+    return np.log(np.maximum(seen, least)) - np.log(np.maximum(rendered, least))
 
 
 def complete_residual(
-    seen: np.ndarray, again: np.ndarray, regions: np.ndarray, weights: np.ndarray
+    seen: np.ndarray, rendered: np.ndarray, regions: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
     """Return the residual (h, h, 3) float32, at most log LARGEST, with its gaps filled in.
 
-    Behind a label it is a blurred mean of what surrounds it, and beyond the object that of the
-    nearest pixel.
+    Behind a printed label it is a blurred mean of what surrounds it, and beyond the object that of
+    the nearest pixel.
 
-    seen, again  (h, h, 3) as `log_ratio` takes them
-    regions      (h, h) numbers of the object's regions, 0 where it does not cover a pixel whole
-    weights      (h, h) in [0, 1]: 0 on labels
+    seen, rendered  (h, h, 3) as `log_ratio` takes them
+    regions         (h, h) numbers of the object's regions, 0 where a pixel is not covered whole
+    weights         (h, h) in [0, 1]: 0 on printed labels
     """
     inside, limit = regions > 0, np.log(LARGEST)
-    log = log_ratio(seen, again, inside).astype(np.float32)
+    log = log_ratio(seen, rendered, inside).astype(np.float32)
     if not inside.any():
         return np.zeros_like(log)
     for number in np.unique(regions[inside]):
@@ -81,8 +85,9 @@ def complete_residual(
 
 
 def weaken(residual: np.ndarray, inside: np.ndarray, share: float, width: float) -> np.ndarray:
-    """Return a share, 0 to 1, of a residual (h, h, 3), and LEAST_FINE of its fine part at least.
+    """Return a share of a residual (h, h, 3), but at least LEAST_FINE of its fine part.
 
+    share   0 to 1
     inside  (h, h) bool: pixels that the object covers whole; the fine part is 0 elsewhere
     width   of the Gaussian that removes the fine part, pixels
     """
@@ -97,19 +102,19 @@ def weaken(residual: np.ndarray, inside: np.ndarray, share: float, width: float)
 
 
 def coarse_share(
-    seen: np.ndarray, again: np.ndarray, regions: np.ndarray, weights: np.ndarray
+    seen: np.ndarray, rendered: np.ndarray, regions: np.ndarray, weights: np.ndarray
 ) -> float:
     """Return the share, 0 to 1, of the residual's coarse part that is likely to be shading.
 
-    seen, again  (h, w, 3) as `log_ratio` takes them
-    regions      (h, w) numbers of the object's regions, 0 where it does not cover a pixel whole
-    weights      (h, w) in [0, 1]: 0 on labels
+    seen, rendered  (h, w, 3) as `log_ratio` takes them
+    regions         (h, w) numbers of the object's regions, 0 where it does not cover a pixel whole
+    weights         (h, w) in [0, 1]: 0 on printed labels
     """
     counted = (regions > 0) & (weights > 0.5)
     if not counted.any():
         return 0.0
-    full = log_ratio(seen, again, counted, FLOOR_OF_COLOURS)[counted]
-    grey = log_ratio(seen @ LUMINANCE, again @ LUMINANCE, counted, FLOOR_OF_COLOURS)[counted]
+    full = log_ratio(seen, rendered, counted, FLOOR_OF_COLOURS)[counted]
+    grey = log_ratio(seen @ LUMINANCE, rendered @ LUMINANCE, counted, FLOOR_OF_COLOURS)[counted]
     colour, numbers = full - grey[:, None], regions[counted]
     squares = 0.0
     for number in np.unique(numbers):

@@ -36,7 +36,7 @@ def resolve_labels(
 
     S is 1 except for a file with several regions.
 
-    of_picture  path → label (1, 108): takes a picture's material
+    of_picture  path → label (1, 108): reads the material of a picture
     known       {name: label (108,)}: a dataset's own materials, which come before the catalogue's
     Raises      InputError: an unknown name (with the closest ones), a file that holds no material
     """
@@ -44,7 +44,7 @@ def resolve_labels(
         return None
     if known and text in known:
         return known[text][None]
-    if is_expression(text):
+    if is_described(text):
         return _fit(text).label.reshape(1, SIZE).astype(np.float32)
     path = Path(text)
     if path.suffix.lower() == ".json":
@@ -91,15 +91,15 @@ def is_from_picture(text: str, region: int = 0) -> bool:
 
     It is a picture's file, or a material.json that does not say otherwise of this region.
     """
-    if text == KEEP or is_expression(text):
+    if text == KEEP or is_described(text):
         return False
     if Path(text).suffix.lower() == ".json":
-        _, were = material_file.read_with_origin(Path(text))
-        return were[region if len(were) > 1 else 0]
+        _, from_picture = material_file.read_with_origin(Path(text))
+        return from_picture[region if len(from_picture) > 1 else 0]
     return is_file(text)
 
 
-def is_expression(text: str) -> bool:
+def is_described(text: str) -> bool:
     """Return whether a text describes a material, or names a described one, and is no file."""
     if measured_name(text) or is_file(text):
         return False
@@ -107,14 +107,14 @@ def is_expression(text: str) -> bool:
 
 
 def _fit(text: str) -> LabelFit:
-    """Return the label and its error of a text for which `is_expression` is true."""
+    """Return the label fitted to a text for which `is_described` is true, with its error."""
     return material_expression.fit_expression(DESCRIBED[text].text if text in DESCRIBED else text)
 
 
 def fit_errors(texts: Iterable[str]) -> dict[str, float]:
-    """Return {expression: relative L1 of its label} of all expressions in the users' texts."""
+    """Return {text: relative L1 of its label} of all described materials that the texts name."""
     parts = (part for text in texts for part in split_by_region(text))
-    return {part: round(_fit(part).error, 4) for part in parts if is_expression(part)}
+    return {part: round(_fit(part).error, 4) for part in parts if is_described(part)}
 
 
 def is_file(text: str) -> bool:
@@ -130,21 +130,20 @@ def split_by_region(text: str) -> list[str]:
     return [text] if is_file(text) else re.split(r"\+(?![^()]*\))", text)
 
 
-def of_regions(
+def pair_with_regions(
     text: str, labels: Sequence[np.ndarray | None]
 ) -> list[tuple[str, np.ndarray | None]]:
     """Return (text, label) of each region of a target material as the user named it."""
     named = split_by_region(text)
-    return list(
-        zip(named if len(named) == len(labels) else [text] * len(labels), labels, strict=True)
-    )
+    texts = named if len(named) == len(labels) else [text] * len(labels)
+    return list(zip(texts, labels, strict=True))
 
 
 def labels_from_pictures(text: str, labels: Sequence[np.ndarray | None]) -> list[np.ndarray]:
     """Return the labels (108,) of a target material that were read from pictures."""
     return [
         label
-        for region, (part, label) in enumerate(of_regions(text, labels))
+        for region, (part, label) in enumerate(pair_with_regions(text, labels))
         if label is not None and is_from_picture(part, region)
     ]
 
@@ -157,7 +156,7 @@ def caption_of(text: str) -> str:
 def file_name(text: str) -> str:
     """Return the part of a file's name that stands for a target material."""
     stems = "+".join(
-        part[:LONGEST_STEM] if is_expression(part) else Path(part).stem
+        part[:LONGEST_STEM] if is_described(part) else Path(part).stem
         for part in split_by_region(text)
     )
     return re.sub(r"[^A-Za-z0-9+_-]+", "-", stems).strip("-") or "material"

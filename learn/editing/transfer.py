@@ -38,8 +38,9 @@ REMEDY = (
     "put NAME.mask.png beside it, white where the object is, or name a folder of masks:"
     " --mask-dir DIR"
 )
-LARGEST_LIST = 1 << 20  # bytes: ten thousand long paths
-MOST_PER_GRID = 10  # pictures: more become several grids
+LARGEST_LIST = 1 << 20  # bytes, enough for ten thousand long paths
+MOST_PER_GRID = 10  # pictures
+# files that not every run writes
 PICTURES = re.compile(r".+-in-.+\.png|grid(-\d+)?(-under-.+)?\.png", re.DOTALL)
 
 
@@ -99,28 +100,14 @@ def run(
     grid-under-LIGHT.png; the objects stand alone, on a transparent ground. Raises InputError.
     """
     out = Path(out)
-    if not 2 <= per_grid <= MOST_PER_GRID:
-        raise InputError(
-            "--per-grid",
-            f"2 to {MOST_PER_GRID} pictures a grid",
-            str(per_grid),
-            "more become several grids",
-        )
-    groups, labels = (
-        transfer_grids.group_pictures(paths, per_grid),
-        transfer_grids.light_names(lights),
-    )
-    grids, names = transfer_grids.files_of(groups, labels)
-    if len(set(names)) < len(names):  # a in b-in-c, and a-in-b in c
-        twice = next(name for name in names if names.count(name) > 1)
-        remedy = "rename one: results are named after them"
-        raise InputError("pictures", "one result of each name", f"{twice} twice", remedy)
+    groups, light_names, grids, names = plan_results(paths, per_grid, lights)
     inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     if edit_options.fit_mask and not any(list_masks(path, mask_folder) for path in paths):
         rule, remedy = "a mask besides the pictures' own transparency", "leave it out"
         raise InputError("--fit-mask", rule, "none", remedy)
     network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
+    size = metadata["size"]
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.
     as_given = replace(edit_options, fit_mask=False)
@@ -129,9 +116,7 @@ def run(
 
     def of_picture(path: Path) -> np.ndarray:
         photo = open_with_mask(path, mask_folder, edit_options)
-        return light_in(
-            decomposition.decompose(photo, network, metadata["size"], edit_options.refinement)
-        )
+        return light_of(decomposition.decompose(photo, network, size, edit_options.refinement))
 
     maps = [desired_light.resolve_light(text, of_picture, rotation_deg) for text in lights]
     out.mkdir(parents=True, exist_ok=True)
@@ -140,28 +125,30 @@ def run(
     if not maps:
         count = sum(len(group) ** 2 for group in groups)
     with files.transaction(), tqdm(total=count, unit="picture") as progress:
+        per_group = max(len(maps), 1)
         for number, group in enumerate(groups):
-            name = grids[number * max(len(maps), 1)]
+            of_group = grids[number * per_group : (number + 1) * per_group]
             pictures = {path: open_with_mask(path, mask_folder, edit_options) for path in group}
-            decompositions = decompose_pictures(
-                pictures, network, metadata["size"], edit_options, progress
-            )
-            report += transfer_grids.metadata_of(decompositions, name)
+            decompositions = decompose_pictures(pictures, network, size, edit_options, progress)
+            report += transfer_grids.metadata_of(decompositions, of_group[0])
             if maps:
-                of_group = grids[number * len(maps) : (number + 1) * len(maps)]
-                for label, light, grid in zip(labels, maps, of_group, strict=True):
+                for name, light, grid in zip(light_names, maps, of_group, strict=True):
                     rows = transfer_grids.relit_rows(
-                        out, decompositions, label, light, edit_options, progress
+                        out, decompositions, name, light, edit_options, progress
                     )
                     save_png(out / grid, montage.contact_sheet(rows, drawing.TILE))
-                continue
-            rows = transfer_grids.edit_rows(out, pictures, decompositions, edit_options, progress)
-            save_png(out / name, montage.contact_sheet(rows, drawing.TILE))
-        about = {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
+            else:
+                rows = transfer_grids.edit_rows(
+                    out, pictures, decompositions, edit_options, progress
+                )
+                save_png(out / of_group[0], montage.contact_sheet(rows, drawing.TILE))
+        light_settings = (
+            {"lights": list(lights), "light_rotation_deg": rotation_deg} if lights else {}
+        )
         written = earlier_results.written_hashes()
         files.write_json(
             out / "transfer.json",
-            {"pictures": report} | about | edit_options.as_metadata() | {"files": written},
+            {"pictures": report} | light_settings | edit_options.as_metadata() | {"files": written},
         )
         if overwrite and (
             line := earlier_results.remove(out / "transfer.json", written, PICTURES, inputs)
@@ -169,7 +156,33 @@ def run(
             notice(line)
 
 
-def light_in(decomposed: Decomposition) -> np.ndarray:
+def plan_results(
+    paths: Sequence[Path], per_grid: int, lights: Sequence[str]
+) -> tuple[list[list[Path]], list[str], list[str], list[str]]:
+    """Return the pictures of each grid, the lights' names, and the files of the grids and edits.
+
+    With lights, each grid of pictures has one file per light, in the order of the lights.
+
+    Raises  InputError: a wrong number of pictures per grid, or two results of one name
+    """
+    if not 2 <= per_grid <= MOST_PER_GRID:
+        raise InputError(
+            "--per-grid",
+            f"2 to {MOST_PER_GRID} pictures per grid",
+            str(per_grid),
+            "more become several grids",
+        )
+    groups = transfer_grids.group_pictures(paths, per_grid)
+    light_names = transfer_grids.light_names(lights)
+    grids, names = transfer_grids.result_names(groups, light_names)
+    if len(set(names)) < len(names):  # a in b-in-c, and a-in-b in c
+        twice = next(name for name in names if names.count(name) > 1)
+        remedy = "rename one: results are named after them"
+        raise InputError("pictures", "one result of each name", f"{twice} twice", remedy)
+    return groups, light_names, grids, names
+
+
+def light_of(decomposed: Decomposition) -> np.ndarray:
     """Return the light (64, 128, 3) of a decomposed picture, at unit mean."""
     L = to_numpy(decomposed.parts.light[0].movedim(0, -1))
     return envmap.unit_mean(np.ascontiguousarray(L))[0].astype(np.float32)

@@ -19,30 +19,30 @@ from manifests.progress import tqdm
 from shaders import tone
 
 
-def files_of(
-    groups: Sequence[Sequence[Path]], labels: Sequence[str]
+def result_names(
+    groups: Sequence[Sequence[Path]], lights: Sequence[str]
 ) -> tuple[list[str], list[str]]:
     """Return the names of the grids and of the edits of groups of pictures.
 
-    labels  of the desired lights; none: the edits keep the light of their objects' pictures
+    lights  names of the desired lights; none: the edits keep the light of their objects' pictures
     """
     grids = [f"grid-{i:02d}.png" for i in range(1, len(groups) + 1)]
     if len(groups) == 1:
         grids = ["grid.png"]
-    if not labels:
+    if not lights:
         return grids, [pair_name(*pair) for group in groups for pair in pairs_of(group)]
     names = [
-        relit_name(shape, material, label)
+        relit_name(shape, material, light)
         for group in groups
         for shape in group
         for material in group
-        for label in labels
+        for light in lights
     ]
-    return [f"{Path(name).stem}-under-{label}.png" for name in grids for label in labels], names
+    return [f"{Path(name).stem}-under-{light}.png" for name in grids for light in lights], names
 
 
 def light_names(lights: Sequence[str]) -> list[str]:
-    """Return what desired lights are called in names of files. Raises InputError for duplicates."""
+    """Return how files are named after desired lights. Raises InputError for duplicates."""
     names = []
     for text in lights:
         path, _, member = text.partition("#")
@@ -68,47 +68,50 @@ def edit_rows(
     progress: tqdm,
 ) -> list[list[Tile]]:
     """Write the edits of one grid, each in its object's own picture; return the grid's rows."""
-    rows = [head(decompositions)]
+    rows = [header_row(decompositions)]
     for shape, photo in pictures.items():
         tiles = {}
         for material, picture in edits_of(shape, decompositions, edit_options):
             save_edit(out / pair_name(shape, material), picture, photo)
-            tiles[material] = tile(picture, decompositions[shape])
+            tiles[material] = object_tile(picture, decompositions[shape])
             progress.update()
-        rows.append(row(shape, decompositions, tiles))
+        rows.append(edit_row(shape, decompositions, tiles))
     return rows
 
 
 def relit_rows(
     out: Path,
     decompositions: Mapping[Path, Decomposition],
-    label: str,
+    light_name: str,
     light: np.ndarray,
     edit_options: EditOptions,
     progress: tqdm,
 ) -> list[list[Tile]]:
     """Write the pictures of one grid under a desired light; return the grid's rows.
 
-    Each object is exposed as a light meter at its place would say: a white diffuse object of its
-    shape is just not clipped, so that dark and bright materials keep their brightness.
+    Each object has the exposure at which a white diffuse object of its shape is just not clipped,
+    as a light meter in its place would say, so that dark and bright materials keep their
+    brightness.
+
+    light  (64, 128, 3) radiance, light frame
     """
     white = targets.resolve_labels("lambert(#ffffff)", lambda path: np.zeros((1, 108), np.float32))
     assert white is not None
-    above = head(decompositions)
-    above[0] = (label, montage.light_picture(light))
-    rows: list[list[Tile]] = [above]
+    header = header_row(decompositions)
+    header[0] = (light_name, montage.light_picture(light))
+    rows: list[list[Tile]] = [header]
     for shape, decomposed in decompositions.items():
         compositor = Compositor(decomposed, edit_options.tolerance)
         photo = decomposed.photograph
-        exposure = tone.auto_exposure(compositor.relit(white, light), photo.mask)
-        before = tile(photo.radiance, decomposed)
+        exposure = tone.auto_exposure(compositor.relight(white, light), photo.mask)
+        before = object_tile(photo.radiance, decomposed)
         row: list[Tile] = [(shape.stem, before)]
         for material, other in decompositions.items():
             chosen = decomposed.label if material is shape else other.label[:1]
-            shown = tone.display(compositor.relit(chosen, light, list(chosen)), exposure)
+            shown = tone.display(compositor.relight(chosen, light, list(chosen)), exposure)
             alpha = 255.0 * photo.coverage[..., None]
             save_png(
-                out / relit_name(shape, material, label),
+                out / relit_name(shape, material, light_name),
                 np.concatenate([shown, alpha], -1),
             )
             ground = montage.GROUND + (shown - montage.GROUND) * photo.coverage[..., None]
@@ -150,7 +153,7 @@ def edits_of(
     compositor = Compositor(decompositions[shape], edit_options.tolerance, edit_options.detail)
     for material, other in decompositions.items():
         if material is not shape:
-            yield material, compositor.edited([other.label[0]], [other.label[0]])
+            yield material, compositor.edit([other.label[0]], [other.label[0]])
 
 
 def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
@@ -159,15 +162,13 @@ def save_edit(path: Path, picture: np.ndarray, photo: Photograph) -> None:
     save_png(path, drawing.with_alpha(shown, photo))
 
 
-def tile(picture: np.ndarray, decompositions: Decomposition) -> np.ndarray:
+def object_tile(picture: np.ndarray, decomposed: Decomposition) -> np.ndarray:
     """Return the object's square of a linear picture, as a contact sheet shows it."""
-    shown = tone.display(picture, drawing.display_exposure(decompositions.photograph))
-    return drawing.crop_to_object(
-        drawing.on_ground(shown, decompositions.photograph), decompositions
-    )
+    shown = tone.display(picture, drawing.display_exposure(decomposed.photograph))
+    return drawing.crop_to_object(drawing.on_ground(shown, decomposed.photograph), decomposed)
 
 
-def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
+def header_row(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
     """Return a grid's first row: a material sphere above each column."""
     corner: Tile = ("", np.full((8, 8, 3), montage.GROUND / 2))
     return [
@@ -179,11 +180,11 @@ def head(decompositions: Mapping[Path, Decomposition]) -> list[Tile]:
     ]
 
 
-def row(
+def edit_row(
     shape: Path, decompositions: Mapping[Path, Decomposition], tiles: Mapping[Path, np.ndarray]
 ) -> list[Tile]:
     """Return a grid's row of one object; tiles: {path of the material: tile of the edit}."""
-    before = tile(decompositions[shape].photograph.radiance, decompositions[shape])
+    before = object_tile(decompositions[shape].photograph.radiance, decompositions[shape])
     return [
         (shape.stem, before),
         *(("", tiles.get(material, before)) for material in decompositions),

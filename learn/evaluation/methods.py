@@ -19,7 +19,7 @@ import torch
 from learn.data.batch import ExampleBatch
 from learn.data.devices import to_numpy
 from learn.data.records import Records
-from learn.editing import brightness
+from learn.editing import mirror_correction
 from learn.editing.decomposition import require_parts
 from learn.editing.light_colour import remove_green
 from learn.layer import predictions
@@ -118,7 +118,7 @@ class AsEdited(Layered):
 
     def edit(self, batch: ExampleBatch, label: torch.Tensor) -> np.ndarray:
         """Return radiance (H, W, 3) of the object in other materials (S, 108)."""
-        factors = np.array([1.0, *(brightness.factor(to_numpy(row)) for row in label)])
+        factors = np.array([1.0, *(mirror_correction.factor(to_numpy(row)) for row in label)])
         segments = to_numpy(batch.segments[0]).clip(0, len(factors) - 1)
         return super().edit(batch, label) * factors[segments][..., None].astype(np.float32)
 

@@ -1,4 +1,8 @@
-"""Albedo of a material along the normal; lower than learn.metrics, because data is drawn by it."""
+"""Albedo of a material that is seen along its normal.
+
+It is here and not in learn.metrics because learn.data, on which metrics depend, draws materials by
+it.
+"""
 
 import numpy as np
 import torch
@@ -8,8 +12,8 @@ from shaders.spline import basis
 from shaders.tone import LUMINANCE
 
 KAPPA_CEILING = 12.0  # of κ c^γ, so that expm1 of a wild prediction stays finite
-# sharpness of a lobe of which half counts as narrow; for brightness of edits (learn.editing), 3 and
-# 30 explain as much
+# sharpness at which half of a lobe counts as narrow; 3 and 30 explain the brightness of edits
+# (learn.editing.mirror_correction) as well
 HALF_NARROW = 10.0
 _NODES = 48
 

@@ -1,6 +1,6 @@
-"""The method by which a material is displayed.
+"""Chooses the method by which a material is displayed.
 
-It is the sum over texels, or the integral for lobes that are visible and narrower than texels.
+It is the sum over texels, or the integral if a visible lobe is narrower than a texel.
 """
 
 import math
@@ -10,7 +10,7 @@ import torch
 from learn.methods.quadrature import BROAD
 from shaders.dsbrdf import MAX_EXPONENT, SHAPE, lobe_sharpness
 
-FAINT = 2e-3  # of a lobe's albedo: a fainter one is not visible
+FAINT = 2e-3  # albedo below which a lobe is not visible
 
 
 def method_for(label: torch.Tensor) -> str:

@@ -1,7 +1,7 @@
-"""The rules that the rendering layer's arguments keep, and the check of all of them.
+"""Checks the rendering layer's arguments.
 
-Each rule raises a ValueError that names the argument, the rule and the value. Letters as in
-learn/layer/rendering.py.
+Each check raises a ValueError that names the argument, the rule and the value.
+learn/layer/rendering.py explains the letters.
 """
 
 import math
@@ -17,7 +17,8 @@ from learn.engines.layout import OUTSIDE, SEEN, WRONG
 from learn.methods import HORIZON
 from shaders.dsbrdf import SHAPE, SIZE
 
-# of unit vectors: half-float files are within 1e-3; an unnormalised network output is far outside
+# of unit vectors: those of half-float files are within 1e-3, and an unnormalised output of a
+# network is far outside
 LENGTH_TOLERANCE = 1e-2
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 INTEGERS = (
@@ -31,7 +32,7 @@ INTEGERS = (
     torch.uint64,
 )
 LEAST_TOLERANCE = 1e-12  # smaller tolerances, beyond float64's digits, are treated as this
-# of one call: each pixel takes 12 bytes and more, each texel some 200
+# in one call: each pixel takes 12 bytes or more, and each texel about 200
 MOST_PIXELS, MOST_TEXELS = 2**28, 2**25
 
 
@@ -100,7 +101,7 @@ def require_alike(tensors: Mapping[str, torch.Tensor]) -> None:
 
 
 def require_beside(argument: str, tensor: torch.Tensor, n: torch.Tensor) -> None:
-    """Refuse anything but a dense tensor on the device of n."""
+    """Refuse anything but a dense tensor on the device of `n`."""
     require_dense(argument, tensor)
     if tensor.device != n.device:
         refuse(argument, f"the device of n, {n.device}", tensor.device)
@@ -178,6 +179,38 @@ def check_inputs(
     require_alike(
         {"n": n, "material": material, "light": light} | ({} if view is None else {"view": view})
     )
+    check_shapes(n, material, light, view, mask)
+    several = material.ndim == 3
+    if several and material.shape[1] != 1 and segments is None:
+        refuse(
+            "segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None
+        )
+    if segments is not None:
+        require_beside("segments", segments, n)
+        segments = check_segments(segments, n.shape[:3], material.shape[1] if several else 1)
+    n, material, light = make_readable(n), make_readable(material), make_readable(light)
+    view = None if view is None else make_readable(view)
+    if segments is not None:
+        mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
+    dtype = torch.promote_types(n.dtype, torch.float32)
+    m = (material if several else material[:, None]).to(dtype)
+    check_values(material.detach(), light.detach())
+    n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
+    mask, seen = find_seen_pixels(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
+    mask = (n.detach() != 0).any(-1) if mask is None else mask
+    if seen is None:  # no kernel, or a wrong length that the message has to name
+        check_lengths(n.detach(), None if view is None else view.detach(), mask)
+    return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
+
+
+def check_shapes(
+    n: torch.Tensor,
+    material: torch.Tensor,
+    light: torch.Tensor,
+    view: torch.Tensor | None,
+    mask: torch.Tensor | None,
+) -> None:
+    """Refuse shapes that do not fit together or are too large, and a mask that is not boolean."""
     require_shape("n", n, "shape (B, H, W, 3)", n.ndim == 4 and n.shape[3] == 3)
     images, picture = n.shape[0], n.shape[:3]
     if picture.numel() > MOST_PIXELS:
@@ -186,13 +219,12 @@ def check_inputs(
             f"at most {MOST_PIXELS} pixels in one call",
             f"{tuple(n.shape)}; render the batch in parts",
         )
-    layers = material.ndim - 1
     rule = f"shape ({images}, {SIZE}), or ({images}, S, {SIZE}) with segments"
     require_shape(
         "material",
         material,
         rule,
-        layers in (1, 2) and material.shape[0] == images and material.shape[-1] == SIZE,
+        material.ndim in (2, 3) and material.shape[0] == images and material.shape[-1] == SIZE,
     )
     right = (
         light.ndim == 4
@@ -214,26 +246,6 @@ def check_inputs(
         require_shape("mask", mask, f"shape {tuple(picture)}", mask.shape == picture)
         if mask.dtype != torch.bool:
             refuse("mask", "dtype torch.bool", mask.dtype)
-    if layers == 2 and material.shape[1] != 1 and segments is None:
-        refuse(
-            "segments", f"ids (B, H, W) for the {material.shape[1]} materials of each image", None
-        )
-    if segments is not None:
-        require_beside("segments", segments, n)
-        segments = check_segments(segments, picture, material.shape[1] if layers == 2 else 1)
-    n, material, light = make_readable(n), make_readable(material), make_readable(light)
-    view = None if view is None else make_readable(view)
-    if segments is not None:
-        mask = ((n.detach() != 0).any(-1) if mask is None else mask) & (segments > 0)
-    dtype = torch.promote_types(n.dtype, torch.float32)
-    m = (material if layers == 2 else material[:, None]).to(dtype)
-    check_values(material.detach(), light.detach())
-    n, light, view = n.to(dtype), light.to(dtype), None if view is None else view.to(dtype)
-    mask, seen = find_seen_pixels(n, view, mask) if pixel_selection.has_kernels(n) else (mask, None)
-    mask = (n.detach() != 0).any(-1) if mask is None else mask
-    if seen is None:  # no kernel, or a wrong length that the message has to name
-        check_lengths(n.detach(), None if view is None else view.detach(), mask)
-    return Inputs(n, m, light, view, segments, mask, tolerance, elevation, seen)
 
 
 def find_seen_pixels(

@@ -1,4 +1,4 @@
-"""Light maps as tensors: made smaller on the sphere, and their texels' solid angles."""
+"""Light maps as tensors: averages them over solid angle, and returns their texels' solid angles."""
 
 import math
 
@@ -21,10 +21,10 @@ def reduce_maps(light: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
 def row_means(before: int, after: int) -> np.ndarray:
     """Return weights (after, before) that average rows of a map by solid angle."""
     weight = np.asarray(envmap.row_solid_angles(before, 1)).reshape(after, -1)
-    out = np.zeros((after, before))
+    weights = np.zeros((after, before))
     for r, w in enumerate(weight):
-        out[r, r * len(w) : (r + 1) * len(w)] = w / w.sum()
-    return out
+        weights[r, r * len(w) : (r + 1) * len(w)] = w / w.sum()
+    return weights
 
 
 def solid_angles(light: torch.Tensor) -> torch.Tensor:

@@ -112,7 +112,7 @@ def fold_batch(
 
 
 def unfold_batch(count: int, x: torch.Tensor) -> torch.Tensor:
-    """Undo `fold_batch`: return (count · B, …) as (count, B, …)."""
+    """Return a tensor (count · B, …) as (count, B, …): undoes `fold_batch`."""
     return x.unflatten(0, (count, x.shape[0] // count if count else 0))
 
 

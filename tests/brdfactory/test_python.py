@@ -82,10 +82,10 @@ def test_paths_balances_and_devices_are_taken_in_all_their_forms(pictures, parts
     # a file's material was read from a picture, and is rendered as bright as it was read
     assert parts.paint(bf.blend(path, path)).display == pytest.approx(expected, abs=1)
     assert not np.array_equal(parts.paint(label).display, expected)
-    from learn.editing import brightness
+    from learn.editing import mirror_correction
 
     named, read = (parts.relight("city", each).linear for each in (label, path))
-    assert named.mean() / read.mean() == pytest.approx(brightness.factor(label), rel=1e-3)
+    assert named.mean() / read.mean() == pytest.approx(mirror_correction.factor(label), rel=1e-3)
     assert np.array_equal(bf.edit(photo, mask, path, **options).display, expected)
     kept = bf.edit(photo, mask, None, **options).display
     assert np.array_equal(kept, photo)

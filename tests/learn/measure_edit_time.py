@@ -74,7 +74,7 @@ def main() -> None:
 
     print(f"\n{'':24}{'looked up':>12}{'rendered':>12}{'difference':>12}")
     stages = {
-        "own material": lambda: painter.radiance(painter.own),
+        "own material": lambda: painter.radiance(painter.own_labels),
         "reflectance maps": lambda: drawing.reflectance_maps(result),
     }
     for name, stage in stages.items():
@@ -84,7 +84,7 @@ def main() -> None:
         label = targets.resolve_labels(name, None)[0]
 
         def edit(label: np.ndarray = label) -> np.ndarray:
-            return painter.edited([label])
+            return painter.edit([label])
 
         (fast, short), (slow, long) = timed(edit), measure_rendered(edit)
         error = tone.display(fast, 1.0) - tone.display(slow, 1.0)

@@ -96,7 +96,7 @@ def row(name, path, mask, network, size, settings, shape=None):
     result = decomposition.decompose(opened, network, size, settings, shape=shape)
     compositor = Compositor(result, detail=DETAIL)
     n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))
-    again = tone.display(compositor.rendered_again(), 1.0)
+    again = tone.display(compositor.render_again(), 1.0)
     tiles = [
         (name, drawing.crop_to_object(tone.display(opened.radiance, 1.0), result)),
         ("rendered again", drawing.crop_to_object(again, result)),
@@ -105,7 +105,7 @@ def row(name, path, mask, network, size, settings, shape=None):
     ]
     for material in MATERIALS:
         label = targets.resolve_labels(material, lambda picture: None)
-        edited = tone.display(compositor.edited([label[0]]), 1.0)
+        edited = tone.display(compositor.edit([label[0]]), 1.0)
         tiles.append((material, drawing.crop_to_object(edited, result)))
     return tiles, time.perf_counter() - start
 

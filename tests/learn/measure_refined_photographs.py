@@ -42,9 +42,9 @@ def by_method(path, mask, network, size):
         result = decomposition.decompose(opened, network, size, PHOTOGRAPHS.with_method(method))
         seconds = time.process_time() - began
         compositor = Compositor(result, detail=DETAIL)
-        again = compositor.rendered_again()
+        again = compositor.render_again()
         edits[method] = {
-            material: compositor.edited([targets.resolve_labels(material, lambda picture: None)[0]])
+            material: compositor.edit([targets.resolve_labels(material, lambda picture: None)[0]])
             for material in MATERIALS
         }
         n, L = (part[0].movedim(0, -1).numpy() for part in (result.parts.n, result.parts.light))

@@ -28,7 +28,7 @@ from learn.app.viewer import Superseded, Viewer
 from learn.commands import app as command
 from learn.commands import options
 from learn.data import photographs, picture_decoding
-from learn.editing import DETAIL, brightness, decomposition, photograph, reflectance_store
+from learn.editing import DETAIL, decomposition, mirror_correction, photograph, reflectance_store
 from learn.editing.compositor import Compositor
 from learn.networks import own_weights
 from learn.primitives import PRIMITIVES
@@ -313,7 +313,7 @@ def test_the_view_is_the_layers_picture_and_a_blend_is_linear() -> None:
     mask = result.photograph.mask
     assert np.sqrt(((exact - display)[mask] ** 2).mean()) < 2.0
     labels = [label_of("red-plastic")[0], None]
-    expected = Compositor(result, 1e-2, DETAIL).edited(labels)
+    expected = Compositor(result, 1e-2, DETAIL).edit(labels)
     assert np.allclose(linear, expected, rtol=1e-4, atol=1e-5)
 
     def full(painted: Painted) -> np.ndarray:
@@ -336,9 +336,9 @@ def test_a_metal_is_as_bright_in_the_view_as_in_full_named_or_read_from_a_pictur
         linear, display = viewer.full(edit)
         exact = viewer.view(edit, exact=True).astype(float)
         assert np.sqrt(((exact - display)[mask] ** 2).mean()) < 3.0
-        plain = Compositor(result, 1e-2, DETAIL).edited([each.label], [each.label])
+        plain = Compositor(result, 1e-2, DETAIL).edit([each.label], [each.label])
         bright.append(linear[mask].mean() / plain[mask].mean())
-    assert bright == pytest.approx([brightness.factor(metal.label), 1], rel=1e-3)
+    assert bright == pytest.approx([mirror_correction.factor(metal.label), 1], rel=1e-3)
 
 
 def test_a_turned_light_changes_the_object_and_not_the_background() -> None:

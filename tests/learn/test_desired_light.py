@@ -127,7 +127,7 @@ def test_relighting_by_true_parts_is_the_layers_picture():
     photo = opened(radiance, inside.astype(np.int64), 1.0)
     result = decomposition.decompose(photo, Knowing(label), NETWORK)
     L = envmap.unit_mean(lamp(20))[0].astype(np.float32)
-    again = Compositor(result, 1e-3).relit(label, L)
+    again = Compositor(result, 1e-3).relight(label, L)
     n, inside = ball(SIZE, 30)
     maps, m = torch.from_numpy(L)[None], torch.from_numpy(label).exp()
     truth = render(torch.from_numpy(n)[None], m, maps, method="exact")[0].numpy()

@@ -361,7 +361,7 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
     } == {device}
     # the grid that is rendered, for the reference sum is slow
     monkeypatch.setattr(compositor, "COARSEST", SIZE)
-    edited = compositor.Compositor(result, detail=0.25).edited([label_of("gold-paint")[0].numpy()])
+    edited = compositor.Compositor(result, detail=0.25).edit([label_of("gold-paint")[0].numpy()])
     assert rendered_on and set(rendered_on) == {device}
     assert edited.shape == (SIZE, SIZE, 3) and np.isfinite(edited).all()
     shown = spheres.material_sphere(

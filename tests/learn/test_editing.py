@@ -49,7 +49,7 @@ def test_with_true_parts_an_edit_into_its_own_material_is_the_photograph(balance
     result = decomposition.decompose(
         opened(seen, inside.astype(np.int64), 2.0, balance), Knowing(label), NETWORK
     )
-    again = Compositor(result).edited([label[0]])
+    again = Compositor(result).edit([label[0]])
     core = ball(SIZE, 30)[0][..., 2] > 0.4  # at the rim 64² normals, enlarged, are a pixel off
     level = tone.auto_exposure(seen, inside)
     # of 65,025; the picture itself has a variance of a thousand
@@ -64,7 +64,7 @@ def test_an_edit_keeps_size_and_background():
     regions = np.pad(inside.astype(np.int64), ((7, 20), (0, 31)))
     edited = Compositor(
         decomposition.decompose(opened(tall, regions), Knowing(label), NETWORK)
-    ).edited([label_of("gold-paint")[0]])
+    ).edit([label_of("gold-paint")[0]])
     assert edited.shape == tall.shape
     np.testing.assert_array_equal(edited[regions == 0], tall[regions == 0])
     assert abs(edited - tall)[regions > 0].mean() > 0.02
@@ -76,7 +76,7 @@ def test_an_object_that_touches_the_border_is_edited_up_to_it():
     cut, regions = radiance[30:, 40:], inside[30:, 40:].astype(np.int64)
     edited = Compositor(
         decomposition.decompose(opened(cut, regions), Knowing(label), NETWORK)
-    ).edited([label_of("gold-paint")[0]])
+    ).edit([label_of("gold-paint")[0]])
     assert edited.shape == cut.shape and np.isfinite(edited).all()
     assert (abs(edited - cut).max(-1) > 0)[regions > 0].mean() > 0.9
 
@@ -110,7 +110,7 @@ def test_a_soft_edge_mixes_edit_and_background_and_not_the_old_colour():
     result = photograph.Photograph(
         "square", red, coverage, (coverage >= 0.5).astype(np.int64), np.ones(3, np.float32), 1.0
     )
-    edited = Compositor(decomposition.decompose(result, Knowing(label), NETWORK)).edited([label[0]])
+    edited = Compositor(decomposition.decompose(result, Knowing(label), NETWORK)).edit([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     # the layer's picture changes a little from pixel to pixel
     np.testing.assert_allclose(edge, 0.5 * within + 0.5 * 0.25, atol=0.05)
@@ -133,7 +133,7 @@ def test_nothing_is_mixed_in_from_where_the_photograph_is_transparent(opacity_be
         alpha=np.maximum(coverage, opacity_beside),
     )
     painter = Compositor(decomposition.decompose(result, Knowing(label), NETWORK))
-    edited = painter.edited([label[0]])
+    edited = painter.edit([label[0]])
     edge, within = edited[45, 70], edited[45, 69]
     if opacity_beside:
         np.testing.assert_allclose(edge, 0.5 * within + [0, 4.5, 0], atol=0.05)
@@ -149,7 +149,7 @@ def test_a_region_that_is_kept_stays_and_the_other_changes():
     regions[:, SIZE // 2 :] *= 2
     edited = Compositor(
         decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK)
-    ).edited([None, label_of("gold-paint")[0]])
+    ).edit([None, label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[regions == 1], radiance[regions == 1])
     assert abs(edited - radiance)[regions == 2].mean() > 0.02
 
@@ -163,7 +163,7 @@ def test_brightness_changes_the_new_material_and_nothing_else():
         decomposition.decompose(opened(radiance, regions), Knowing(label), NETWORK), detail=0.5
     )
     labels = [None, label_of("gold-paint")[0]]
-    plain, brighter = (painter.edited(labels, stops=stops) for stops in (0.0, 1.5))
+    plain, brighter = (painter.edit(labels, stops=stops) for stops in (0.0, 1.5))
     new = regions == 2
     np.testing.assert_allclose(brighter[new], 2**1.5 * plain[new], rtol=1e-5)
     np.testing.assert_array_equal(brighter[~new], plain[~new])
@@ -178,7 +178,7 @@ def test_shading_is_kept_when_asked():
     )
     middle = (slice(40, 56), slice(40, 56))
     for detail, low, high in ((0.0, 0.0, 0.02), (1.0, 0.2, 0.35)):
-        edited = Compositor(result, detail=detail).edited([label_of("delrin")[0]])[middle]
+        edited = Compositor(result, detail=detail).edit([label_of("delrin")[0]])[middle]
         # 2 log 1.15 = 0.28 in the photograph
         contrast = abs(np.diff(np.log(edited[..., 1]), axis=0)).mean()
         assert low <= contrast <= high
@@ -235,7 +235,7 @@ def test_an_edit_into_its_own_material_is_the_photograph_if_all_shading_is_kept(
     shadow = np.where((np.arange(SIZE) < 48)[:, None, None], 1, 0.6).astype(np.float32)
     seen = opened(radiance * shadow, inside.astype(np.int64), 2.0)
     result = decomposition.decompose(seen, Knowing(label), NETWORK)
-    edited = Compositor(result, detail=1.0).edited([result.label[0]])
+    edited = Compositor(result, detail=1.0).edit([result.label[0]])
     within = result.photograph.coverage > 0.98
     ratio = edited[within] / seen.radiance[within]
     # but for the brightness and colour of the whole, and a little that counts as coloured
@@ -483,7 +483,7 @@ def test_a_region_too_small_for_the_network_is_kept_or_changed_all_the_same():
     regions[200:204, 201:205] = 2  # half a pixel of the network's, beside a pixel's middle
     result = decomposition.decompose(opened(radiance, regions), Knowing(label), 32)
     assert result.batch.segments.max() == 1 and result.parts.label.shape[1] == 2
-    edited = Compositor(result).edited([label_of("gold-paint")[0], None])
+    edited = Compositor(result).edit([label_of("gold-paint")[0], None])
     np.testing.assert_array_equal(edited[regions == 2], radiance[regions == 2])
     assert abs(edited - radiance)[regions == 1].mean() > 0.02
     swapped = opened(radiance, np.where(regions > 0, 3 - regions, 0).astype(np.uint8))
@@ -516,7 +516,7 @@ def test_what_lies_in_no_region_stays_as_it_is_but_for_a_rim(tmp_path):
     )
     assert (result.coverage[:, :30] > 0.99).all() and (result.coverage[:, 36:] == 0).all()
     painter = Compositor(decomposition.decompose(result, Knowing(label_of("blue-rubber")), NETWORK))
-    edited = painter.edited([label_of("gold-paint")[0]])
+    edited = painter.edit([label_of("gold-paint")[0]])
     np.testing.assert_array_equal(edited[:, 36:], result.radiance[:, 36:])
     assert abs(edited - result.radiance)[:, :30].mean() > 0.02
 
@@ -532,20 +532,20 @@ def test_the_picture_rendered_again_has_none_of_the_photographs_own_detail():
         detail=1.0,
     )
     middle = (slice(40, 56), slice(40, 56))
-    assert abs(np.diff(np.log(painter.rendered_again()[middle][..., 1]), axis=0)).mean() < 0.02
+    assert abs(np.diff(np.log(painter.render_again()[middle][..., 1]), axis=0)).mean() < 0.02
 
 
 def test_the_objects_own_material_is_rendered_once(monkeypatch):
     label = label_of("blue-rubber")
     radiance, inside = lit(label, 0.5)
-    drawn, rendered = [], Compositor._rendered
+    drawn, rendered = [], Compositor._render
     decomposed = decomposition.decompose(
         opened(radiance, inside.astype(np.uint8)), Knowing(label), NETWORK
     )
-    monkeypatch.setattr(Compositor, "_rendered", lambda *a: drawn.append(1) or rendered(*a))
+    monkeypatch.setattr(Compositor, "_render", lambda *a: drawn.append(1) or rendered(*a))
     painter = Compositor(decomposed, detail=0.25)
-    painter.edited([label_of("gold-paint")[0]])
-    painter.rendered_again()
+    painter.edit([label_of("gold-paint")[0]])
+    painter.render_again()
     assert len(drawn) == 2
 
 

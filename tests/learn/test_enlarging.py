@@ -64,7 +64,7 @@ def test_every_way_paints_a_smooth_object_alike_and_one_render_serves_all_detail
     monkeypatch.setattr(
         predictions, "render", lambda *a, **k: rendered.append(a) or render(*a, **k)
     )
-    edits = {name: painter.edited([result.label[0]]) for name, painter in ways.items()}
+    edits = {name: painter.edit([result.label[0]]) for name, painter in ways.items()}
     # in use and its details together once, three at the network's size, normals once
     assert len(rendered) == 5
     # of 30: at the rim ways differ by right

@@ -76,8 +76,8 @@ def result_of(cut_out=False, alpha=None):
     compositor = Compositor(decomposed, 1e-2, 0.25)
     return edit.EditResult(
         decomposed,
-        compositor.rendered_again(),
-        [edit.Edit("brass+keep", labels, compositor.edited(labels), None)],
+        compositor.render_again(),
+        [edit.Edit("brass+keep", labels, compositor.edit(labels), None)],
         {},
     )
 
@@ -141,7 +141,7 @@ def whole(data, count, shape, first=0):
 def edited(made, *names):
     """The compositor's display picture of the regions in materials, None as photographed."""
     labels = [None if name is None else label_of(name)[0] for name in names]
-    return tone.display(made.compositor.edited(labels), 1.0)
+    return tone.display(made.compositor.edit(labels), 1.0)
 
 
 def distance(a, b, mask):
@@ -313,7 +313,7 @@ def test_a_browser_shows_the_compositors_pictures(made, address):
         # a blend: of radiance, not of display values
         brass = Page(made.text).names.index("brass")
         shown = pixels(window, choice(made, "green-fabric", None, blend=0.25, second=brass))
-        parts = [made.compositor.edited([label_of(n)[0], None]) for n in ("green-fabric", "brass")]
+        parts = [made.compositor.edit([label_of(n)[0], None]) for n in ("green-fabric", "brass")]
         assert distance(shown, tone.display(0.75 * parts[0] + 0.25 * parts[1], 1.0), mask) < LIMIT
         before = pixels(window, "editPage.state.split = 0")
         np.testing.assert_array_equal(before, Page(made.text).planes[0])
@@ -382,7 +382,7 @@ def test_a_cut_out_object_stays_transparent_and_can_stand_before_a_plain_ground(
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     opened, own = result.decomposition.photograph, result.decomposition.label
-    truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)
+    truth = tone.display(compositor.edit([own[0], own[1]]), 1.0)
     show = choice(SimpleNamespace(text=path.read_text("utf-8")), "own material 1", "own material 2")
     for address in ("", "#canvas"):
         with browser.Browser() as window:
@@ -421,7 +421,7 @@ def test_hidden_colours_of_a_transparent_photograph_do_not_show(monkeypatch, tmp
     )
     compositor = Compositor(result.decomposition, 1e-2, 0.25)
     own = result.decomposition.label
-    truth = tone.display(compositor.edited([own[0], own[1]]), 1.0)
+    truth = tone.display(compositor.edit([own[0], own[1]]), 1.0)
     coverage = result.decomposition.photograph.coverage
     edge = (coverage > 0.05) & (coverage < 0.95)
     show = choice(SimpleNamespace(text=path.read_text("utf-8")), "own material 1", "own material 2")
@@ -501,11 +501,11 @@ def test_errors_are_those_of_the_stored_codes(made):
     page, light = Page(made.text), made.result.decomposition.parts.light
     _, n = interactive.add_picture(made.compositor, Chunks())
     scene = interactive.make_scene(made.compositor, light)
-    checked = interactive.normals_to_check(n)
+    checked = interactive.choose_normals(n, interactive.CHECKED_PIXELS)
     for name in CHOSEN:
         read = store.interpolate(page.values(0, name), checked)
         label = label_of(name)[0]
-        truth = made.compositor.brightness(label) * store.radiance(checked, label, scene, "")
+        truth = made.compositor.mirror_correction(label) * store.radiance(checked, label, scene, "")
         a, b = (tone.display(each, 1.0) for each in (read, truth))
         error = page.header["lights"][0]["errors"][page.names.index(name)]
         assert error == pytest.approx(np.sqrt(np.mean((a - b) ** 2)), abs=0.006), name

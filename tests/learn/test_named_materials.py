@@ -99,7 +99,7 @@ def test_a_described_material_is_its_description(name):
     (label,) = targets.resolve_labels(name, lambda path: pytest.fail("no picture"))
     (same,) = targets.resolve_labels(described.text, lambda path: pytest.fail("no picture"))
     np.testing.assert_array_equal(label, same)
-    assert targets.is_expression(name) and not targets.is_from_picture(name)
+    assert targets.is_described(name) and not targets.is_from_picture(name)
     assert targets.fit_errors([name]) == {name: round(fit_expression(described.text).error, 4)}
     assert fit_expression(described.text).error < 0.06
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from learn.data.records import Records
-from learn.editing import brightness, exposure
+from learn.editing import exposure, mirror_correction
 from learn.experiments.photographs import (
     photographed_edits,
     photographed_fit,
@@ -186,7 +186,8 @@ def test_a_report_without_cues_is_a_sentence() -> None:
 def test_what_is_in_use_for_a_cut_out_has_no_part_of_the_background() -> None:
     some = edits(20, SLOPES)
     expected = [
-        np.log2(exposure.exposure_from_cues(exposure.Cues(*row[1:4]))) + brightness.STOPS * row[4]
+        np.log2(exposure.exposure_from_cues(exposure.Cues(*row[1:4])))
+        + mirror_correction.STOPS * row[4]
         for row in some.cues
     ]
     assert photographed_fit.in_use(some) == pytest.approx(expected)

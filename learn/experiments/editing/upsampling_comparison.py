@@ -87,7 +87,7 @@ def _row(records: Records, edit: pairs.EditPair, painters: dict[str, dict]) -> d
     for parts, strategies in painters.items():
         mask = strategies["normals enlarged"].decomposition.photograph.mask
         row[parts] = {
-            name: compare_pictures(painter.edited([label]), truth, mask)
+            name: compare_pictures(painter.edit([label]), truth, mask)
             for name, painter in strategies.items()
         }
     return row

@@ -116,20 +116,20 @@ class NetworkSizeCompositor(Compositor):
 
     def __init__(self, parts: Decomposition, upsample: Upsample | None = None) -> None:
         super().__init__(parts)
-        self.grid, self.upsample = len(parts.framed.mask), upsample
+        self.grid, self.chosen_upsampling = len(parts.framed.mask), upsample
         self.n = upsample_normals(parts.parts.n[0], parts.framed.mask, self.grid)
         rows = ((np.arange(self.grid) + 0.5) * self.side / self.grid).astype(int)
         wide = dilate(dilate(self.coverage[rows][:, rows] > 0))
         self.segments = torch.from_numpy(
-            np.where(wide, self.filled[rows][:, rows], 0).astype(np.int64)
+            np.where(wide, self.filled_regions[rows][:, rows], 0).astype(np.int64)
         )
 
-    def upsampled(self, picture: np.ndarray) -> np.ndarray:
+    def upsample(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture (h, w, 3) at the photograph's size; without a function, bilinearly."""
         return (
-            super().upsampled(picture)
-            if self.upsample is None
-            else self.upsample(picture, *guides(self.decomposition, self.side))
+            super().upsample(picture)
+            if self.chosen_upsampling is None
+            else self.chosen_upsampling(picture, *guides(self.decomposition, self.side))
         )
 
 

@@ -130,7 +130,7 @@ def _fitted(
     """
     import numpy as np
 
-    from learn.editing import brightness
+    from learn.editing import mirror_correction
     from learn.experiments.photographs import photographed_fit as fit
 
     columns = [fit.TERMS.index(term) for term in _terms(line)]
@@ -138,10 +138,12 @@ def _fitted(
     alike = np.concatenate([of / max(of.sum(), 1e-9) for of in each])
     cues = np.concatenate([edits.cues[:, columns] for edits in sets])
     # mirror-like targets are darkened as the program does it
-    rest = np.concatenate([edits.right - brightness.STOPS * edits.cues[:, 4] for edits in sets])
+    rest = np.concatenate(
+        [edits.right - mirror_correction.STOPS * edits.cues[:, 4] for edits in sets]
+    )
     slopes = np.zeros(len(fit.TERMS))
     slopes[columns] = fit.least_squares(cues, rest, alike)
-    slopes[4] = brightness.STOPS
+    slopes[4] = mirror_correction.STOPS
     return slopes
 
 
@@ -160,12 +162,12 @@ def _judged(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from learn.editing import brightness
+    from learn.editing import mirror_correction
     from learn.experiments.photographs import photographed_fit
     from learn.metrics import bootstrap
 
     weights = photographed_fit.weights_of(edits)
-    darker = brightness.STOPS * edits.cues[:, 4]
+    darker = mirror_correction.STOPS * edits.cues[:, 4]
     result: dict[str, Any] = {
         "name": name,
         "judged": judged,

@@ -311,7 +311,7 @@ def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, An
     from shaders import tone
     from shaders.tone import LUMINANCE
 
-    edited = compositor.edited([target.label])
+    edited = compositor.edit([target.label])
     before = compositor.decomposition.photograph
     inside = photo.mask & (before.coverage > 1 - CLEAR)
     truth = photo.of(target.frame)

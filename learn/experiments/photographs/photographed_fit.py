@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn.editing import brightness, exposure
+from learn.editing import exposure, mirror_correction
 from learn.experiments import runner
 from learn.metrics import bootstrap
 
@@ -145,7 +145,7 @@ def in_use(edits: Edits, cut_out: bool = False) -> np.ndarray:
     if cut_out:
         cues = [replace(each, background=None) for each in cues]
     photograph = np.array([np.log2(exposure.exposure_from_cues(each)) for each in cues])
-    return photograph + brightness.STOPS * edits.cues[:, 4]
+    return photograph + mirror_correction.STOPS * edits.cues[:, 4]
 
 
 def rules_of(edits: Edits) -> dict[str, np.ndarray]:
@@ -157,13 +157,14 @@ def rules_of(edits: Edits) -> dict[str, np.ndarray]:
         BEFORE: first + (TRUST_BEFORE * edits.cues[:, 2]).clip(-MOST_BEFORE, MOST_BEFORE),
         IN_USE: in_use(edits),
         "in use, for a cut-out": in_use(edits, cut_out=True),
-        "in use, mirror-like targets not darker": in_use(edits) - brightness.STOPS * share,
+        "in use, mirror-like targets not darker": in_use(edits) - mirror_correction.STOPS * share,
         "one exposure for all, fitted": by_others(edits, ("constant", "narrow")),
         "fitted without the background": by_others(edits, CUT_OUT),
         "fitted": by_others(edits, WITH_BACKGROUND),
         "fitted, with the object's brightness": by_others(edits, TERMS),
         "the true exposure": edits.true,
-        "the true exposure, mirror-like targets darker": edits.true + brightness.STOPS * share,
+        "the true exposure, mirror-like targets darker": edits.true
+        + mirror_correction.STOPS * share,
     }
 
 
@@ -286,7 +287,7 @@ def _line(edits: Edits, weights: np.ndarray) -> str:
         slopes = fitted(edits, terms)
         drawn = np.array([fitted(edits, terms, each) for each in weights[:500]])
         low, high = np.percentile(drawn, bootstrap.LEVELS, axis=0)
-        now = [line.constant, line.object, line.again, line.background, brightness.STOPS]
+        now = [line.constant, line.object, line.again, line.background, mirror_correction.STOPS]
         for k, term in enumerate(TERMS):
             shown = runner.interval([slopes[k], low[k], high[k]], 2) if term in terms else ""
             lines.append([name, term, f"{now[k]:+.2f}", shown])

@@ -210,7 +210,7 @@ def write_sheet(
             parts = decomposition.decompose(read, network, size, settings, shape=case.shape)
         except InputError:
             continue
-        edited = tone.display(Compositor(parts, detail=detail).edited([truth.label]), 1.0)
+        edited = tone.display(Compositor(parts, detail=detail).edit([truth.label]), 1.0)
         rows += [
             [
                 (f"photograph: {case.source}", photo.pixels.astype(np.float32)),

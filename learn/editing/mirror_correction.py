@@ -1,4 +1,4 @@
-"""Mirror-like materials are rendered too bright by predicted normals and light: a correction.
+"""Darkens edits into mirror-like materials, which predicted normals and light make too bright.
 
 A network predicts the mean of the normals and lights that a picture may have. What a matte surface
 shows of them is a mean over half the sphere, and comes out as bright as it should. A mirror shows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn.editing import brightness, decomposition, light_colour, targets
+from learn.editing import decomposition, light_colour, mirror_correction, targets
 from learn.editing.compositor import Compositor
 from learn.editing.edit import EditOptions, make_edits
 from learn.evaluation.methods import AsEdited, Layered, render_by_layer
@@ -42,9 +42,9 @@ def test_a_black_material_has_a_share_too() -> None:
 
 
 def test_metals_are_darkened_and_matte_materials_are_not() -> None:
-    factors = {m.name: brightness.factor(m.label) for m in load_catalogue().values()}
+    factors = {m.name: mirror_correction.factor(m.label) for m in load_catalogue().values()}
     assert len(factors) > 100 and all(0 < each <= 1 for each in factors.values())
-    full = 2**-brightness.STOPS
+    full = 2**-mirror_correction.STOPS
     for name in ("chrome", "chrome-steel", "steel"):
         assert factors[name] == pytest.approx(full, rel=0.02)
     for name in ("spectralon", "beige-fabric", "pink-plastic", "neoprene-rubber"):
@@ -57,15 +57,15 @@ def test_a_target_is_darkened_once_and_the_photographs_own_material_never() -> N
     painter = Compositor(
         decomposition.decompose(opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK)
     )
-    mine = painter.own[0]
-    assert painter.brightness(mine) == 1
-    assert painter.brightness(metal) == np.float32(brightness.factor(metal)) < 0.7
+    mine = painter.own_labels[0]
+    assert painter.mirror_correction(mine) == 1
+    assert painter.mirror_correction(metal) == np.float32(mirror_correction.factor(metal)) < 0.7
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(brightness, "STOPS", 0.0)
+        patch.setattr(mirror_correction, "STOPS", 0.0)
         plain = {"own": painter.radiance(mine[None]), "metal": painter.radiance(metal[None])}
     np.testing.assert_array_equal(painter.radiance(mine[None]), plain["own"])
     np.testing.assert_allclose(
-        painter.radiance(metal[None]), brightness.factor(metal) * plain["metal"], rtol=1e-5
+        painter.radiance(metal[None]), mirror_correction.factor(metal) * plain["metal"], rtol=1e-5
     )
 
 
@@ -75,12 +75,12 @@ def test_a_material_that_was_read_from_another_picture_is_not_darkened() -> None
     painter = Compositor(
         decomposition.decompose(opened(radiance, inside.astype(np.int64)), Knowing(own), NETWORK)
     )
-    named = painter.edited([metal])
-    assert painter.brightness(metal, [metal.copy()]) == 1
+    named = painter.edit([metal])
+    assert painter.mirror_correction(metal, [metal.copy()]) == 1
     core = inside & (named.sum(-1) > 1e-3)
-    read = painter.edited([metal], [metal])
+    read = painter.edit([metal], [metal])
     ratio = read[core].sum() / named[core].sum()
-    assert ratio == pytest.approx(1 / brightness.factor(metal), rel=0.02)
+    assert ratio == pytest.approx(1 / mirror_correction.factor(metal), rel=0.02)
 
 
 def test_edit_darkens_a_name_and_not_a_file_of_the_same_label(tmp_path) -> None:
@@ -96,7 +96,7 @@ def test_edit_darkens_a_name_and_not_a_file_of_the_same_label(tmp_path) -> None:
         size = {"size": NETWORK}
         edits = make_edits(picture, labels, Knowing(own), size, options, progress).edits
     named, read = (each.picture[inside].mean() for each in edits)
-    assert named / read == pytest.approx(brightness.factor(metal), rel=0.02)
+    assert named / read == pytest.approx(mirror_correction.factor(metal), rel=0.02)
 
 
 def test_files_are_read_and_names_are_not(tmp_path) -> None:
@@ -137,5 +137,5 @@ def test_the_row_as_edited_has_the_corrections_of_edit() -> None:
     shown = render_by_layer(right.n, target, right.light, result.batch)
     assert shown.max() > 0
     np.testing.assert_allclose(
-        corrected.edit(result.batch, target), brightness.factor(metal) * shown, rtol=1e-5
+        corrected.edit(result.batch, target), mirror_correction.factor(metal) * shown, rtol=1e-5
     )
