@@ -1,4 +1,4 @@
-"""Paths of meshes and lights from the root, because the workers of a Ray cluster run in the folder
+"""Makes paths of meshes and lights absolute, because the workers of a Ray cluster run in the folder
 where the cluster was started.
 """
 
@@ -20,32 +20,35 @@ if TYPE_CHECKING:
     from factory.planning.plan import Plan
 
 
-def with_absolute_paths(
+def make_paths_absolute(
     plan: Plan, parts: Iterable[Part | None], run_options: RunOptions
 ) -> tuple[Plan, Iterator[Part | None], RunOptions]:
     """Return a plan, its parts and options that name meshes and lights by absolute paths."""
     lights = {
-        key: replace(light, source=_absolute(light.source))
+        key: replace(light, source=_absolute_path(light.source))
         if is_light_path(light.source)
         else light
         for key, light in plan.assets.lights.items()
     }
-    library = None if run_options.library is None else _absolute(run_options.library)
-    moved = (None if part is None else part._replace(shapes=_moved(part.shapes)) for part in parts)
+    library = None if run_options.library is None else _absolute_path(run_options.library)
+    absolute_parts = (
+        None if part is None else part._replace(shapes=_shapes_at_absolute_paths(part.shapes))
+        for part in parts
+    )
     assets = replace(plan.assets, lights=lights)
-    return replace(plan, assets=assets), moved, replace(run_options, library=library)
+    return replace(plan, assets=assets), absolute_parts, replace(run_options, library=library)
 
 
-def _moved(shapes: Iterable[Shape]) -> list[Shape]:
+def _shapes_at_absolute_paths(shapes: Iterable[Shape]) -> list[Shape]:
     """Return shapes whose files are named by absolute paths."""
     return [
-        structs.replace(s, source=structs.replace(s.source, place=_absolute(s.source.place)))
+        structs.replace(s, source=structs.replace(s.source, place=_absolute_path(s.source.place)))
         if s.source.is_file
         else s
         for s in shapes
     ]
 
 
-def _absolute(path: str) -> str:
-    """Return the path from the root; what follows after its '#' or '?' stays."""
+def _absolute_path(path: str) -> str:
+    """Return the absolute path; what follows after its '#' or '?' stays."""
     return os.path.join(os.getcwd(), path)

@@ -1,4 +1,4 @@
-"""What a worker is given besides its shots: where assets are read from, and their hashes."""
+"""What a worker needs besides its shots: where it reads assets from, and which hashes they have."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from manifests.viewpoints import COUNT
 
 COUNTED = 3000  # shots on which events are counted
 LEAST_PROBES, MOST_PROBES = 3, 24  # shots that are tried
-PROBE_SECONDS = 15.0  # beyond which no further ones are awaited
+PROBE_SECONDS = 15.0  # after which no further trial shots are awaited
 RECORD_BYTES = 1100  # a line of records/*.jsonl
 
 
@@ -40,7 +40,7 @@ class Forecast:
     bytes    {kind of file: bytes on disk}
     workers  number of processes, among which the seconds are divided
     start    seconds until a worker has started
-    computed seconds of a processor on one worker, all kinds and threads together; None: unknown
+    computed seconds of processor time on one worker, for all kinds and threads; None: unknown
     """
 
     seconds: dict[str, float]
@@ -68,7 +68,7 @@ class ClusterForecast:
     """What a whole job takes on machines of one kind, with one worker of one thread for each core.
 
     hours       until the job is done, if all machines work from the beginning to the end
-    core_hours  that are paid for: all cores for that time, their start included
+    core_hours  that are paid for: of all cores for that time, including their start
     """
 
     machines: int

@@ -30,7 +30,7 @@ CHUNK = 32
 MOST_DEATHS = 8
 # seconds of silence after which a worker counts as hung; 50 times the longest shot, if that is more
 PATIENCE = 600.0
-SOON = 0.05  # seconds after which shots that were not known yet are asked for again
+SOON = 0.05  # seconds after which the pool asks again for shots that were not known yet
 
 
 def _line(message: WorkerConfig | Chunk) -> bytes:
@@ -140,7 +140,8 @@ class Pool:
         self._interrupted: deque[Shot] = deque()  # shots whose chunk was cut short
         self._suspects: deque[Shot] = deque()  # shots for a second try in a new worker
         self._tried: set[str] = set()  # ids of shots that have failed once
-        self._longest, self._deaths = 0.0, 0  # seconds of a shot; deaths since the last picture
+        # seconds of the longest shot; deaths since the last picture
+        self._longest, self._deaths = 0.0, 0
 
     def run(self, shots: Iterable[Shot | None]) -> Generator[tuple[Shot, Reply], None, None]:
         """Make all shots; yield (shot, Reply) for each that is made or given up.

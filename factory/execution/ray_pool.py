@@ -1,4 +1,4 @@
-"""A pool of workers on a Ray cluster, in the place of factory.execution.pool.
+"""A pool of workers on a Ray cluster, used instead of factory.execution.pool.
 
 The unit of work is a shape's shots: they go to one worker, so that its geometry is rendered once. A
 worker gets a unit in slices of about SLICE_SECONDS, which is how often progress is reported. When
@@ -35,8 +35,8 @@ from manifests.errors import InputError
 from manifests.line_files import Lines
 from manifests.ray_cluster import MOST_LOSSES, MOST_LOST_IN_A_ROW, SCALE_SECONDS
 
-SLICE_SECONDS = 2.0  # that a worker is given work for at once
-MOST_SLICE = 64  # shots of it
+SLICE_SECONDS = 2.0  # of work that a worker is given at once
+MOST_SLICE = 64  # shots that it is given at once
 MOST_UNIT = 4096  # shots of a shape that one worker holds; the rest is a further unit
 PATIENCE = 900.0  # seconds to wait for the lock of a lost worker
 STOP_PATIENCE = 20.0  # seconds that workers have to end in when the run is stopped
@@ -44,7 +44,7 @@ STOP_PATIENCE = 20.0  # seconds that workers have to end in when the run is stop
 
 @dataclass
 class _Worker:
-    """An actor, what it was given and what it is still to get.
+    """An actor, the shots that it was given, and those that it is still to get.
 
     pending  shots of the slice in its hands, None before it is ready
     unit     shots of its unit that it was not given yet

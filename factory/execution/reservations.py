@@ -1,4 +1,4 @@
-"""Which source of a job's makes a mesh that several of its sources hold.
+"""Decides which source of a job makes a mesh that several of its sources hold.
 
 Parts of a job that read their own shapes alone do not see that another part reads the same mesh
 from another source. The first source that is registered keeps the mesh for the job, and the others
@@ -104,7 +104,7 @@ class Reservations:
 
 
 def _hash_of(source: Source) -> str:
-    # a file's name may be no text
+    # a file's name may hold bytes that are no text
     return _hash(repr(source).encode(errors="surrogateescape"))
 
 

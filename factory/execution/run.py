@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from factory.execution.absolute_paths import with_absolute_paths
+from factory.execution.absolute_paths import make_paths_absolute
 from factory.execution.assignment import Assignment, LightSource, ShapeSource
 from factory.execution.parts import (
     Part,
@@ -191,7 +191,7 @@ def _make_shots(
     known = store.known_ids("records" if plan.job.pictures else "views")
     sources: dict[str, ShapeSource] = {}
     if run_options.ray is not None:
-        plan, parts, run_options = with_absolute_paths(plan, parts, run_options)
+        plan, parts, run_options = make_paths_absolute(plan, parts, run_options)
     counts = {"already_there": 0, "made": 0, "failed": 0}
     missing = _missing_shots(parts, known, sources, counts, run_options.limit, watch)
     assignment = make_assignment(plan, run_options.library)
@@ -236,9 +236,9 @@ def _missing_shots(
 ) -> Iterator[Shot | None]:
     """Yield the shots that are still to be made, at most `limit`; None: the next is not known yet.
 
-    known    ids of lines that are there, and hashes of their geometry files
-    sources  those of the parts' shapes are added
-    counts   `already_there` is counted
+    known    ids of the lines that are there, and hashes of their geometry files
+    sources  to which the sources of the parts' shapes are added
+    counts   of which `already_there` is counted up
     """
     done, hashes = known
     given, is_noted = 0, False
@@ -322,6 +322,7 @@ def worker_config(
 
 
 def _failure(shot: Shot, reason: str) -> Failure:
+    """Return the line of failures.jsonl about a shot that failed now."""
     return Failure(
         **shot.repeated_in(Failure),
         reason=reason,

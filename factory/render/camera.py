@@ -49,7 +49,7 @@ def points(camera: Camera, mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """
     x, y = (grid[mask] * camera.half_extent for grid in frames.pixel_grid(*camera.size))
     if camera.fov_deg is not None:
-        spread = 1 + depth / distance(camera)  # rays go apart: 1 at the object's centre
+        spread = 1 + depth / distance(camera)  # of the rays: 1 at the object's centre
         x, y = x * spread, y * spread
     return np.stack([x, y, -depth], axis=-1)
 
@@ -77,7 +77,7 @@ def place(scene: bpy.types.Scene, camera: Camera) -> None:
 
 
 def shift(scene: bpy.types.Scene, camera: Camera, rightwards: float, upwards: float) -> None:
-    """Move the frame of the scene's camera by parts of a pixel, as `place` has not."""
+    """Shift the frame of the scene's camera by fractions of a pixel from where `place` left it."""
     longer = max(camera.size)
     assign(scene.camera.data, "shift_x", rightwards / longer)
     assign(scene.camera.data, "shift_y", upwards / longer)

@@ -17,7 +17,7 @@ from shaders import envmap
 # world units above the object, which then fills 1e-3 rad around the nadir, between texel centres
 FAR = 1000.0
 NEAREST_TOLERANCE = 1e-5  # relative: the same float32 numbers, through one multiplication or two
-# relative L1: rays pass up to .005 pixels from the pixel's centre, where a sun's slope is steep
+# relative L1: rays pass up to 0.005 pixels from the pixel's centre, and a sun's edge is steep
 BILINEAR_TOLERANCE = 2e-2
 
 LOOK = (
@@ -31,7 +31,7 @@ LOOK = (
 
 
 def expected_map(seen: np.ndarray, nearest: bool) -> np.ndarray:
-    """Return the radiance (64, 128, 3) that Cycles should find at the texels of a 64×128 map.
+    """Return the radiance (64, 128, 3) that Cycles should show at the texels of a 64×128 map.
 
     seen     (height, width, 3), the map that was set
     nearest  True: nearest look-up; False: bilinear

@@ -24,7 +24,8 @@ from factory.render.settings import DENOISED, Setting, apply, assign
 from manifests.quiet import silenced
 
 LAYER = "Layer"
-# channels of the file that the operator looks for; it demands motion, but uses it between frames
+# channels of the file that the operator looks for; it demands motion, which it uses only between
+# frames
 CHANNELS = {
     "Combined": "RGBA",
     "Denoising Albedo": "RGB",
@@ -32,17 +33,18 @@ CHANNELS = {
     "Vector": "XYZW",
 }
 FLIPS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # steps along rows and columns
-# passes of albedo and normal: as Cycles' own denoiser takes them, and those of the surface itself
+# passes of albedo and normal: those that Cycles' own denoiser takes, which follow mirrors, and
+# those of the surface itself
 FOLLOWED, OWN = ("Denoising Albedo", "Denoising Normal"), ("DiffCol", "Normal")
-LEAST_LENGTH = 0.5  # of followed normals, in the mean over the object; shorter ones are missing
+LEAST_LENGTH = 0.5  # of followed normals, averaged over the object; below, they count as missing
 
 
 def guides_of(passes: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return albedo and normal (height, width, 6) of a rendered portion, as `denoise` takes them.
 
-    Cycles follows a mirror-like surface to what it mirrors. Where that is the sky there is no
-    normal, and the albedo is that of few paths; the surface's own diffuse colour and normal then
-    leave less error (docs/log.md).
+    Where a surface is mirror-like, Cycles' passes show what it mirrors. If that is the sky, there
+    is no normal, and the albedo is that of few paths; the surface's own diffuse colour and normal
+    then leave less error (docs/log.md).
 
     passes  {pass: (height, width, channels)} with FOLLOWED, OWN and Combined
     """

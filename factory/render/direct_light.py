@@ -17,10 +17,11 @@ from shaders.mixture import Mixture
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
-# samples of a narrow lobe per pixel that has up to USUAL points, and as many at each point beyond;
-# mirror-like materials need more, for normals turn by more than their lobes in a pixel
+# samples of a narrow lobe per pixel, divided among its points if these are USUAL at most; with more
+# points, each has as many as with USUAL. Mirror-like materials need more samples, because normals
+# turn by more than the width of their lobes within a pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
-# points per pixel: so many across in each of so many grids, which are shifted against each other
+# {points per pixel: (points across the pixel in a grid, grids that are shifted against each other)}
 GRIDS = {
     1024: (16, 4),
     512: (16, 2),
@@ -31,34 +32,35 @@ GRIDS = {
     16: (2, 4),
     4: (1, 4),
 }
-USUAL = 64  # points per pixel, and the least of mirror-like materials, where few mean nothing
-LEAST = 16  # points per pixel, if as many fit
+# points per pixel by default, and at least for mirror-like materials, where few are not enough
+USUAL = 64
+LEAST = 16  # points per pixel for other materials, if as many fit
 MOST_POINTS = 1 << 23  # of a frame; those on the object take 100 bytes each
 AT_ONCE = 1 << 19  # points of a frame whose light is computed at once
-# places of so many grids between one's points (rightwards, upwards), in steps of a grid: of no two
-# in a row, column or diagonal, since most edges of objects are upright or level
+# {number of grids: their places (rightwards, upwards) in steps of a grid}: no two are in a row, a
+# column or a diagonal, since most edges of objects are upright or level
 SHIFTS = {
     1: ((0.0, 0.0),),
     2: ((-0.25, -0.25), (0.25, 0.25)),
     4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
 }
-# across a pixel; in each of them light near the horizon is summed once for similar normals, whose x
-# and y differ by less than a step of so many per unit
+# cells across a pixel, in each of which light near the horizon is summed once for similar normals:
+# those whose x and y are equal when they are rounded to SIMILAR steps per unit
 CELLS, SIMILAR = 2, 8
 FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
-MIRROR_LIKE = 0.03  # α below which a lobe is
+MIRROR_LIKE = 0.03  # α below which a lobe counts as mirror-like
 MOST_DIRECT = 32  # maps of direct light in memory, of 1 to 2 MB each
 
 
 class DirectLights:
-    """Closed forms of mixtures under lights, of which those that were used last are kept."""
+    """Closed forms of mixtures under lights; those that were used last are kept."""
 
     def __init__(self) -> None:
         # by mixture, light and camera, least recently used first
         self._known: OrderedDict[tuple, DirectLight] = OrderedDict()
 
     def clear(self) -> None:
-        """Forget all of them."""
+        """Forget all closed forms."""
         self._known.clear()
 
     def of(self, mixture: Mixture, seen: np.ndarray, lens: Camera) -> DirectLight:
@@ -95,9 +97,9 @@ class Points(NamedTuple):
 
 
 def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Points | None:
-    """Return the points of pixels, and None where not even four of a square one are few enough.
+    """Return the points of pixels; None if even four per square pixel are more than MOST_POINTS.
 
-    wanted  per pixel
+    wanted  points per pixel
     """
     kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
     least = USUAL if kind == "mirror-like" else LEAST
@@ -174,7 +176,7 @@ def _add_band(
     """Add the sums over each grid's points to radiance (grids, height, width, 3), and their counts.
 
     where    (height, width) bool, the pixels that are computed; None: all
-    covered  (height, width), of all grids
+    covered  (height, width), to which the counts of all grids are added
     """
     height, width = covered.shape
     if where is not None:
@@ -200,8 +202,8 @@ def _add_band(
             normals[here],
             points.samples,
             facets[here],
-            cells=similar(cells[here], normals[here], SIMILAR),
-            patches=similar(pixels[here], facets[here], FACET_STEPS),
+            cells=number_similar(cells[here], normals[here], SIMILAR),
+            patches=number_similar(pixels[here], facets[here], FACET_STEPS),
         )
         for channel, of in zip(np.moveaxis(radiance, -1, 0), values.T, strict=True):
             channel += np.bincount(place[here], of, channel.size).reshape(channel.shape)
@@ -219,7 +221,7 @@ def _places(
 
 
 def leaning_share(surface: Surface) -> float:
-    """Return the share of a surface's points whose normals lean from their facets."""
+    """Return the share of a surface's points whose normals lean away from their facets'."""
     from shaders.direct_light import COS_LEANING  # and numba, which takes half a second
 
     cosines = np.einsum("pi,pi->p", surface.normals, surface.facets)
@@ -227,7 +229,7 @@ def leaning_share(surface: Surface) -> float:
 
 
 def merge_pictures(known: DirectPicture, finer: DirectPicture, where: np.ndarray) -> DirectPicture:
-    """Return a picture that is the finer one in `where` (height, width), and else the known one."""
+    """Return the finer picture in `where` (height, width), and the known one elsewhere."""
     inside = where[..., None]
     return DirectPicture(
         np.where(inside, finer.radiance, known.radiance),
@@ -237,10 +239,12 @@ def merge_pictures(known: DirectPicture, finer: DirectPicture, where: np.ndarray
     )
 
 
-def similar(cells: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
+def number_similar(cells: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
     """Return integers (P,) that are equal for points of one cell with similar normals.
 
-    cells (P,) their numbers; normals (P, 3); count of steps of x and y in a unit
+    cells    (P,) the number of each point's cell
+    normals  (P, 3)
+    count    steps per unit to which x and y are rounded
     """
     x, y = np.rint((normals[:, :2].T + 1) * count).astype(np.int64)
     steps = 2 * count + 1

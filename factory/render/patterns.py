@@ -13,9 +13,9 @@ import numpy as np
 from factory.lights.interiors import Material, Pattern
 
 LAYER = "along the surface"
-LENGTH = 8.0  # of a plank, in widths
-GROUT = 0.04  # widths of tiles and bricks
-SOFT = 0.3  # of the contrast of mottled surfaces
+LENGTH = 8.0  # of a plank, in multiples of its width
+GROUT = 0.04  # width of the grout, as a share of the height of a tile or a brick
+SOFT = 0.3  # width of the range of noise that mottled surfaces stretch over their two colours
 
 Socket: TypeAlias = bpy.types.NodeSocket
 
@@ -23,7 +23,7 @@ Socket: TypeAlias = bpy.types.NodeSocket
 def add_coordinates(mesh: bpy.types.Mesh, scale: float = 1.0) -> None:
     """Give a mesh coordinates in metres along each face, by projecting it along one axis.
 
-    scale  metres of a unit of the mesh
+    scale  metres per unit of the mesh
     """
     points = np.empty((len(mesh.vertices), 3), np.float32)
     mesh.vertices.foreach_get("co", points.ravel())
@@ -81,7 +81,7 @@ def _math(
 def _bricks(
     tree: bpy.types.NodeTree, place: Socket, width: float, height: float, offset: float
 ) -> Socket:
-    """Each brick has a shade of its own, and what is between them the second colour."""
+    """Return a shade for each brick, and 1, the second colour, for the grout between them."""
     node = _node(tree, "Brick", place, scale=1.0, brick_width=width, row_height=height)
     node.offset = offset
     node.inputs["Mortar Size"].default_value = GROUT * height / 2
@@ -90,7 +90,7 @@ def _bricks(
     return node.outputs["Color"]
 
 
-def _stretched(tree: bpy.types.NodeTree, place: Socket, along: float, across: float) -> Socket:
+def _stretch(tree: bpy.types.NodeTree, place: Socket, along: float, across: float) -> Socket:
     node = tree.nodes.new("ShaderNodeMapping")
     node.inputs["Scale"].default_value = (along, across, 1.0)
     tree.links.new(place, node.inputs["Vector"])
@@ -100,7 +100,7 @@ def _stretched(tree: bpy.types.NodeTree, place: Socket, along: float, across: fl
 def _wood(tree: bpy.types.NodeTree, place: Socket, size: float) -> Socket:
     planks = _bricks(tree, place, LENGTH * size, size, 0.37)
     grain = _node(
-        tree, "Noise", _stretched(tree, place, 0.6 / size, 14 / size), scale=1.0, detail=4.0
+        tree, "Noise", _stretch(tree, place, 0.6 / size, 14 / size), scale=1.0, detail=4.0
     )
     contrast = _math(tree, "MULTIPLY_ADD", grain.outputs[0], 2.5, -0.9)
     return _math(tree, "MULTIPLY_ADD", contrast, 0.6, planks)

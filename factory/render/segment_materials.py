@@ -44,7 +44,7 @@ class SegmentMaterials:
     def _group(self, mixture: Mixture) -> Any:
         """Return the node group of a mixture, built on first use.
 
-        The least recently used group is removed where there are too many.
+        If there are too many groups, the least recently used one is removed.
         """
         key = mixture.key
         if key not in self._groups:

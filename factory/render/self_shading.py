@@ -22,16 +22,20 @@ points    (P, 3) one point on each of them
 
 import numpy as np
 
-# by which a vertex may lie above a facet's plane, as a share of the unit sphere's radius; float32's
+# a vertex may lie above a facet's plane by this share of the unit sphere's radius; float32's
 # rounding of depths is a sixth of it
 TOLERANCE = 1e-4
-# the same of a few facets, because the quadrilaterals of a bevel are seldom planar
+# for at most the share FEW of the facets it may be WIDER, because the quadrilaterals of a bevel are
+# seldom planar
 WIDER, FEW = 2e-3, 0.02
-LEAST_SHARE = 0.1  # of a mesh's facets, of which some side of it shows nothing else
-# of facets seen in perspective whose z is known up to its sign; what float32 leaves of a z near 0
-# is a third of it
+# of a mesh's facets: if fewer have the whole mesh below them, no side is taken to show only such
+# facets
+LEAST_SHARE = 0.1
+# margin for facets seen in perspective, whose z is known up to its sign; float32's error of a z
+# near 0 is a third of it
 UNSURE = 2e-3
-TRIED = 256  # facets that are looked at first, because most shapes have one of another kind there
+# facets that are looked at first: in most shapes that may shade themselves, one of these says so
+TRIED = 256
 
 
 def may_shade_itself(vertices: np.ndarray, facets: np.ndarray, points: np.ndarray) -> bool:
@@ -49,9 +53,9 @@ def may_shade_itself(vertices: np.ndarray, facets: np.ndarray, points: np.ndarra
 def are_known(facets: np.ndarray, views: np.ndarray) -> bool:
     """Return whether facets with n_z ≥ 0 are the ones that are visible.
 
-    Of a visible facet n_x and n_y are rendered, and that it faces the viewer. If the facet with
-    −n_z would face the viewer as well, either may be the one. None of an object around its centre
-    that is convex is like that, from farther away than twice its radius.
+    The rendered passes give n_x and n_y of a facet that faces the viewer. If the facet with −n_z
+    would face the viewer as well, it is not known which of the two is visible. A convex object
+    around its centre, seen from farther away than twice its radius, has no such facet.
 
     facets  (P, 3) with n_z ≥ 0
     views   (P, 3) unit vectors to the viewer

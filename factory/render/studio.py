@@ -56,9 +56,9 @@ Purpose = Literal["picture", "geometry"]
 
 
 class Studio:
-    """See the module. Set camera, shape, light and materials, then call `geometry` and `picture`.
+    """A scene whose camera, shape, light and materials are set, and can be set again at any time.
 
-    Each of them can be set again at any time.
+    `geometry` and `picture` then render it.
 
     device_name  one of factory.render.device.NAMES
     threads      number of CPU threads, None: all
@@ -77,9 +77,9 @@ class Studio:
         )
         self._scene = scene.new(self._always)
         self._lens: Camera | None = None
-        self._purpose: Purpose | None = None
+        self._purpose: Purpose | None = None  # for which the scene is prepared
         self._tier: str | None = None
-        self._seen: np.ndarray | None = None  # the light map as the camera sees it
+        self._seen_light: np.ndarray | None = None  # the light map as the camera sees it
         self._nearest = False  # whether Cycles looks it up as it is, texel by texel
         self._mixtures: list[Mixture] = []
         self._direct_light = ViewLight(self._look_through)
@@ -103,14 +103,18 @@ class Studio:
     @property
     def settings(self) -> dict[str, Any]:
         """Everything that alters pixels, with the values that Blender holds."""
-        world = light.settings(self._seen.shape[1]) if self._seen is not None else ()
+        world = light.settings(self._seen_light.shape[1]) if self._seen_light is not None else ()
         values: dict[str, Any] = {}
         purposes: tuple[Purpose, ...] = ("picture", "geometry")
         for purpose in purposes:
             self._show(purpose)
             values[purpose] = effective(
                 self._scene,
-                (*self._always, *self._own(purpose), *(world if purpose == "picture" else ())),
+                (
+                    *self._always,
+                    *self._settings_of(purpose),
+                    *(world if purpose == "picture" else ()),
+                ),
             )
         return {**values, "tiers": TIERS, "device": self._device}
 
@@ -147,13 +151,13 @@ class Studio:
     def _show(self, purpose: Purpose) -> None:
         """Prepare the scene for a picture or for geometry."""
         if purpose != self._purpose:
-            apply(self._scene, self._own(purpose))
+            apply(self._scene, self._settings_of(purpose))
             for each in ("use_pass_normal", "use_pass_z"):
                 assign(self._scene.view_layers[0], each, purpose == "geometry")
             self._purpose = purpose
         self._materials.show(ids=purpose == "geometry")
 
-    def _own(self, purpose: Purpose) -> tuple[Setting, ...]:
+    def _settings_of(self, purpose: Purpose) -> tuple[Setting, ...]:
         """Return the settings that differ between pictures and geometry."""
         if purpose == "geometry":
             return GEOMETRY
@@ -187,7 +191,7 @@ class Studio:
                 " (resize it first)"
             )
         light.build(self._scene, seen, nearest)
-        self._seen, self._nearest = seen, nearest
+        self._seen_light, self._nearest = seen, nearest
         self._show("picture")
         canary.check(self._scene, seen, nearest)
 
@@ -359,10 +363,12 @@ class Studio:
     def _shown_view(self) -> ShownView:
         """Return what is shown, as direct light needs it."""
         lens = self._require_camera()
-        return ShownView(self._azimuth, lens, self._mixtures, self._seen if self._nearest else None)
+        return ShownView(
+            self._azimuth, lens, self._mixtures, self._seen_light if self._nearest else None
+        )
 
     def _look_through(self, lens: Camera, rightwards: float, upwards: float) -> Surface:
-        """Return what rays meet through a camera that is put in place of the own one meanwhile."""
+        """Return what rays meet through another camera, used in place of the studio's for now."""
         own = self._require_camera()
         try:
             self.set_camera(lens)
@@ -384,6 +390,7 @@ class Studio:
         return visible, render_result.render_passes(self._scene)
 
     def _set_tier(self, tier: Tier) -> None:
+        """Set bounces and visibility for the light transport of a tier."""
         if tier == self._tier:
             return
         bounces = TIERS[tier]["bounces"]

@@ -49,8 +49,8 @@ class ShownView(NamedTuple):
 class ViewLight:
     """Direct light of the views that a studio shows, one after the other.
 
-    look  returns the Surface that one ray through each pixel of a camera meets, so many pixels
-          (rightwards, upwards) from its centre
+    look  (camera, rightwards, upwards) → the Surface that one ray through each pixel meets, so many
+          pixels from the pixel's centre
     """
 
     def __init__(self, look: Callable[[Camera, float, float], Surface]):
@@ -81,7 +81,7 @@ class ViewLight:
     def work(
         self, view: ShownView, points: int, surface: Callable[[Camera], Surface]
     ) -> DirectWork | None:
-        """Return what `picture` by so many points per pixel takes, None where it does not hold.
+        """Return the work of `picture` with so many points per pixel; None if it does not hold.
 
         surface  returns what the rays through the pixels' centres meet
         """
@@ -99,7 +99,7 @@ class ViewLight:
         known: DirectPicture | None = None,
         where: np.ndarray | None = None,
     ) -> DirectPicture | None:
-        """Return the direct light by so many points per pixel, None where it does not hold.
+        """Return the direct light with so many points per pixel; None if it does not hold.
 
         where  (height, width) bool, the pixels that are computed; the others are as in `known`.
                None: all

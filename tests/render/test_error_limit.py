@@ -81,8 +81,8 @@ def test_after_portions_the_canary_still_sees_a_light_that_cycles_did_not_notice
     from factory.render import canary, light
 
     chair.denoise(chair.portion(0, 4, 3, "full"), effort(4))
-    canary.check(chair._scene, chair._seen, nearest=True)
-    other = chair._seen[::-1].copy()
+    canary.check(chair._scene, chair._seen_light, nearest=True)
+    other = chair._seen_light[::-1].copy()
     (image,) = (each for each in bpy.data.images if each.name.startswith("light"))
     image.pixels.foreach_set(light.blender_pixels(other).ravel())
     image.update()
@@ -257,7 +257,7 @@ def test_direct_light_follows_the_material_and_the_light(chair):
     other = chair.direct_light().radiance
     np.testing.assert_allclose(other[..., 0], 2 * first[..., 0], rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(other[..., 1:], first[..., 1:], rtol=1e-3, atol=1e-4)
-    chair.set_light(2 * chair._seen)
+    chair.set_light(2 * chair._seen_light)
     np.testing.assert_allclose(chair.direct_light().radiance, 2 * other, rtol=1e-3, atol=1e-4)
 
 

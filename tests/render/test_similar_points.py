@@ -35,8 +35,8 @@ def means(lit, n, facets):
     shared = lit.at(
         n,
         facets=facets,
-        cells=direct_light.similar(one, n, direct_light.SIMILAR),
-        patches=direct_light.similar(one, facets, direct_light.FACET_STEPS),
+        cells=direct_light.number_similar(one, n, direct_light.SIMILAR),
+        patches=direct_light.number_similar(one, facets, direct_light.FACET_STEPS),
     )
     return shared.mean(0), lit.at(n, facets=facets).mean(0)
 
@@ -77,5 +77,5 @@ def test_other_normals_of_a_facet_share_what_it_takes_away(lit, monkeypatch):
     n = turning([0.6, 0.4, 0.5], [0.7, 0.3, 0.5])
     facets = np.tile(unit([[0.8, 0.4, 0.4]]), (len(n), 1))
     steps = direct_light.FACET_STEPS
-    assert len(set(direct_light.similar(np.zeros(len(n), int), facets, steps))) == 1
-    assert len(set(direct_light.similar(np.arange(len(n)), facets, steps))) == len(n)
+    assert len(set(direct_light.number_similar(np.zeros(len(n), int), facets, steps))) == 1
+    assert len(set(direct_light.number_similar(np.arange(len(n)), facets, steps))) == len(n)
