@@ -18,13 +18,13 @@ from scipy.ndimage import gaussian_filter
 
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.editing import (
-    brightness,
     decomposition,
     edit,
     edit_files,
     interactive,
     interactive_maps,
     material_list,
+    mirror_correction,
     photograph,
 )
 from learn.editing import reflectance_store as store
@@ -190,7 +190,7 @@ def test_a_material_that_was_read_from_a_file_is_not_darkened(tmp_path, monkeypa
     )
     for light in range(len(page.header["lights"])):
         named, own = (np.median(page.values(light, name)) for name in ("nickel", "material.json"))
-        assert named / own == pytest.approx(brightness.factor(label), rel=0.05)
+        assert named / own == pytest.approx(mirror_correction.factor(label), rel=0.05)
 
 
 def test_the_page_begins_with_the_edits_brightness(made, monkeypatch):
