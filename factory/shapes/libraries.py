@@ -117,13 +117,12 @@ def _inside(path):
     with open_zip(path, A_LIBRARY, AGAIN) as archive:
         catalogue = _catalogue(archive, path)
         library = catalogue.get("license", catalogue.get("name", ""))
-        models = {
-            key.partition("#")[2]: value.lstrip("/")
-            for key, value in catalogue.items()
-            if key.startswith("model#")
-        }
+        names = {model: name for name, model in _models(catalogue).items()}
         entries = []
-        for number, model in models.items():
+        for key, value in catalogue.items():
+            if not key.startswith("model#"):
+                continue
+            number, model = key.partition("#")[2], value.lstrip("/")
             licence = catalogue.get(f"license#{number}", library)
             creator = catalogue.get(f"creator#{number}", "")
             named = f"{catalogue.get(f'name#{number}', '')} {Path(model).stem}"
@@ -134,14 +133,32 @@ def _inside(path):
                 kind = category_of(Path("x"), Path(model).stem)
             entries.append(
                 Entry(
-                    f"{path}#{Path(model).stem}",
-                    Path(model).stem,
+                    f"{path}#{names[model]}",
+                    names[model],
                     kind,
                     f"{licence}, {creator}".strip(", "),
                     catalogue.get(f"category#{number}", ""),
                 )
             )
     return sorted(entries, key=lambda entry: entry.place)
+
+
+def _models(catalogue):
+    """Return {name: member} of a library's meshes: a name is the stem of the member's file.
+
+    Where members in several folders share a stem, the last one in the catalogue has it as it is,
+    and those before it have a number as well: "chair", "chair-2", "chair-3".
+    """
+    members = [value.lstrip("/") for key, value in catalogue.items() if key.startswith("model#")]
+    stems = {Path(member).stem for member in members}
+    result: dict[str, str] = {}
+    for member in dict.fromkeys(reversed(members)):
+        name, number = Path(member).stem, 1
+        while name in result or (number > 1 and name in stems):
+            number += 1
+            name = f"{Path(member).stem}-{number}"
+        result[name] = member
+    return result
 
 
 def _catalogue(archive, path):
@@ -202,12 +219,7 @@ def member(
     Raises  InputError: no such name, or none given
     """
     with open_zip(path, A_LIBRARY, AGAIN) as archive:
-        models = [
-            value.lstrip("/")
-            for key, value in _catalogue(archive, path).items()
-            if key.startswith("model#")
-        ]
-        by_name = {Path(model).stem: model for model in models}
+        by_name = _models(_catalogue(archive, path))
         if chosen not in by_name:
             result = f"'{chosen}'" if chosen else "no name"
             near = closest(chosen, by_name) if chosen else closest("", by_name)

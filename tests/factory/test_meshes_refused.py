@@ -274,6 +274,23 @@ def test_a_furniture_library_lists_and_opens_its_meshes(tmp_path):
     refused(path, "after '#', found no name", "armChair1")
 
 
+def test_meshes_of_a_library_that_share_a_stem_are_both_opened(tmp_path):
+    path = tmp_path / "lib.sh3f"
+    members = {f"{folder}/chair.obj": k for k, folder in enumerate(("old", "new", "chair-2"), 1)}
+    members["set/chair-2.obj"] = 4
+    with zipfile.ZipFile(path, "w") as archive:
+        lines = [f"model#{k}=/{member}" for member, k in members.items()]
+        for member, k in members.items():
+            archive.writestr(member, f"v 0 0 0\nv {k} 0 0\nv 0 1 0\nf 1 2 3\n")
+        archive.writestr(CATALOGUE, "\n".join([*lines, "model#5=/old/chair.obj"]))
+    hashes = {entry.name: open_mesh(entry.place).hash for entry in find(path)}
+    # the last one in the catalogue keeps the name that it has had
+    assert list(hashes) == ["chair", "chair-2", "chair-3", "chair-4"]
+    assert len(set(hashes.values())) == len(members)
+    written(tmp_path / "last.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert hashes["chair"] == open_mesh(tmp_path / "last.obj").hash
+
+
 def test_a_zip_bomb_is_not_unpacked(tmp_path):
     path = library(tmp_path / "bomb.sh3f", {"bomb": b"v 0 0 0\n" * 8_000_000})  # 64 MB from 90 kB
     peak = memory_while(
