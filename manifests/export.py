@@ -29,8 +29,12 @@ ROWS = 50_000  # of a Parquet row group
 
 
 def records_of_split(store: Store, split: str | None = None) -> PlacedLines:
-    """Return the records of a split (None: all), in the order of their ids."""
-    return PlacedLines(store, keep=lambda record: split in (None, record.split))
+    """Return the records of a split (None: all), in the order of their ids.
+
+    Raises  InputError for a record that is there twice
+    """
+    lines = PlacedLines(store, keep=lambda record: split in (None, record.split))
+    return lines.require_each_once()
 
 
 def to_parquet(store: Store, path: str | os.PathLike, split: str | None = None) -> int:

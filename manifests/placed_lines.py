@@ -58,9 +58,22 @@ class PlacedLines(Sequence[Record | View]):
             if watch:
                 watch(line)
         # ids have 24 hexadecimal digits; equal ones stay in the order of the files
-        order = np.argsort(np.frombuffer(ids, "S24"), kind="stable")
-        del ids
+        of_all = np.frombuffer(ids, "S24")
+        order = np.argsort(of_all, kind="stable")
+        of_all = of_all[order]
+        repeated = np.flatnonzero(of_all[1:] == of_all[:-1])
+        self._repeated = of_all[repeated[0]].decode() if len(repeated) else ""
+        self._folder, self._kind = store.folder, kind
+        del ids, of_all
         self._places = np.frombuffer(places, PLACE)[order]
+
+    def require_each_once(self) -> "PlacedLines":
+        """Return the lines. Raises InputError if two of them have one id."""
+        if self._repeated:
+            rule, found = f"each of the {self._kind} once", f"{self._repeated} twice"
+            remedy = f"python -m factory verify {self._folder} --repair takes the copies away"
+            raise InputError(self._folder, rule, found, remedy)
+        return self
 
     def __len__(self) -> int:
         return len(self._places)
@@ -87,6 +100,7 @@ class PlacedLines(Sequence[Record | View]):
         """Return some of the lines in the same order: those of a slice, or (n,) truth values."""
         result = object.__new__(PlacedLines)
         result._decoder, result._paths = self._decoder, self._paths
+        result._repeated, result._folder, result._kind = self._repeated, self._folder, self._kind
         result._places = self._places[which]
         return result
 

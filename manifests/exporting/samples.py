@@ -73,7 +73,7 @@ class Samples:
     counts    what the data card says of them
     left_out  number of views that are not exported because there are records
 
-    Raises  InputError if the data set or the split is empty
+    Raises  InputError if the data set or the split is empty, or has a line twice
     """
 
     def __init__(self, store: Store, split: str | None = None):
@@ -87,6 +87,7 @@ class Samples:
             raise InputError(
                 store.folder, "records to export", "none", "render some, or choose another --split"
             )
+        self.lines.require_each_once()  # two samples of one name are an error to `webdataset`
         self.pictures = isinstance(self.lines[0], Record)
         views = store.views(keep) if self.pictures else ()
         self.left_out = sum(1 for _ in views)

@@ -108,6 +108,18 @@ def test_parquet_has_a_row_for_each_sample(whole, tmp_path):
         assert row["mean"] == line.statistics.mean and row["light"] == line.light
 
 
+def test_a_record_that_is_there_twice_is_refused(whole, form, tmp_path):
+    shutil.copytree(whole(), tmp_path / "data")
+    store = Store(tmp_path / "data")
+    path = store.record_files()[0]
+    first = path.read_bytes().splitlines(keepends=True)[0]
+    path.with_name("worker-99.jsonl").write_bytes(first)  # as of a folder that was copied into it
+    message = f"{msgspec.json.decode(first)['id']} twice .*--repair"
+    with pytest.raises(InputError, match=message):
+        export(store, tmp_path / "out", form)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("form", ["parquet", "huggingface"])
 def test_the_tables_say_how_exact_a_picture_is_where_its_record_does(whole, form, tmp_path):
     parquet = package("pyarrow")
