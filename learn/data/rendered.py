@@ -197,6 +197,7 @@ class RenderedDataset:
             picture = render(
                 *arrays,
                 segments=segments[None],
+                method=self.data.layer_method,
                 tolerance=self.data.tolerance,
                 elevation=self.rendered_split.geometry.elevation,
             )

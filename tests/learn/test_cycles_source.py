@@ -18,10 +18,12 @@ from learn.data.records import Records
 from learn.data.relit import RelitDataset
 from learn.data.rendered import MixedDataset, RenderedDataset, RenderedSplit, fits
 from learn.data.settings import Data, Losses, Run
+from learn.layer import render
 from learn.training import losses, validation
 from manifests import materials
 from manifests.errors import InputError
 from manifests.store import Store
+from manifests.training_runs import LAYER_METHODS
 from shaders import envmap
 from tests.support import synthetic
 from tests.support.two_materials import SIZE, album_of, damage, first, written
@@ -81,6 +83,24 @@ def test_without_a_partner_the_layer_renders_the_target(rendered_split):
     mine = validation.render_batch(batch.n, batch.target_label, batch.light, batch)
     truth = batch.target.movedim(1, -1).numpy()
     assert np.abs(mine - truth).mean() / truth.mean() < 0.03  # two methods at 1e-2 and 2e-2
+
+
+@pytest.mark.parametrize("method", LAYER_METHODS)
+def test_such_a_target_is_rendered_by_the_method_that_the_run_names(rendered_split, method):
+    lonely = RenderedSplit(
+        rendered_split.records, rendered_split.geometry, rendered_split.records.records[:1]
+    )
+    label = np.array(synthetic.glossy(gamma=4e3).label, np.float32).reshape(-1)
+    split = replace(data_split(lonely, "test"), labels={"glossy": label})
+    batch = RenderedDataset(split, Data(layer_method=method), 1, SIZE, 5)[0]
+    n, light = (each.movedim(1, -1).contiguous() for each in (batch.n, batch.light))
+    errors = {}
+    for each in LAYER_METHODS:
+        picture = render(
+            n, torch.from_numpy(label).exp()[None], light, method=each, elevation=batch.elevation
+        )
+        errors[each] = float((picture - batch.target.movedim(1, -1)).abs().mean() / picture.mean())
+    assert errors.pop(method) < 1e-3 < 0.05 < errors.popitem()[1]
 
 
 def test_an_epoch_shows_each_picture_once_and_parts_make_the_whole(rendered_split):
