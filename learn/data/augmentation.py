@@ -33,7 +33,8 @@ def augment(
     along    tensors (H, W, …) that must stay aligned with the picture
     Returns  image (H, W, 3), mask (H, W) bool, [tensors]
     """
-    photograph = training and data.photograph
+    # of a thin object no pixel may be left where geometry is larger than the run's pictures
+    photograph = training and data.photograph and bool(mask.any())
     if photograph and data.camera_model and rng.random() < data.camera_model:
         return prepare_photograph(rng, image, mask, along)
     return prepare_picture(rng, image, mask, along, photograph)

@@ -2,7 +2,7 @@
 
 B pictures, S regions, P pixels. Sums are normalised so that weights mean the same at any size:
 normals by the mask's pixels, materials by coefficients, light by solid angle, pictures by sampled
-pixels and channels.
+pixels and channels. Of a batch that shows no object, normals and pictures have no loss.
 
 normals         mean |n' − n|²                                                               Eq. 3
 material        mean (code' − code)²                                                         Eq. 4
@@ -63,7 +63,8 @@ def terms(
     result = {}
     if losses.normals and prediction.n is not None:
         inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
-        result["normals"] = ((prediction.n - batch.n) ** 2).sum(1)[inside].mean()
+        squared = ((prediction.n - batch.n) ** 2).sum(1)[inside]
+        result["normals"] = squared.mean() if len(squared) else squared.sum()
     if prediction.code is not None:
         result |= material_terms(prediction, batch, losses, ranges)
     if prediction.light is not None:
@@ -171,7 +172,8 @@ def layer_terms(
             seen = whole(n, mine, light, batch, losses.gradient_bound, losses.layer_method)
             mine_c, its_c = compress(seen), compress(truth)
             if of_pixels:
-                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * object_mask(batch).sum())
+                pixels = object_mask(batch).sum().clamp(min=1)
+                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * pixels)
             if of_features:
                 result[f"{name}_features"] = compared_by(
                     features, mine_c, its_c, object_mask(batch) > 0
@@ -202,7 +204,7 @@ def layer_terms(
                 losses.layer_method,
             )
             lit = (where >= 0)[..., None]
-            result[name] = ((compress(seen) - compress(truth)) ** 2 * lit).sum() / (3 * count)
+            result[name] = ((compress(seen) - compress(truth)) ** 2 * lit).sum() / max(3 * count, 3)
     return result
 
 

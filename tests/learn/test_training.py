@@ -209,6 +209,32 @@ def test_the_true_prediction_has_no_loss(data_splits):
     )
 
 
+@pytest.mark.parametrize("camera_model", [0.0, 1.0])
+def test_an_object_that_is_too_thin_for_the_runs_size_stops_no_training(
+    data_splits, monkeypatch, camera_model
+):
+    """A pole of a pixel's width: of geometry twice as large, every second column is left."""
+    n, segments = np.zeros((64, 64, 3), np.float32), np.zeros((64, 64), np.int64)
+    n[:, 20, 2] = segments[:, 20] = 1
+    split = data_splits["train"]
+    monkeypatch.setattr(split.geometry, "size", (64, 64))
+    monkeypatch.setattr(split.geometry, "normals", lambda view: n)
+    monkeypatch.setattr(split.geometry, "segments", lambda view: segments)
+    data = Data(sharing=2, camera_model=camera_model, patterns=1.0, deformations=1.0)
+    batch = RelitDataset(split, data, 4, SIZE, 5)[0]
+    assert not batch.segments.any() and not batch.mask.any() and batch.image.isfinite().all()
+    ranges = Ranges.of(torch.from_numpy(np.stack(list(split.labels.values()))))
+    network = Compact(ranges)
+    prediction = network(batch.image, batch.mask)
+    for rendered in ("sampled", "all"):
+        terms = msgspec.structs.replace(ALL_TERMS, rendered=rendered)
+        values = losses.terms(prediction, batch, terms, torch.Generator().manual_seed(0), ranges)
+        assert not any(values[name].item() for name in ("normals", "image", "target"))
+        losses.total(values, terms).backward(retain_graph=True)
+    found = [each.grad for each in network.parameters() if each.grad is not None]
+    assert found and all(gradient.isfinite().all() for gradient in found)
+
+
 def test_a_highlight_that_the_camera_clipped_is_compared_with_its_true_brightness(data_splits):
     """Both ways: what is brighter than the truth costs there, though the camera shows white."""
     data = Data(sharing=2, camera_model=1.0)
