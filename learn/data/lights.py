@@ -56,7 +56,12 @@ def read_maps(path: str | Path) -> dict[str, np.ndarray]:
 
 def _library(folder: Path) -> dict[str, np.ndarray]:
     """Return {name: L} of a factory's library. Raises InputError."""
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
+    files = sorted(
+        file
+        for file in folder.iterdir()
+        # macOS writes "._NAME" beside each file on other systems' disks
+        if file.suffix.lower() in SUFFIXES and not file.name.startswith("._")
+    )
     if not 1 <= len(files) <= MOST_MAPS:
         remedy = "make some: python -m factory lights make" if not files else "give fewer maps"
         raise InputError(folder, f"1 to {MOST_MAPS} light maps", str(len(files)), remedy)

@@ -509,6 +509,12 @@ def test_light_maps_are_read_as_numpy_writes_them(tmp_path, rng):
         assert set(lights.read_maps(tmp_path / "maps.npz")) == set(maps)
 
 
+def test_what_macos_writes_beside_the_maps_of_a_library_is_no_map(tmp_path):
+    np.savez(tmp_path / "sky.npz", light=SKY)
+    (tmp_path / "._sky.npz").write_bytes(b"\0\5\x16\7 attributes of sky.npz")
+    assert list(lights.read_maps(tmp_path)) == ["sky"]
+
+
 def test_a_light_map_that_has_the_name_of_another_one_is_refused_unless_it_is_a_copy(
     store, tmp_path, rng
 ):
