@@ -63,8 +63,9 @@ def render(
 
     from learn.layer import predictions
 
-    n = np.asarray(normals, np.float32)
-    L = np.asarray(light, np.float32)
+    # torch reads no array that runs backwards, as a mirrored one does
+    n = np.ascontiguousarray(normals, np.float32)
+    L = np.ascontiguousarray(light, np.float32)
     for name, array, channels in (("normals", n, 3), ("light", L, 3)):
         if array.ndim != 3 or array.shape[2] != channels or not np.isfinite(array).all():
             rule = "a finite array (height, width, 3)"

@@ -226,7 +226,9 @@ def test_rendering_of_own_normals_under_lights_by_name():
         (lambda f, a: bf.render(np.ones((4, 4, 3)), bf.light("city")), "unit"),
         (lambda f, a: bf.load_job("demos"), "did you mean demo"),
         (lambda f, a: bf.load_job({"shapes": 3}), "expected array"),
+        (lambda f, a: bf.load_job({"shapes": {3}, "seed": print}), "builtin_function_or_method"),
         (lambda f, a: bf.generate("smallest", f / "data", workers=0), "1 or more"),
+        (lambda f, a: bf.generate("smallest", f / "data", limit=-1), "0 or more"),
     ],
 )
 def test_mistakes_are_told_in_one_line(pictures, call, words):
@@ -247,6 +249,23 @@ def test_mistakes_with_a_decomposition(parts, tmp_path):
         parts.paint("brass").save(tmp_path / "x.gif")
     with pytest.raises(bf.InputError, match="a blend of 2"):
         _ = bf.blend("brass", "red-fabric").label
+
+
+def test_mirrored_arrays_are_rendered():
+    """They run backwards in memory, which torch does not read."""
+    slope = np.linspace(-0.6, 0.6, 8)[None].repeat(8, 0)
+    n = np.stack([slope, 0 * slope, np.sqrt(1 - slope**2)], -1).astype(np.float32)
+    light = bf.light("city")
+    for normals, L in ((n[:, ::-1], light), (n, light[::-1, ::-1]), (n[::-1], light[..., ::-1])):
+        picture = bf.render(normals, L, "brass")
+        np.testing.assert_array_equal(picture, bf.render(normals.copy(), L.copy(), "brass"))
+
+
+def test_a_job_may_have_paths_and_numbers_of_numpy(tmp_path):
+    job = {"shapes": [tmp_path / "a.obj"], "materials": ["brass"], "lights": ["city"]}
+    loaded = bf.load_job(job | {"samples": np.int64(4), "views": np.arange(3)})
+    assert loaded.shapes == (str(tmp_path / "a.obj"),)
+    assert (loaded.samples, loaded.views) == (4, (0, 1, 2))
 
 
 def test_importing_the_package_loads_nothing_heavy_and_lists_its_names():
