@@ -49,6 +49,8 @@ def generate(
 
     if workers < 1:
         raise InputError("generate: workers", "1 or more", f"{workers}", "2 suits two cores")
+    if limit is not None and limit < 0:
+        raise InputError("generate: limit", "0 or more, or None", f"{limit}", "None makes all")
     loaded, folder = _job_and_folder(job)
     library = None if lights is None else str(lights)
     plan = make_plan(loaded, resolve_unread(loaded, folder, library))
@@ -77,5 +79,17 @@ def _job_and_folder(
     if isinstance(job, Job):
         return job, None
     if isinstance(job, Mapping):
-        return decode(msgspec.json.encode(dict(job)), Job, "job"), None
+        return decode(msgspec.json.encode(dict(job), enc_hook=_as_json), Job, "job"), None
     return jobs.load(str(job))
+
+
+def _as_json(value: object) -> object:
+    """Return a path or a number of NumPy as JSON has it. Raises InputError for anything else."""
+    import numpy as np
+
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    rule, remedy = "texts, numbers, lists and dicts", "write it as in a job file"
+    raise InputError("job", rule, type(value).__name__, remedy)
