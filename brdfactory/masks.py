@@ -37,4 +37,5 @@ def make_mask(
         photo = resolve_example(photo, [], None)[0]
     lines, others = ([line] if len(line) else [] for line in (around, without))
     names = ("around", "without", "on_object", "on_background")
-    return select(photo, Points(lines, others, on_object, on_background, names)).labels() > 0
+    marks = list(on_object), list(on_background)  # each may be an array, too
+    return select(photo, Points(lines, others, *marks, names)).labels() > 0

@@ -6,7 +6,7 @@ corner.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,7 +100,7 @@ def _click(selection: Selection, option: str, point: Point, region: int, divisor
 
 def _place(option: str, point: Point, size: tuple[int, int], divisor: int) -> tuple[float, float]:
     """Return x and y of a point in pixels of the picture as it was read; size: (H, W)."""
-    parts = point.split(",") if isinstance(point, str) else [str(each) for each in point]
+    parts = _text(point).split(",")
     matches = [NUMBER.fullmatch(part) for part in parts]
     if len(parts) != 2 or not all(matches):
         raise InputError(option, "points X,Y", _text(point), REMEDY)
@@ -113,7 +113,9 @@ def _place(option: str, point: Point, size: tuple[int, int], divisor: int) -> tu
 
 
 def _text(point: Point) -> str:
-    return point if isinstance(point, str) else ",".join(str(each) for each in point)
+    if isinstance(point, str) or not isinstance(point, Iterable):  # a number where a pair belongs
+        return str(point)
+    return ",".join(str(each) for each in point)
 
 
 def _inside(option: str, line: Sequence[Point], size: tuple[int, int], divisor: int) -> np.ndarray:

@@ -104,6 +104,17 @@ def test_pixels_are_those_of_the_file_if_a_large_photograph_is_made_smaller(tmp_
     np.testing.assert_array_equal(bf.make_mask(np.asarray(large), around), mask)
 
 
+def test_points_may_be_an_array_and_a_number_is_no_point():
+    picture, _, _ = scene()
+    marks = {"on_object": [(175, 70)], "on_background": [CENTRE]}
+    mask = bf.make_mask(picture, np.array(RECTANGLE), **marks)
+    arrays = {name: np.array(points) for name, points in marks.items()}
+    np.testing.assert_array_equal(mask, bf.make_mask(picture, RECTANGLE, **arrays))
+    for flat in ({"around": (86, 16, 194, 124)}, {"on_object": CENTRE}):
+        with pytest.raises(InputError, match=r"expected points X,Y, found (86|140) "):
+            bf.make_mask(picture, **flat)
+
+
 def test_the_command_writes_a_mask_and_a_preview_of_an_upright_photograph(tmp_path, capsys):
     picture, disk, hole = scene()
     turned = Image.fromarray(picture).transpose(Image.Transpose.ROTATE_90)
