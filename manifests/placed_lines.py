@@ -70,9 +70,9 @@ class PlacedLines(Sequence[Record | View]):
     def require_each_once(self) -> "PlacedLines":
         """Return the lines. Raises InputError if two of them have one id."""
         if self._repeated:
-            rule, found = f"each of the {self._kind} once", f"{self._repeated} twice"
+            rule, result = f"each of the {self._kind} once", f"{self._repeated} twice"
             remedy = f"python -m factory verify {self._folder} --repair takes the copies away"
-            raise InputError(self._folder, rule, found, remedy)
+            raise InputError(self._folder, rule, result, remedy)
         return self
 
     def __len__(self) -> int:
