@@ -220,7 +220,7 @@ def member(
     """
     with open_zip(path, A_LIBRARY, AGAIN) as archive:
         by_name = _models(_catalogue(archive, path))
-        if chosen not in by_name:
+        if chosen is None or chosen not in by_name:
             result = f"'{chosen}'" if chosen else "no name"
             near = closest(chosen, by_name) if chosen else closest("", by_name)
             raise InputError(path, "the name of one of its meshes after '#'", result, near)
