@@ -2,8 +2,9 @@
 
 A click says of one point which region it belongs to, or that it is background, and strokes say it
 of all that they cover. A line around the object says that all outside is background, and that the
-object is deep inside. Random walks on superpixels (learn.selection.superpixels) carry these marks
-to the rest of the picture; pixels that strokes cover are what the strokes say.
+object is deep inside and of other colours than what is outside. Random walks on superpixels
+(learn.selection.superpixels) carry these marks to the rest of the picture; pixels that strokes
+cover are what the strokes say.
 
 labels  (H, W) uint8: 0 background, 1 … S the regions
 """
@@ -223,13 +224,17 @@ class Selection:
             elif isinstance(mark, Stroke):
                 marked |= dict.fromkeys(map(int, pixels.covered(mark.covered)), mark.region)
         if lines:
-            outside = ~np.logical_or.reduce([line.inside for line in lines])
-            if outside.any():
-                seeds |= dict.fromkeys(map(int, pixels.covered(outside)), BACKGROUND)
-            besides = {number for number, region in marked.items() if region == BACKGROUND}
-            for line in lines:
-                deep = pixels.deep_in(line.inside, besides)
-                seeds |= dict.fromkeys(map(int, deep), line.region)
+            enclosed = np.logical_or.reduce([line.inside for line in lines])
+            outside = np.array([], int) if enclosed.all() else pixels.covered(~enclosed)
+            seeds |= dict.fromkeys(map(int, outside), BACKGROUND)
+            beside_it = {number for number, region in marked.items() if region == BACKGROUND}
+            inside = [
+                (line.region, *pixels.seeds_in(line.inside, outside, beside_it)) for line in lines
+            ]
+            for _, _, beside in inside:  # first, so that no line takes another one's object away
+                seeds |= dict.fromkeys(map(int, beside), BACKGROUND)
+            for region, objects, _ in inside:
+                seeds |= dict.fromkeys(map(int, objects), region)
         seeds |= marked
         return pixels.labels(seeds, self.size, frame=not lines)
 

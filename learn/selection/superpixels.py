@@ -22,6 +22,7 @@ from PIL import Image
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
 
 BACKGROUND = 0
 LONGEST = 512  # pixels of the longer side of the picture that superpixels are made of
@@ -34,11 +35,18 @@ GRADIENT = 4.0
 SMOOTHING = 1.0  # pixels, of the picture whose gradient is taken
 WEAKEST = 1e-4  # weight of the strongest edge: every walk arrives somewhere
 FRAME_STRENGTH = 0.02  # of the picture's frame as background, against a mark's
-DEEP = 0.35  # of the greatest depth inside a line: what lies deeper is taken for the object
-# what the user marks as background inside a line says the same of what is nearer than this, and of
-# what has its colour and is nearer than that, as shares of the greatest depth
+# Inside a line, a superpixel is scored by how deep it lies and how much its colour differs from the
+# background. Shares of the greatest score: what has more is taken for the object, what has less for
+# the background, and the random walk decides about the rest
+OBJECT, BESIDE = 0.3, 0.03
+# a colour that differs by one of these, the greater one, counts half: CIELAB units, and a share of
+# the greatest difference, so that what mixes object and background at an edge counts little
+UNLIKE, MIXED = 10.0, 0.25
+SAME = 1e-3  # CIELAB units, added to all differences: where all colours are the same, depth decides
+NEAREST = 3  # background superpixels of the most similar colours, over which differences are means
+# what the user marks as background inside a line says the same of what has its colour and is nearer
+# than FAR, a share of the greatest depth; what is nearer than NEAR is not taken for the object
 NEAR, FAR = 0.3, 0.6
-ALIKE = 10.0  # CIELAB units: difference up to which two superpixels have the same colour
 
 
 @dataclass(frozen=True)
@@ -135,21 +143,44 @@ class Superpixels:
         half = np.flatnonzero(share >= 0.5)
         return half if len(half) else np.array([int(share.argmax())])
 
-    def deep_in(self, pixels: np.ndarray, besides: Collection[int] = ()) -> np.ndarray:
-        """Return the numbers of the superpixels deep inside pixels (H, W) bool.
+    def seeds_in(
+        self, pixels: np.ndarray, outside: np.ndarray, marked: Collection[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the superpixels inside a line that are the object's, and those beside the object.
 
-        besides  numbers of superpixels that do not belong to the object: those that are near them,
-                 or of their colour and not far away, are left to the random walk
+        Both are numbers of superpixels; the random walk decides about the others.
+
+        pixels   (H, W) bool inside the line
+        outside  numbers of superpixels outside all lines
+        marked   numbers of superpixels that the user marked as background
         """
-        depth = distance_transform_edt(np.pad(self.reduced(pixels), 1))[1:-1, 1:-1]
-        deep = self._mean(depth) > DEEP * depth.max()
-        if besides:
-            away = distance_transform_edt(~np.isin(self.index, list(besides)))
-            share = self._mean(away) / depth.max()
-            differences = self.colours[:, None] - self.colours[list(besides)]
-            differs = np.linalg.norm(differences, axis=-1).min(1) > ALIKE
-            deep &= (share > NEAR) & (differs | (share > FAR))
-        return np.flatnonzero(deep)
+        enclosed = self.reduced(pixels)
+        inside = np.flatnonzero(self._mean(enclosed) > 0.5)
+        depths = distance_transform_edt(np.pad(enclosed, 1))[1:-1, 1:-1]
+        unlike = self._unlikeness(outside)
+        is_near = np.zeros(len(self.area), bool)
+        if marked:
+            away = distance_transform_edt(~np.isin(self.index, list(marked)))
+            share = self._mean(away) / depths.max()
+            of_marked = self._unlikeness(np.array(sorted(marked)), nearest=1)
+            unlike = np.where(share < FAR, np.minimum(unlike, of_marked), unlike)
+            is_near = share < NEAR
+        score = np.sqrt(self._mean(depths)) * unlike
+        greatest = score[inside].max(initial=0)
+        is_object = (score > OBJECT * greatest) & ~is_near
+        return inside[is_object[inside]], inside[score[inside] < BESIDE * greatest]
+
+    def _unlikeness(self, background: np.ndarray, nearest: int = NEAREST) -> np.ndarray:
+        """Return how little each colour (K,) is like those of superpixels, between 0 and 1.
+
+        background  their numbers; without any, all colours count 1
+        """
+        if not len(background):
+            return np.ones(len(self.area))
+        tree = cKDTree(self.colours[background])
+        differences, _ = tree.query(self.colours, range(1, min(nearest, len(background)) + 1))
+        difference = SAME + differences.mean(1)
+        return difference / (difference + max(UNLIKE, MIXED * difference.max()))
 
     def _mean(self, values: np.ndarray) -> np.ndarray:
         """Return the mean (K,) over each superpixel of values (h, w)."""

@@ -14,17 +14,20 @@ photographs       those of docs/results/photographs, by other people, with the r
 look-alike walls  objects that `brdfactory render` rendered, put before a wall of the object's own
                   mean colour, with noise, a gradient of light, a floor and a soft shadow
 other walls       the same before a wall of another colour
+rooms             objects that factory.render.validation.objects_in_rooms rendered, in the first of
+                  their materials, as learn.experiments room-photographs takes photographs of them,
+                  enlarged and with grain; --rooms DIR, which may be repeated
 
-Each is measured as the page does it, and as it did before, when strokes changed the pixels that
-they cover and no others, and there were no lines. Clicks alone do what they did.
 Every second photograph, in order of their names, was looked at while the settings were chosen; they
 are marked, and the others are summed up apart.
 
-PYTHONPATH=. python tests/learn/measure_selection.py ROOT DATASET OUT
+PYTHONPATH=. python tests/learn/measure_selection.py ROOT DATASET OUT [--rooms DIR] [--before FILE]
 
 DATASET is what this rendered:
 
 brdfactory render docs/jobs/selection.json --out DATASET
+
+FILE is the report.json of an earlier version of the program, to be shown beside this one.
 """
 
 import argparse
@@ -39,10 +42,12 @@ from skimage.draw import polygon2mask
 from skimage.measure import approximate_polygon
 
 from learn.data.records import Records
+from learn.experiments.photographs import room_cases
 from learn.selection.marks import Selection
 from learn.selection.superpixels import BACKGROUND
 from manifests import files
 from manifests.provenance import provenance
+from manifests.reading import read
 from shaders import tone
 from tests.learn.measure_photographs import sources
 
@@ -63,15 +68,6 @@ PLANS = {
 CLOSE = 0.02  # of the object's longer side: how far from it the rectangle and the polygon are
 MOST_CORNERS = 10  # of the polygon
 ROUNDS = 2000  # of the bootstrap
-
-
-class Former(Selection):
-    """The selection as it was: strokes change the pixels that they cover, and no others."""
-
-    def _walked(self) -> np.ndarray:
-        if not self.clicks:
-            return np.zeros(self.size, np.uint8)
-        return self._walked_from(self.clicks, frame=True)
 
 
 def deepest(wrong: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -209,6 +205,22 @@ def before_walls(dataset: Path) -> dict[str, dict[str, tuple[np.ndarray, np.ndar
     return result
 
 
+def in_rooms(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return {name: (picture, mask)} of objects that were rendered in rooms."""
+    result = {}
+    for path in sorted(folder.glob("[0-9]*/scene.json")):
+        scene = read(path, room_cases.RoomScene)
+        case = room_cases.Case(path.parent, scene, scene.materials[0])
+        taken = room_cases.photograph_of(case)
+        size = LONGEST, LONGEST
+        large = Image.fromarray(taken.pixels).resize(size, Image.Resampling.BICUBIC)
+        mask = Image.fromarray(taken.mask).resize(size, Image.Resampling.NEAREST)
+        grain = np.random.default_rng(len(result)).normal(0, 3, (LONGEST, LONGEST, 3))
+        name = f"{path.parent.name} {Path(scene.shape).stem}, {case.source}"
+        result[name] = np.clip(large + grain, 0, 255).astype(np.uint8), np.asarray(mask)
+    return result
+
+
 def wall(mask: np.ndarray, colour: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return linear radiance (H, W, 3) of a wall and a floor behind an object, with its shadow."""
     rows, columns = np.mgrid[: mask.shape[0], : mask.shape[1]] / mask.shape[0]
@@ -228,20 +240,17 @@ def interval(values: list[float]) -> tuple[float, float, float]:
     return float(each.mean()), float(low), float(high)
 
 
-def table(title: str, rows: dict[str, dict]) -> list[str]:
-    """Return Markdown lines about a group; rows: {name: {plan: [before or None, now]}}."""
+def table(title: str, rows: dict[str, dict], before: dict[str, dict]) -> list[str]:
+    """Return Markdown lines about a group; rows, before: {name: {plan: overlap}}."""
     lines = [f"## {title}, {len(rows)} pictures", "", "| marks | before | now | worst now |"]
     lines += ["|---|---|---|---|"]
     for plan in PLANS:
-        cells = []
-        for side in (0, 1):
-            values = [row[plan][side] for row in rows.values()]
-            if None in values:
-                cells.append("–")
-            else:
-                cells.append("{:.2f} [{:.2f}, {:.2f}]".format(*interval(values)))
-        worst = min(rows, key=lambda name: rows[name][plan][1])
-        lines.append(f"| {plan} | {' | '.join(cells)} | {worst}: {rows[worst][plan][1]:.2f} |")
+        cells = ["–"] if not before else []
+        for group in filter(None, (before, rows)):
+            values = [row[plan] for row in group.values()]
+            cells.append("{:.2f} [{:.2f}, {:.2f}]".format(*interval(values)))
+        worst = min(rows, key=lambda name: rows[name][plan])
+        lines.append(f"| {plan} | {' | '.join(cells)} | {worst}: {rows[worst][plan]:.2f} |")
     return [*lines, ""]
 
 
@@ -250,6 +259,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("root", "dataset", "out"):
         parser.add_argument(name, type=Path)
+    parser.add_argument("--rooms", type=Path, action="append", default=[])
+    parser.add_argument("--before", type=Path)
     arguments = parser.parse_args()
     known = photographs_of(arguments.root)
     groups = {
@@ -260,17 +271,15 @@ def main() -> None:
         f"Rendered objects before {name}": pictures
         for name, pictures in before_walls(arguments.dataset).items()
     }
+    groups |= {f"Objects in rooms, {path.name}": in_rooms(path) for path in arguments.rooms}
+    before = json.loads(arguments.before.read_text())["results"] if arguments.before else {}
     results: dict[str, dict] = {}
     for title, pictures in groups.items():
         results[title] = {}
         for name, (display, truth) in pictures.items():
-            past, present = Former(display), Selection(display)
+            selection = Selection(display)
             results[title][name] = {
-                text: [
-                    None if plan[0] in "lrp" else after(past, truth, plan),
-                    after(present, truth, plan),
-                ]
-                for text, plan in PLANS.items()
+                text: after(selection, truth, plan) for text, plan in PLANS.items()
             }
             print(title, name, results[title][name], flush=True)
     report = {"made": provenance(), "results": results}
@@ -279,7 +288,7 @@ def main() -> None:
     lines = ["# Selecting an object by marks", ""]
     lines += [" ".join(__doc__.split("\n\n")[1].split()), ""]
     for title, rows in results.items():
-        lines += table(title, rows)
+        lines += table(title, rows, before.get(title, {}))
     files.write_text(arguments.out / "report.md", "\n".join(lines))
     print(json.dumps({k: len(v) for k, v in results.items()}))
 

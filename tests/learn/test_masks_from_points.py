@@ -54,6 +54,23 @@ def test_a_line_of_either_kind_finds_the_object(around):
     assert not mask[:10].any() and not mask[:, :80].any()
 
 
+def test_a_bay_of_the_colour_that_is_outside_a_line_is_background_however_deep_it_is():
+    rows, columns = np.mgrid[:160, :240]
+    corner = (rows > 20) & (rows < 140) & (columns > 60) & (columns < 180)
+    corner &= (rows > 110) | (columns < 90)  # an L, which fills a third of its rectangle
+    picture = np.where(corner[..., None], (200, 180, 60), (120 + columns / 4)[..., None])
+    picture = picture + np.random.default_rng(0).normal(0, 4, picture.shape)
+    mask = bf.make_mask(np.clip(picture, 0, 255).astype(np.uint8), [(56, 16), (184, 144)])
+    assert overlap(mask, corner) > 0.93
+
+
+def test_an_object_of_the_colour_that_is_outside_a_line_is_still_selected():
+    picture = np.full((160, 240, 3), 128, np.uint8)
+    around = [(60, 20), (180, 140)]
+    mask = bf.make_mask(picture, around)
+    assert mask[50:110, 90:150].all() and not mask[:15].any()
+
+
 def test_a_point_of_the_background_inside_a_line_frees_what_is_around_it():
     picture, disk, hole = scene()
     assert bf.make_mask(picture, RECTANGLE)[hole].all()

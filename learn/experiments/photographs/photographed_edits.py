@@ -328,7 +328,7 @@ def edit_of(compositor: Any, photo: Photographed, target: Truth) -> dict[str, An
         "target": target.material,
         "family": target.family,
         "narrow": narrow_share(target.label),
-        "darkened": -float(np.log2(compositor.brightness(target.label))),
+        "darkened": -float(np.log2(compositor.mirror_correction(target.label))),
         "stops": float(np.log2(mine / its)),
         "green": light_colour.green_of(colours[0]) - light_colour.green_of(colours[1]),
         "red_blue": red_blue[0] - red_blue[1],
