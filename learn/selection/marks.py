@@ -236,7 +236,7 @@ class Selection:
             for region, objects, _ in inside:
                 seeds |= dict.fromkeys(map(int, objects), region)
         seeds |= marked
-        return pixels.labels(seeds, self.size, frame=not lines)
+        return pixels.labels(seeds, self.size, not lines, marked if lines else None)
 
     def _divided(self, given: np.ndarray) -> np.ndarray:
         """Labels (H, W) of a given mask as clicks divide it and lines cut it off."""

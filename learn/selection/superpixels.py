@@ -21,6 +21,7 @@ import numpy as np
 from PIL import Image
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
@@ -39,6 +40,10 @@ FRAME_STRENGTH = 0.02  # of the picture's frame as background, against a mark's
 # background. Shares of the greatest score: what has more is taken for the object, what has less for
 # the background, and the random walk decides about the rest
 OBJECT, BESIDE = 0.3, 0.03
+# colours count fully if what lies below DEEP, a share of the greatest depth, differs from the
+# background by CLEAR on average, or if CLEAR of the area inside the line differs by a half
+DEEP, CLEAR = 0.6, 0.3
+SMALLEST = 0.02  # of the largest piece of a region, by area: smaller ones are background
 # a colour that differs by one of these, the greater one, counts half: CIELAB units, and a share of
 # the greatest difference, so that what mixes object and background at an edge counts little
 UNLIKE, MIXED = 10.0, 0.25
@@ -155,9 +160,11 @@ class Superpixels:
         marked   numbers of superpixels that the user marked as background
         """
         enclosed = self.reduced(pixels)
-        inside = np.flatnonzero(self._mean(enclosed) > 0.5)
+        inside = self._mean(enclosed) > 0.5
         depths = distance_transform_edt(np.pad(enclosed, 1))[1:-1, 1:-1]
+        depth = self._mean(depths) / depths.max()
         unlike = self._unlikeness(outside)
+        trust = self._trust_in(unlike, inside, inside & (depth > DEEP))
         is_near = np.zeros(len(self.area), bool)
         if marked:
             away = distance_transform_edt(~np.isin(self.index, list(marked)))
@@ -165,10 +172,23 @@ class Superpixels:
             of_marked = self._unlikeness(np.array(sorted(marked)), nearest=1)
             unlike = np.where(share < FAR, np.minimum(unlike, of_marked), unlike)
             is_near = share < NEAR
-        score = np.sqrt(self._mean(depths)) * unlike
-        greatest = score[inside].max(initial=0)
+        # √depth × unlikeness where colours can be trusted, and depth where they cannot
+        score = depth ** (1 - trust / 2) * unlike**trust * inside
+        greatest = score.max()
         is_object = (score > OBJECT * greatest) & ~is_near
-        return inside[is_object[inside]], inside[score[inside] < BESIDE * greatest]
+        return np.flatnonzero(is_object), np.flatnonzero(inside & (score < BESIDE * greatest))
+
+    def _trust_in(self, unlike: np.ndarray, inside: np.ndarray, deep: np.ndarray) -> float:
+        """Return from 0 to 1 how much colours tell an object from the background of its line.
+
+        unlike        (K,) of `_unlikeness`
+        inside, deep  (K,) bool: superpixels inside the line, and deep inside it
+        """
+        area = self.area[inside].sum()
+        clear = self.area[inside & (unlike > 0.5)].sum() / area if area else 0.0
+        if deep.any():
+            clear = max(clear, np.average(unlike[deep], weights=self.area[deep]))
+        return min(1.0, float(clear) / CLEAR)
 
     def _unlikeness(self, background: np.ndarray, nearest: int = NEAREST) -> np.ndarray:
         """Return how little each colour (K,) is like those of superpixels, between 0 and 1.
@@ -192,15 +212,26 @@ class Superpixels:
         small = Image.fromarray(pixels).resize((width, height), Image.Resampling.NEAREST)
         return np.asarray(small)
 
-    def labels(self, seeds: Mapping[int, int], size: tuple[int, int], frame: bool) -> np.ndarray:
+    def labels(
+        self,
+        seeds: Mapping[int, int],
+        size: tuple[int, int],
+        frame: bool,
+        marked: Collection[int] | None = None,
+    ) -> np.ndarray:
         """Return labels (H, W) of a picture of that size, rows × columns.
 
-        seeds  {superpixel: region} of all that is marked
-        frame  whether the picture's frame is background, but where it is marked
+        seeds   {superpixel: region} of all that is marked
+        frame   whether the picture's frame is background, but where it is marked
+        marked  if given, small pieces of a region become background, but for those with one of
+                these superpixels
         """
         shares, regions = self.probabilities(seeds, frame)
         if len(regions) == 1:
             return np.full(size, regions[0], np.uint8)
+        if marked is not None and BACKGROUND in regions:
+            small = self._small_pieces(shares.argmax(1), regions.index(BACKGROUND), marked)
+            shares[small] = np.arange(len(regions)) == regions.index(BACKGROUND)
         # enlarged before the greatest is chosen, so that edges are no stairs of the small picture
         best, result = np.full(size, -1.0, np.float32), np.zeros(size, np.uint8)
         for share, region in zip(shares.T, regions, strict=True):
@@ -209,6 +240,24 @@ class Superpixels:
             result[large > best] = region
             best = np.maximum(best, large)
         return result
+
+    def _small_pieces(
+        self, regions: np.ndarray, background: int, marked: Collection[int]
+    ) -> np.ndarray:
+        """Return which superpixels (K,) bool belong to small pieces of regions without marks.
+
+        regions     (K,) of each superpixel
+        background  the region that has no pieces
+        """
+        i, j = self.pairs[regions[self.pairs[:, 0]] == regions[self.pairs[:, 1]]].T
+        count = len(regions)
+        graph = sparse.coo_matrix((np.ones(len(i)), (i, j)), (count, count))
+        _, piece = connected_components(graph, directed=False)
+        area = np.bincount(piece, self.area)
+        largest = np.zeros(regions.max() + 1)
+        np.maximum.at(largest, regions, area[piece])
+        is_small = (area[piece] < SMALLEST * largest[regions]) & (regions != background)
+        return is_small & ~np.isin(piece, piece[list(marked)])
 
     def probabilities(self, seeds: Mapping[int, int], frame: bool) -> tuple[np.ndarray, list[int]]:
         """Return the probability (K, R) of each region for each superpixel, and the regions."""

@@ -64,6 +64,18 @@ def test_a_bay_of_the_colour_that_is_outside_a_line_is_background_however_deep_i
     assert overlap(mask, corner) > 0.93
 
 
+def test_a_small_piece_beside_the_object_is_background_unless_it_is_marked():
+    rows, columns = np.mgrid[:160, :240]
+    disk = np.hypot(columns - 120, rows - 80) < 50
+    speck = np.hypot(columns - 178, rows - 28) < 6
+    picture = np.full((160, 240, 3), 130, np.uint8)
+    picture[disk | speck] = (190, 40, 30)
+    around = [(65, 20), (190, 136)]
+    assert not bf.make_mask(picture, around)[speck].any()
+    mask = bf.make_mask(picture, around, on_object=[(178, 28)])
+    assert mask[speck].mean() > 0.7 and overlap(mask, disk | speck) > 0.93
+
+
 def test_an_object_of_the_colour_that_is_outside_a_line_is_still_selected():
     picture = np.full((160, 240, 3), 128, np.uint8)
     around = [(60, 20), (180, 140)]
