@@ -15,6 +15,7 @@ labels  (H, W) uint8: 0 background, 1 … S the regions
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
+
+from learn.selection.guided_filter import GuidedFilter
 
 BACKGROUND = 0
 LONGEST = 512  # pixels of the longer side of the picture that superpixels are made of
@@ -64,6 +67,7 @@ class Superpixels:
     colours    (K, 3) their mean colours, CIELAB
     weights    (E,) how often a walk crosses from one to the other, up to 1 × the border's length
     frame      (K,) bool: superpixels at the picture's frame
+    lab        (h, w, 3) the reduced picture, CIELAB
     """
 
     index: np.ndarray
@@ -72,6 +76,7 @@ class Superpixels:
     colours: np.ndarray
     weights: np.ndarray
     frame: np.ndarray
+    lab: np.ndarray
 
     @classmethod
     def of(cls, display: np.ndarray, count: int = SUPERPIXELS, lines: bool = True) -> "Superpixels":
@@ -123,7 +128,7 @@ class Superpixels:
         frame = np.zeros(number, bool)
         for edge in (index[0], index[-1], index[:, 0], index[:, -1]):
             frame[edge] = True
-        return cls(index, area, pairs, mean, weights, frame)
+        return cls(index, area, pairs, mean, weights, frame, lab)
 
     def at(self, column: int, row: int, size: tuple[int, int]) -> int:
         """Return the superpixel at a pixel of a picture of that size, rows × columns."""
@@ -229,17 +234,23 @@ class Superpixels:
         shares, regions = self.probabilities(seeds, frame)
         if len(regions) == 1:
             return np.full(size, regions[0], np.uint8)
+        greatest = shares.argmax(1)
         if marked is not None and BACKGROUND in regions:
-            small = self._small_pieces(shares.argmax(1), regions.index(BACKGROUND), marked)
-            shares[small] = np.arange(len(regions)) == regions.index(BACKGROUND)
+            background = regions.index(BACKGROUND)
+            greatest[self._small_pieces(greatest, background, marked)] = background
         # enlarged before the greatest is chosen, so that edges are no stairs of the small picture
-        best, result = np.full(size, -1.0, np.float32), np.zeros(size, np.uint8)
-        for share, region in zip(shares.T, regions, strict=True):
-            picture = Image.fromarray(share[self.index].astype(np.float32))
+        best, result = np.full(size, -np.inf, np.float32), np.zeros(size, np.uint8)
+        for number, region in enumerate(regions):
+            picture = Image.fromarray(self._filter((greatest == number)[self.index]))
             large = np.asarray(picture.resize(size[::-1], Image.Resampling.BILINEAR))
             result[large > best] = region
             best = np.maximum(best, large)
         return result
+
+    @cached_property
+    def _filter(self) -> GuidedFilter:
+        """The filter that moves edges of labels to those of the picture, made once."""
+        return GuidedFilter(self.lab)
 
     def _small_pieces(
         self, regions: np.ndarray, background: int, marked: Collection[int]

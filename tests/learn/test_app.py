@@ -656,7 +656,7 @@ def test_masks_by_hand_are_fitted_and_written_as_they_were_given(
     marked = session.opened().selection.labels()
     decompose(session, refine=False)
     opened = session.decomposed()[0].decomposition.photograph
-    assert ((opened.regions > 0) != (marked > 0)).sum() > 20
+    assert ((opened.regions > 0) != (marked > 0)).sum() > 5  # what is drawn follows edges itself
     names = download_files.write_masks(session, tmp_path, opened)
     assert names == (["mask.png"] if parts == 1 else ["regions.png"])
     with Image.open(tmp_path / names[0]) as picture:
@@ -678,7 +678,7 @@ def test_without_the_fit_the_masks_edge_stays_in_the_edit_in_saved_work_and_in_t
     decompose(session, refine=False)
     session.choose(lambda edit: edit.with_region(0, Painted(chosen("brass"))))
     fitted = session.decomposed()[0].decomposition.photograph.regions
-    assert (fitted != marked).sum() > 20
+    assert (fitted != marked).sum() > 5
 
     session.fit_mask = False
     made = downloads_of(session)  # of what was decomposed, which is as it was

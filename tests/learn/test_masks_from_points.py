@@ -155,7 +155,7 @@ def test_the_command_writes_a_mask_and_a_preview_of_an_upright_photograph(tmp_pa
     assert command(*words) == 0
     said = capsys.readouterr().out
     assert f"brdfactory edit '{photo}' --mask {out}" in said
-    assert "The object covers 17% of the picture." in said
+    assert "The object covers 16% of the picture." in said
     mask = photographs.read_mask(out, disk.shape)
     assert {round(float(value), 6) for value in np.unique(mask)} == {0, 1}
     assert mask[hole].mean() < 0.2 and mask[disk & ~hole].mean() > 0.93
