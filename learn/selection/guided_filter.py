@@ -29,8 +29,8 @@ class GuidedFilter:
         """Return a map (h, w) float32 whose edges are moved to those of the picture."""
         values = values.astype(np.float32)
         mean = self._average(values)
-        together = self._average(self._colours * values[..., None])
-        covariance = together - self._mean * mean[..., None]
+        product = self._average(self._colours * values[..., None])
+        covariance = product - self._mean * mean[..., None]
         slope = np.einsum("yxij,yxj->yxi", self._inverse, covariance)
         offset = mean - (slope * self._mean).sum(-1)
         return (self._average(slope) * self._colours).sum(-1) + self._average(offset)
