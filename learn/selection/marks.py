@@ -17,6 +17,7 @@ from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
 from learn.data.photographs import MOST_REGIONS
+from learn.selection.inside_lines import seeds_inside
 from learn.selection.superpixels import BACKGROUND, FEWER, Superpixels
 from manifests.errors import InputError
 
@@ -227,10 +228,9 @@ class Selection:
             enclosed = np.logical_or.reduce([line.inside for line in lines])
             outside = np.array([], int) if enclosed.all() else pixels.covered(~enclosed)
             seeds |= dict.fromkeys(map(int, outside), BACKGROUND)
-            beside_it = {number for number, region in marked.items() if region == BACKGROUND}
-            inside = [
-                (line.region, *pixels.seeds_in(line.inside, outside, beside_it)) for line in lines
-            ]
+            background = {number for number, region in marked.items() if region == BACKGROUND}
+            known = outside, background, marked.keys() - background
+            inside = [(line.region, *seeds_inside(line.inside, pixels, *known)) for line in lines]
             for _, _, beside in inside:  # first, so that no line takes another one's object away
                 seeds |= dict.fromkeys(map(int, beside), BACKGROUND)
             for region, objects, _ in inside:

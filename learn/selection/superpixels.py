@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 from scipy import sparse
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
 
 from learn.selection.guided_filter import GuidedFilter
 
@@ -39,22 +38,7 @@ GRADIENT = 4.0
 SMOOTHING = 1.0  # pixels, of the picture whose gradient is taken
 WEAKEST = 1e-4  # weight of the strongest edge: every walk arrives somewhere
 FRAME_STRENGTH = 0.02  # of the picture's frame as background, against a mark's
-# Inside a line, a superpixel is scored by how deep it lies and how much its colour differs from the
-# background. Shares of the greatest score: what has more is taken for the object, what has less for
-# the background, and the random walk decides about the rest
-OBJECT, BESIDE = 0.3, 0.03
-# colours count fully if what lies below DEEP, a share of the greatest depth, differs from the
-# background by CLEAR on average, or if CLEAR of the area inside the line differs by a half
-DEEP, CLEAR = 0.6, 0.3
 SMALLEST = 0.02  # of the largest piece of a region, by area: smaller ones are background
-# a colour that differs by one of these, the greater one, counts half: CIELAB units, and a share of
-# the greatest difference, so that what mixes object and background at an edge counts little
-UNLIKE, MIXED = 10.0, 0.25
-SAME = 1e-3  # CIELAB units, added to all differences: where all colours are the same, depth decides
-NEAREST = 3  # background superpixels of the most similar colours, over which differences are means
-# what the user marks as background inside a line says the same of what has its colour and is nearer
-# than FAR, a share of the greatest depth; what is nearer than NEAR is not taken for the object
-NEAR, FAR = 0.3, 0.6
 
 
 @dataclass(frozen=True)
@@ -153,61 +137,7 @@ class Superpixels:
         half = np.flatnonzero(share >= 0.5)
         return half if len(half) else np.array([int(share.argmax())])
 
-    def seeds_in(
-        self, pixels: np.ndarray, outside: np.ndarray, marked: Collection[int]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the superpixels inside a line that are the object's, and those beside the object.
-
-        Both are numbers of superpixels; the random walk decides about the others.
-
-        pixels   (H, W) bool inside the line
-        outside  numbers of superpixels outside all lines
-        marked   numbers of superpixels that the user marked as background
-        """
-        enclosed = self.reduced(pixels)
-        inside = self._mean(enclosed) > 0.5
-        depths = distance_transform_edt(np.pad(enclosed, 1))[1:-1, 1:-1]
-        depth = self._mean(depths) / depths.max()
-        unlike = self._unlikeness(outside)
-        trust = self._trust_in(unlike, inside, inside & (depth > DEEP))
-        is_near = np.zeros(len(self.area), bool)
-        if marked:
-            away = distance_transform_edt(~np.isin(self.index, list(marked)))
-            share = self._mean(away) / depths.max()
-            of_marked = self._unlikeness(np.array(sorted(marked)), nearest=1)
-            unlike = np.where(share < FAR, np.minimum(unlike, of_marked), unlike)
-            is_near = share < NEAR
-        # √depth × unlikeness where colours can be trusted, and depth where they cannot
-        score = depth ** (1 - trust / 2) * unlike**trust * inside
-        greatest = score.max()
-        is_object = (score > OBJECT * greatest) & ~is_near
-        return np.flatnonzero(is_object), np.flatnonzero(inside & (score < BESIDE * greatest))
-
-    def _trust_in(self, unlike: np.ndarray, inside: np.ndarray, deep: np.ndarray) -> float:
-        """Return from 0 to 1 how much colours tell an object from the background of its line.
-
-        unlike        (K,) of `_unlikeness`
-        inside, deep  (K,) bool: superpixels inside the line, and deep inside it
-        """
-        area = self.area[inside].sum()
-        clear = self.area[inside & (unlike > 0.5)].sum() / area if area else 0.0
-        if deep.any():
-            clear = max(clear, np.average(unlike[deep], weights=self.area[deep]))
-        return min(1.0, float(clear) / CLEAR)
-
-    def _unlikeness(self, background: np.ndarray, nearest: int = NEAREST) -> np.ndarray:
-        """Return how little each colour (K,) is like those of superpixels, between 0 and 1.
-
-        background  their numbers; without any, all colours count 1
-        """
-        if not len(background):
-            return np.ones(len(self.area))
-        tree = cKDTree(self.colours[background])
-        differences, _ = tree.query(self.colours, range(1, min(nearest, len(background)) + 1))
-        difference = SAME + differences.mean(1)
-        return difference / (difference + max(UNLIKE, MIXED * difference.max()))
-
-    def _mean(self, values: np.ndarray) -> np.ndarray:
+    def mean(self, values: np.ndarray) -> np.ndarray:
         """Return the mean (K,) over each superpixel of values (h, w)."""
         return np.bincount(self.index.ravel(), values.ravel(), len(self.area)) / self.area
 

@@ -90,6 +90,15 @@ def test_a_point_of_the_background_inside_a_line_frees_what_is_around_it():
     assert mask[hole].mean() < 0.2 and mask[disk & ~hole].mean() > 0.93
 
 
+def test_a_point_on_a_part_of_the_colour_of_the_wall_frees_what_is_around_it():
+    picture, disk, hole = scene()
+    picture[hole] = picture[0, 0]  # as if the wall were seen through the hole
+    around = [(80, 10), (200, 130)]
+    assert bf.make_mask(picture, around)[hole].mean() < 0.2
+    mask = bf.make_mask(picture, around, on_object=[CENTRE])
+    assert mask[hole].mean() > 0.9 and overlap(mask, disk) > 0.9
+
+
 def test_what_is_within_a_second_line_is_left_out_up_to_its_edges():
     picture, disk, hole = scene()
     mask = bf.make_mask(picture, RECTANGLE, without=[(128, 58), (152, 82)])
