@@ -42,7 +42,8 @@ def seeds_inside(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the superpixels inside a line that are the object's, and those beside the object.
 
-    Both are numbers of superpixels; the random walk decides about the others.
+    Both are numbers of superpixels; the random walk decides about the others. Those of the object
+    are in order of their scores, the greatest first.
 
     line                 (H, W) bool: pixels of the picture inside it
     outside              numbers of superpixels outside all lines
@@ -70,7 +71,8 @@ def seeds_inside(
         share = _distance(superpixels, objects) / deepest
         differs = _unlikeness(superpixels, np.array(sorted(objects)), nearest=1) > 0.5
         is_beside &= (share > NEAR) & (differs | (share > FAR))
-    return np.flatnonzero(is_object), np.flatnonzero(is_beside)
+    falling = np.argsort(-score)
+    return falling[is_object[falling]], np.flatnonzero(is_beside)
 
 
 def _distance(superpixels: Superpixels, marked: Collection[int]) -> np.ndarray:

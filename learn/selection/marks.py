@@ -224,6 +224,7 @@ class Selection:
                 marked[pixels.at(mark.column, mark.row, self.size)] = mark.region
             elif isinstance(mark, Stroke):
                 marked |= dict.fromkeys(map(int, pixels.covered(mark.covered)), mark.region)
+        kept = set(marked)
         if lines:
             enclosed = np.logical_or.reduce([line.inside for line in lines])
             outside = np.array([], int) if enclosed.all() else pixels.covered(~enclosed)
@@ -235,8 +236,9 @@ class Selection:
                 seeds |= dict.fromkeys(map(int, beside), BACKGROUND)
             for region, objects, _ in inside:
                 seeds |= dict.fromkeys(map(int, objects), region)
+                kept |= set(map(int, objects[:1]))  # each line has an object, however small
         seeds |= marked
-        return pixels.labels(seeds, self.size, not lines, marked if lines else None)
+        return pixels.labels(seeds, self.size, not lines, kept if lines else None)
 
     def _divided(self, given: np.ndarray) -> np.ndarray:
         """Labels (H, W) of a given mask as clicks divide it and lines cut it off."""

@@ -152,22 +152,22 @@ class Superpixels:
         seeds: Mapping[int, int],
         size: tuple[int, int],
         frame: bool,
-        marked: Collection[int] | None = None,
+        kept: Collection[int] | None = None,
     ) -> np.ndarray:
         """Return labels (H, W) of a picture of that size, rows × columns.
 
         seeds   {superpixel: region} of all that is marked
         frame   whether the picture's frame is background, but where it is marked
-        marked  if given, small pieces of a region become background, but for those with one of
+        kept    if given, small pieces of a region become background, but for those with one of
                 these superpixels
         """
         shares, regions = self.probabilities(seeds, frame)
         if len(regions) == 1:
             return np.full(size, regions[0], np.uint8)
         greatest = shares.argmax(1)
-        if marked is not None and BACKGROUND in regions:
+        if kept is not None and BACKGROUND in regions:
             background = regions.index(BACKGROUND)
-            greatest[self._small_pieces(greatest, background, marked)] = background
+            greatest[self._small_pieces(greatest, background, kept)] = background
         # enlarged before the greatest is chosen, so that edges are no stairs of the small picture
         best, result = np.full(size, -np.inf, np.float32), np.zeros(size, np.uint8)
         for number, region in enumerate(regions):
@@ -183,9 +183,9 @@ class Superpixels:
         return GuidedFilter(self.lab)
 
     def _small_pieces(
-        self, regions: np.ndarray, background: int, marked: Collection[int]
+        self, regions: np.ndarray, background: int, kept: Collection[int]
     ) -> np.ndarray:
-        """Return which superpixels (K,) bool belong to small pieces of regions without marks.
+        """Return which superpixels (K,) bool belong to small pieces without any of those kept.
 
         regions     (K,) of each superpixel
         background  the region that has no pieces
@@ -198,7 +198,7 @@ class Superpixels:
         largest = np.zeros(regions.max() + 1)
         np.maximum.at(largest, regions, area[piece])
         is_small = (area[piece] < SMALLEST * largest[regions]) & (regions != background)
-        return is_small & ~np.isin(piece, piece[list(marked)])
+        return is_small & ~np.isin(piece, piece[list(kept)])
 
     def probabilities(self, seeds: Mapping[int, int], frame: bool) -> tuple[np.ndarray, list[int]]:
         """Return the probability (K, R) of each region for each superpixel, and the regions."""

@@ -124,6 +124,17 @@ def test_several_lines_enclose_an_object_of_several_pieces(tmp_path):
     assert overlap(found, pieces[0] | pieces[1]) > 0.95
 
 
+def test_a_small_piece_with_a_line_of_its_own_is_kept():
+    rows, columns = np.mgrid[:200, :400]
+    large, small = (np.hypot(columns - x, rows - 100) < r for x, r in ((120, 80), (300, 9)))
+    picture = np.full((200, 400, 3), 90, np.uint8)
+    picture[large | small] = (220, 200, 40)
+    mask = bf.make_mask(picture, [(30, 10), (210, 190)])
+    assert overlap(mask, large) > 0.95
+    selection = select(picture, Points([[(30, 10), (210, 190)], [(285, 85), (315, 115)]]))
+    assert (selection.labels() > 0)[small].mean() > 0.8
+
+
 def test_radiance_is_exposed_before_edges_are_sought():
     picture, disk, hole = scene()
     radiance = ((picture / 255.0) ** 2.2 * 1e-4).astype(np.float32)
