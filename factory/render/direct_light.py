@@ -96,10 +96,10 @@ class Points(NamedTuple):
         return self.across**2 * len(self.shifts)
 
 
-def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Points | None:
+def points_of(direct: Sequence[DirectLight], lens: Camera, requested: int) -> Points | None:
     """Return the points of pixels; None if even four per square pixel are more than MOST_POINTS.
 
-    wanted  points per pixel
+    requested  points per pixel
     """
     kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
     least = USUAL if kind == "mirror-like" else LEAST
@@ -107,7 +107,7 @@ def points_of(direct: Sequence[DirectLight], lens: Camera, wanted: int) -> Point
     if lens.pixel == "centre":
         return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= MOST_POINTS else None
     for count, (across, grids) in GRIDS.items():
-        if count <= max(wanted, least) and count * pixels <= MOST_POINTS:
+        if count <= max(requested, least) and count * pixels <= MOST_POINTS:
             return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // min(count, USUAL)))
     return None
 
