@@ -19,7 +19,7 @@ Side = Literal["train", "test"]
 # mixed: shape and materials stand on different sides; neither for training nor for testing
 Split = Literal["train", "test", "mixed"]
 Counts = Literal["hash", "paper", "multi-material", "general"]
-Estimator = Literal["path-tracing", "denoised", "ratio", "closed-form"]
+Estimator = Literal["path-tracing", "denoised", "ratio", "closed-form", "shadow-rays"]
 Role = Literal["pretrain", "finetune", "train", "test"]
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]

@@ -186,6 +186,32 @@ class DirectLight:
             radiance[away] = self._leaning(towards, facets[first], away=True)[each]
         return radiance + self.mistaken(given, facets, cells, patches) if misdirected else radiance
 
+    def each_light(self, n: np.ndarray, rows: int, least: float) -> np.ndarray:
+        """Return what the mixture reflects of each light at normals (P, 3): (P, 3, T) float32.
+
+        What Cycles does at facets is no part of it. The T lights are those of
+        LightBlocks.listed_patches.
+
+        rows   of blocks of the light, of which wide lobes reflect each as one light
+        least  α of lobes, at least: narrower ones would fall between the lights
+        """
+        lights, (centres, radii, near, _) = self.blocks.lights(rows), self.blocks.detail(1)
+        out = np.empty((len(n), 3, lights.shape[1] + near.shape[0] * near.shape[2]), np.float32)
+        direct_light_kernels.list_lights(
+            np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
+            n,
+            np.stack(self._tables),
+            np.float32(least),
+            np.float32(WIDE),
+            np.array([WITHIN.get(kind, 0.0) for kind in self.mixture.kinds], np.float32),
+            lights,
+            centres,
+            radii,
+            near,
+            out,
+        )
+        return out
+
     def mistaken(
         self,
         n: np.ndarray,

@@ -304,6 +304,70 @@ def add_lights(
         _add_energy(f, lights, count, out[i])
 
 
+@_compiled
+def list_lights(
+    kinds: np.ndarray,
+    n: np.ndarray,
+    tables: np.ndarray,
+    least: np.float32,
+    narrow: np.float32,
+    within: np.ndarray,
+    lights: np.ndarray,
+    centres: np.ndarray,
+    radii: np.ndarray,
+    near: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Set out (N, 3, T + B · E) to what closures reflect of each light at normals (N, 3).
+
+    Wide lobes, and the tails of narrow ones, reflect the T lights; narrow lobes reflect those of
+    the B blocks near their axis. What a lobe reflects is in one of the two only.
+
+    kinds    (K,) numbers of the closures; tables (K, S, 5) as of `add_lights`
+    least    α of lobes, at least: narrower ones would fall between the lights
+    narrow   α below which lobes are narrow
+    within   (K,) tan θ_h / α of the half vectors that are near; 0: the closure has no lobe
+    lights   (9, T) as of `add_lights`
+    centres, radii, near  as of `add_blocks`
+    """
+    count, (blocks, _, each) = lights.shape[1], near.shape
+    f = np.empty(max(count, each), np.float32)
+    v = np.empty(5, np.float32)
+    for i in range(len(n)):
+        out[i] = 0
+        for k in range(len(kinds)):
+            _parameters(tables[k], n[i, 2], v)
+            if v[2] + v[3] + v[4] < LEAST_WEIGHT:
+                continue
+            alpha, tilt = max(v[0], least), v[1]
+            is_narrow = within[k] > 0 and alpha < narrow
+            if not is_narrow or kinds[k] == GGX:
+                _evaluate(kinds[k], n[i], alpha, tilt, np.float32(0), lights, count, f)
+            mx, my, mz = _mirrored(n[i], tilt)
+            cone = np.float32(2) * np.float32(math.atan(within[k] * alpha))
+            cos, sin = np.float32(math.cos(cone)), np.float32(math.sin(cone))
+            if is_narrow and kinds[k] == GGX:
+                for j in range(count):
+                    is_far = mx * lights[0, j] + my * lights[1, j] + mz * lights[2, j] < cos
+                    f[j] *= ONE if is_far else np.float32(0)
+            if not is_narrow or kinds[k] == GGX:
+                for c in range(3):
+                    row, energy = out[i, c], lights[6 + c]
+                    for j in range(count):
+                        row[j] += v[2 + c] * f[j] * energy[j]
+            if not is_narrow:
+                continue
+            for b in range(blocks):
+                cosine = mx * centres[b, 0] + my * centres[b, 1] + mz * centres[b, 2]
+                if cosine <= cos * radii[b, 0] - sin * radii[b, 1]:
+                    continue
+                _evaluate(kinds[k], n[i], alpha, tilt, np.float32(0), near[b], each, f)
+                for c in range(3):
+                    row, energy = out[i, c, count + b * each :], near[b, 6 + c]
+                    for j in range(each):
+                        row[j] += v[2 + c] * f[j] * energy[j]
+
+
 @_inlined
 def _axis(n, tilt):
     """Return the tilted normal."""

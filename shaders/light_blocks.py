@@ -88,8 +88,7 @@ class LightBlocks:
             w, solid_angle = envmap.directions(height, width)
             energy = self.light.astype(np.float64) * solid_angle[..., None]
             # few lamps make most of a map's light
-            brightest = np.argsort(energy.sum(-1), axis=None)[-LAMPS:]
-            lamps = np.unravel_index(brightest, (height, width))
+            lamps = np.unravel_index(self._brightest(), (height, width))
             theirs = energy[lamps]
             energy[lamps] = 0
             brightness = energy.sum(-1, keepdims=True) + 1e-12
@@ -110,6 +109,35 @@ class LightBlocks:
             energies = np.concatenate([energies, divided.reshape(-1, 3)])
             self._lights[rows] = self._lit(centres[None], energies[None])[0]
         return self._lights[rows]
+
+    def listed_patches(self, rows: int) -> np.ndarray:
+        """Return where lights lie in the light's frame, (T, 4) float32.
+
+        They are those of `lights` of fewer rows than the map's, and those near a lobe of
+        `detail(1)`: DirectLight.each_light has what each of them adds.
+
+        Returns  cosines of the polar angle at the top and bottom, and azimuths of the two sides
+        """
+        height, width = self.light.shape[:2]
+        step = height // rows
+        row, column = (each.ravel() for each in np.indices((rows, width // step)))
+        blocks = _corners(row, column, rows, width // step)
+        lamp_row, lamp_column = np.unravel_index(self._brightest(), (height, width))
+        texels = np.indices((height, width))
+        across = texels.reshape(2, height // BLOCK, BLOCK, width // BLOCK, BLOCK).swapaxes(2, 3)
+        near_row, near_column = across.reshape(2, -1)
+        every = (
+            blocks,
+            _corners(lamp_row, lamp_column, height, width),
+            _corners(near_row, near_column, height, width),
+        )
+        return np.concatenate(every).astype(np.float32)
+
+    def _brightest(self) -> np.ndarray:
+        """Return the numbers of the texels that count as lamps."""
+        _, solid_angle = envmap.directions(*self.light.shape[:2])
+        energy = self.light.astype(np.float64) * solid_angle[..., None]
+        return np.argsort(energy.sum(-1), axis=None)[-LAMPS:]
 
     def detail(self, parts: int) -> tuple[Any, ...]:
         """Return blocks of the light: centres, radii, lights in detail and few lights of each.
@@ -154,3 +182,10 @@ class LightBlocks:
         half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
         every = np.concatenate([w, half, energy], axis=-1)
         return np.ascontiguousarray(every.swapaxes(1, 2), np.float32)
+
+
+def _corners(row: np.ndarray, column: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return cosines of the polar angle and azimuths (P, 4) between which parts of a map lie."""
+    ends = [np.cos(np.pi * (row + k) / height) for k in (0, 1)]
+    sides = [2 * np.pi * (column + k) / width for k in (0, 1)]
+    return np.stack([*ends, *sides], axis=1)

@@ -27,9 +27,14 @@ def vertices_from_camera(vertices: np.ndarray, azimuth: float, camera: Camera) -
     vertices  (V, 3), in the object's frame
     azimuth   of the view, radians
     """
+    return vertices @ camera_from_object(azimuth, camera).T.astype(vertices.dtype)
+
+
+def camera_from_object(azimuth: float, camera: Camera) -> np.ndarray:
+    """Return the rotation (3, 3) from the object's frame to the camera's; azimuth in radians."""
     s, c = np.sin(azimuth), np.cos(azimuth)
     turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return vertices @ (camera_from_fixed_world(camera) @ turned).T.astype(vertices.dtype)
+    return camera_from_fixed_world(camera) @ turned
 
 
 def view_vectors(camera: Camera) -> np.ndarray:

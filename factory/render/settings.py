@@ -132,8 +132,15 @@ PORTION = (
     ),
     Setting("cycles.use_sample_subset", True, "a picture grows until its error is kept"),
 )
-# passes of a layer that guide the denoiser
-GUIDES = ("cycles.denoising_store_passes", "use_pass_normal", "use_pass_diffuse_color")
+# passes of a layer besides the picture: those that guide the denoiser, and indirect light
+PASSES = (
+    "cycles.denoising_store_passes",
+    "use_pass_normal",
+    "use_pass_diffuse_color",
+    "use_pass_glossy_color",
+    "use_pass_diffuse_indirect",
+    "use_pass_glossy_indirect",
+)
 DENOISED = (
     Setting("cycles.denoiser", "OPENIMAGEDENOISE", "the same on every machine"),
     Setting("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL", "guides keep edges"),
@@ -246,12 +253,12 @@ def portion_of_samples(scene: Any, first: int, count: int, seed: int) -> Iterato
         assign(scene, "cycles.sample_offset", int(first))
         assign(scene, "cycles.sample_subset_length", int(count))
         assign(scene, "cycles.seed", int(seed) & 0x7FFFFFFF)
-        for each in GUIDES:
+        for each in PASSES:
             assign(layer, each, True)
         yield
     finally:
         for path, value in earlier.items():
             assign(scene, path, value)
         assign(scene, "cycles.sample_offset", 0)
-        for each in GUIDES:
+        for each in PASSES:
             assign(layer, each, False)

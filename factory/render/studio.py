@@ -46,6 +46,7 @@ from factory.render.settings import (
     effective,
     portion_of_samples,
 )
+from factory.render.shadow_rays import ShadowRays, Share
 from factory.render.view_light import ShownView, ViewLight
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
@@ -89,6 +90,8 @@ class Studio:
         self._object: Any = None
         self._second_object: Any = None
         self._vertices = np.zeros((0, 3), np.float32)
+        self._faces = np.zeros((0, 3), np.int32)
+        self._shadow_rays: ShadowRays | None = None
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
@@ -136,6 +139,7 @@ class Studio:
             bpy.data.meshes.remove(self._body)
         self._segments, self._tier = int(mesh.segment.max()), None
         self._vertices = mesh.vertices.astype(np.float32)
+        self._faces, self._shadow_rays = mesh.faces, None
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
@@ -285,12 +289,15 @@ class Studio:
         lens = self._require_camera()
         with portion_of_samples(self._scene, first, count, seed):
             visible, rendered = self._render_passes(lens)
-        rgba, guides = (
+        indirect = sum(
+            rendered[f"{kind}Col"] * rendered[f"{kind}Ind"] for kind in ("Diff", "Gloss")
+        )
+        rgba, guides, indirect = (
             window.paste(each, visible, lens.size)
-            for each in (rendered["Combined"], denoiser.guides_of(rendered))
+            for each in (rendered["Combined"], denoiser.guides_of(rendered), indirect)
         )
         alpha = np.ascontiguousarray(rgba[..., 3])
-        return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides)
+        return Portion(np.ascontiguousarray(rgba[..., :3]), alpha, guides, indirect)
 
     def denoise(self, portion: Portion, effort: Effort) -> np.ndarray:
         """Return a portion's radiance, or that of the mean of several, without most of its noise.
@@ -300,7 +307,7 @@ class Studio:
         lens = self._require_camera()
         visible = window.around(self._vertices, self._azimuth, lens)
         top, bottom, left, right = visible
-        noisy, alpha, guides = (each[top:bottom, left:right] for each in portion)
+        noisy, alpha, guides = (each[top:bottom, left:right] for each in portion[:3])
         smooth = denoiser.denoise(self._scene, noisy, alpha, guides, effort)
         return window.paste(smooth, visible, lens.size)
 
@@ -355,6 +362,21 @@ class Studio:
                None: all
         """
         return self._direct_light.picture(self._shown_view(), points, known, where)
+
+    def visible_share(
+        self, points: int, rays: int, seed: int, half: int, where: np.ndarray | None = None
+    ) -> Share | None:
+        """Return the share of `direct_light` that the object does not block; None where that is.
+
+        points  per pixel, of which either half has every other grid
+        rays    from each point, by this seed
+        where   (height, width) bool, the pixels that rays are cast for; None: all
+        """
+        if self._shadow_rays is None:
+            self._shadow_rays = ShadowRays(self._vertices, self._faces)
+        return self._direct_light.share(
+            self._shown_view(), self._shadow_rays, points, rays, seed, half, where
+        )
 
     def forget_grids(self) -> None:
         """Forget what `direct_light` has seen of the view, as another view makes it do."""

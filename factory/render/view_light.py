@@ -22,6 +22,7 @@ from factory.render.direct_light import (
 )
 from factory.render.estimators.renderer import DirectPicture, DirectWork
 from factory.render.geometry import Surface
+from factory.render.shadow_rays import ShadowRays, Share
 from manifests.schema import Camera
 from shaders.mixture import Mixture
 
@@ -110,6 +111,31 @@ class ViewLight:
             return None
         picture = picture_of(direct, self._grids_at(view, at), view.lens, at, where)
         return picture if known is None or where is None else merge_pictures(known, picture, where)
+
+    def share(
+        self,
+        view: ShownView,
+        rays: ShadowRays,
+        points: int,
+        each: int,
+        seed: int,
+        half: int,
+        where: np.ndarray | None = None,
+    ) -> Share | None:
+        """Return the share of direct light that arrives; None where `picture` is.
+
+        points  per pixel, every other grid of which is one half's
+        each    rays from each point
+        where   (height, width) bool, the pixels that rays are cast for; None: all
+        """
+        direct = self.closed_forms(view)
+        at = points_of(direct, view.lens, points) if direct else None
+        if at is None:
+            return None
+        grids = self._grids_at(view, at)
+        if len(grids) > 1:
+            grids, at = grids[half::2], at._replace(shifts=at.shifts[half::2])
+        return rays.share(direct, grids, view.lens, view.azimuth, at, each, seed, where)
 
     def _grids_at(self, view: ShownView, at: Points) -> list[Surface]:
         """Return what grids of points see; as many as MOST_KEPT allows are kept."""

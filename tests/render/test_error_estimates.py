@@ -703,7 +703,7 @@ class Sparse(Known):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
         found = rng.binomial(count, 0.02, size=(*MASK.shape, 1)) / (0.02 * count)
         noisy = np.float32(self.truth * (0.1 + 0.9 * found))
-        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES)
+        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES, np.zeros_like(noisy))
 
 
 def test_the_estimate_counts_what_the_display_curve_makes_of_rare_light():

@@ -15,7 +15,7 @@ import pytest
 from factory.render.estimators import choice, closed_form
 from factory.render.estimators.halves import Halves
 from factory.render.estimators.renderer import Effort, Shown, effort
-from factory.render.settings import GUIDES, PORTION
+from factory.render.settings import PASSES, PORTION
 from manifests.schema import Camera
 from shaders import tone
 from shaders.mixture import Mixture
@@ -104,7 +104,7 @@ def test_portions_leave_no_setting_behind(chair):
     portion = chair.portion(4, 8, 3, "full")
     assert held() == settings
     chair.denoise(portion, effort(8))
-    assert held() == settings and not any(layer.path_resolve(path) for path in GUIDES)
+    assert held() == settings and not any(layer.path_resolve(path) for path in PASSES)
 
 
 def test_a_picture_of_fixed_samples_is_the_same_before_and_after_portions(chair):

@@ -90,7 +90,7 @@ class Studio:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         noise = rng.normal(size=radiance.shape).astype(np.float32) / np.float32(np.sqrt(count))
         noisy = np.maximum(radiance * (1 + 0.3 * noise), 0)
-        return Portion(noisy, alpha, self._normals)
+        return Portion(noisy, alpha, self._normals, np.zeros_like(noisy))
 
     def denoise(self, portion, effort):
         return portion.guides[..., 2:] * np.float32(self._colour) * np.ones(3, np.float32)
@@ -102,6 +102,9 @@ class Studio:
         return None
 
     def direct_light(self, points, known=None, where=None):
+        return None
+
+    def visible_share(self, points, rays, seed, half, where=None):
         return None
 
 

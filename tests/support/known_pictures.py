@@ -27,7 +27,7 @@ class Known:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count)))
         noise = self.noise * rng.normal(size=self.truth.shape) / np.sqrt(count)
         noisy = (self.truth + noise).astype(np.float32)
-        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES)
+        return Portion(noisy, MASK.astype(np.float32), NO_GUIDES, np.zeros_like(noisy))
 
     def denoise(self, portion, effort):
         self.tries += 1
@@ -42,6 +42,9 @@ class Known:
         return None
 
     def direct_light(self, points, known=None, where=None):
+        return None
+
+    def visible_share(self, points, rays, seed, half, where=None):
         return None
 
 
@@ -68,7 +71,7 @@ class Shaded(Known):
         noisy = np.float32(share * (self.unblocked + noise))
         # the share is seen by the denoiser as guides are
         guides = np.broadcast_to(share, (*MASK.shape, 1))
-        return Portion(noisy, MASK.astype(np.float32), guides)
+        return Portion(noisy, MASK.astype(np.float32), guides, np.zeros_like(noisy))
 
     def denoise(self, portion, effort):
         self.tries += 1

@@ -4,6 +4,8 @@ choice        selects the cheapest estimator for a shot, from a few samples of i
 path_tracing  with as many samples as the shot needs
 denoised      path tracing with fewer samples, and Open Image Denoise
 ratio         direct light without noise, times a denoised ratio of two pictures
+shadow_rays   direct light without noise, times the share that rays find unblocked, and indirect
+              light
 closed_form   direct light without noise alone, where nothing is blocked
 blocked_light  how blocked light bounds the error of closed_form
 blends        takes bias out of the last three by a share of the noisy picture

@@ -22,11 +22,13 @@ from factory.render.estimators import (
     denoised,
     path_tracing,
     ratio,
+    shadow_rays,
 )
 from factory.render.estimators.halves import Estimate, Halves
 from factory.render.estimators.picture import Picture
 from factory.render.estimators.renderer import DirectPicture, Shown
 from manifests.schema import Estimator
+from shaders import tone
 
 PILOT = 4  # samples of each half
 MOST_SAMPLES = 2048  # of each half
@@ -70,8 +72,10 @@ class Attempt:
     expected       the same before samples have measured it
     left           share of path tracing's noise that the ratio's unbiased pictures have, once it is
                    known
+    shadowed       direct light with shadows by rays; None before it is tried
     scale          of the denoiser's law
     ratio_scale    of the ratio's law
+    rays_scale     of the law of shadow rays
     """
 
     shown: Shown
@@ -82,6 +86,8 @@ class Attempt:
     now: Estimate = field(init=False)
     scale: float = field(init=False)
     ratio_scale: float = field(init=False)
+    rays_scale: float = field(init=False)
+    shadowed: shadow_rays.ShadowedLight | None = None
     tries: dict[Estimator, int] = field(default_factory=dict)
     tried: dict[Estimator, tuple[Estimate, int]] = field(default_factory=dict)
     blocked: Estimate | None = None
@@ -97,6 +103,7 @@ class Attempt:
         self.pilot = self.now = self.halves.estimate()
         self.scale = denoised.expected_scale(self.shown.mask.size)
         self.ratio_scale = ratio.expected_scale(self.shown.mask.size)
+        self.rays_scale = shadow_rays.expected_scale(self.shown.mask.size)
         self.expected = closed_form.expected_error_at_limit(self.error)
 
     @property
@@ -175,7 +182,7 @@ class Attempt:
 
     def _is_worth_asking(self) -> bool:
         """Whether the closed form, and what it makes possible, costs less than the other plans."""
-        if not {closed_form.NAME, ratio.NAME} & set(self.estimators):
+        if not {closed_form.NAME, ratio.NAME, shadow_rays.NAME} & set(self.estimators):
             return False
         work = self.shown.renderer.direct_light_work(closed_form.POINTS)
         if work is None:
@@ -185,6 +192,9 @@ class Attempt:
         if least <= cost:
             return False
         if self.shown.tier == "direct":
+            return True
+        by_rays = self._shadow_rays_plan()
+        if by_rays is not None and by_rays.cost + cost < least:
             return True
         if self.blocked is None:
             self.blocked = self.halves.error_of_direct_light()
@@ -210,6 +220,8 @@ class Attempt:
                 plans.append(Plan(further + cost, denoised.NAME, further))
         if self.direct is None:
             return plans
+        if by_rays := self._shadow_rays_plan():
+            plans.append(by_rays)
         by_ratio = tier != "direct" and self.blocked is not None
         if (
             by_ratio
@@ -250,6 +262,32 @@ class Attempt:
         cost = rendered + 2 * denoised.cost_in_samples(total, self.shown.tier)
         return Plan(cost, ratio.NAME, further)
 
+    def _shadow_rays_plan(self) -> Plan | None:
+        """Return the plan of a picture by shadow rays that keeps the limit by its law, if any."""
+        name, halves, least = shadow_rays.NAME, self.halves, shadow_rays.LEAST
+        if self.shown.tier == "direct" or not self._may_try(name, shadow_rays.MOST_TRIES):
+            return None
+        if name in self.tried:
+            least = math.ceil(MORE * self.tried[name][1])
+        noise = halves.noise_of_indirect_light().noise_bound
+        count = shadow_rays.needed_samples(
+            noise, halves.samples, self.rays_scale, self.error, self._shadowed_error(), least
+        )
+        if count > MOST_SAMPLES:
+            return None
+        further = max(count - halves.samples, 0)
+        cost = 0.0 if self.shadowed else shadow_rays.cost_in_samples(int(self.shown.mask.sum()))
+        if noise > 0:
+            cost += denoised.cost_in_samples(halves.samples + further, self.shown.tier)
+        return Plan(further + cost, name, further)
+
+    def _shadowed_error(self) -> Estimate:
+        """Return what direct light with shadows is off by, as far as it is known."""
+        expected = shadow_rays.expected_error(self.expected)
+        if self.shadowed is None:
+            return expected
+        return self.shadowed.error(self.halves.traced_direct_pictures(), expected)
+
     def _direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""
         halves = self.halves
@@ -273,7 +311,12 @@ class Attempt:
         if plan.samples:
             halves.grow(min(plan.samples, (GROWTH - 1) * halves.samples))
         if name not in (path_tracing.NAME, closed_form.NAME):
-            for each in self._pairs(with_ratio=name == ratio.NAME):
+            pairs = (
+                [self._by_shadow_rays()]
+                if name == shadow_rays.NAME
+                else self._pairs(with_ratio=name == ratio.NAME)
+            )
+            for each in pairs:
                 if made := self._judge(each):
                     return made
         self.now = halves.estimate()
@@ -301,6 +344,26 @@ class Attempt:
         )
         return [by_ratio, by_denoiser]
 
+    def _by_shadow_rays(self) -> _Candidate:
+        """Return pictures by shadow rays and denoised indirect light, and by noisy one."""
+        halves = self.halves
+        assert self.direct is not None
+        if self.shadowed is None:
+            self.shadowed = shadow_rays.ShadowedLight(self.shown, self.direct, self.error)
+        shadowed = self.shadowed.pictures
+        smooth, noisy = (
+            [a + b for a, b in zip(shadowed, halves.indirect_pictures(denoised), strict=True)]
+            for denoised in (True, False)
+        )
+        predicted = shadow_rays.predict_error(
+            halves.noise_of_indirect_light().noise,
+            self.rays_scale,
+            halves.samples,
+            self.error,
+            shadow_rays.expected_error(self.expected),
+        )
+        return _Candidate(shadow_rays.NAME, smooth, predicted, noisy)
+
     def _judge(self, tried: _Candidate) -> Picture | None:
         """Return the best blend of an estimator's pictures if it keeps the error.
 
@@ -308,19 +371,30 @@ class Attempt:
         """
         halves, name = self.halves, tried.estimator
         shares = ratio.SHARES if name == ratio.NAME else blends.SHARES
-        blend = blends.choose_blend(halves, tried.pair, tried.unbiased, self.error, shares)
+        # pictures by rays need few samples, which say little of the exposure
+        exposure = (
+            tone.auto_exposure((tried.pair[0] + tried.pair[1]) / 2, self.shown.mask)
+            if name == shadow_rays.NAME
+            else None
+        )
+        blend = blends.choose_blend(
+            halves, tried.pair, tried.unbiased, self.error, shares, exposure
+        )
         estimate, bias = self._estimate(name, blend)
         self.tried[name] = blends.add_bias(estimate, bias), halves.samples
         noise = halves.estimate().noise
         if name == denoised.NAME:
             self.scale = denoised.measure_scale(blend, noise, halves.samples)
+        elif name == shadow_rays.NAME:
+            noise = halves.noise_of_indirect_light().noise
+            self.rays_scale = shadow_rays.measure_scale(blend, noise, halves.samples)
         else:
             self.ratio_scale = ratio.measure_scale(blend, self.left * noise)
         if not blends.is_kept(estimate, bias, self.error):
             return None
         return Picture(
             radiance=(blend.pair[0] + blend.pair[1]) / 2,
-            alpha=halves.alpha,
+            alpha=self.direct.alpha if name == shadow_rays.NAME and self.direct else halves.alpha,
             estimator=name,
             samples=2 * halves.samples,
             predicted=tried.predicted,
@@ -335,12 +409,12 @@ class Attempt:
         added, unless the samples as rendered show beyond doubt that it is more.
         """
         bias = blends.bias_with_doubt(blend.bias, blend.estimate)
-        if name != ratio.NAME:
+        if name not in (ratio.NAME, shadow_rays.NAME):
             return blend.estimate, bias
         plain = self.halves.estimate_denoised(blend.pair)
         if closed_form.is_surely_above(plain, self.error):
             return plain, bias
-        known = self.closed_direct
+        known = self._shadowed_error() if name == shadow_rays.NAME else self.closed_direct
         assert known is not None
         uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
         error = max(blend.estimate.error, 0.0) + known.error

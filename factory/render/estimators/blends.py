@@ -64,6 +64,7 @@ def choose_blend(
     unbiased: Sequence[np.ndarray],
     error: float,
     shares: Sequence[float] = SHARES,
+    exposure: float | None = None,
 ) -> Blend:
     """Return the blend of least error among those whose bias is small enough, or among all.
 
@@ -71,8 +72,9 @@ def choose_blend(
     unbiased  pictures of both halves, with their noise; they may have negative radiance
     error     the limit
     shares    of the unbiased pictures that are tried; the first is 0
+    exposure  under which errors count; None: as the halves say it
     """
-    slope = halves.slope(smooth)
+    slope = halves.slope(smooth, exposure)
     blends: list[Blend] = []
     for share in shares:
         some = np.float32(share)

@@ -126,7 +126,7 @@ def plan_more_points(
         return []
     points = int(counts.min())
     # of as many points everywhere
-    parts = _with_neighbours(_errors_by_differences(direct, mask) * (counts / points), mask)
+    parts = with_neighbours(_errors_by_differences(direct, mask) * (counts / points), mask)
     best: tuple[float, float, np.ndarray] | None = None
     for levels in FINER:
         steps = np.array([points * times for times in (1, *levels)])
@@ -150,7 +150,7 @@ def plan_more_points(
     return result
 
 
-def _with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return values (P,) of the mask's pixels, in proportion to the most of theirs and the mean of
     3 × 3 pixels, with the same sum.
     """

@@ -48,24 +48,28 @@ def expected_scale(pixels: int) -> float:
     return SCALE * size_factor(pixels)
 
 
-def measure_scale(blend: Blend, noise: float, samples: int) -> float:
+def measure_scale(blend: Blend, noise: float, samples: int, power: float = POWER) -> float:
     """Return the law's scale as denoised halves show it, whose blend is given.
 
     noise    error of the same samples without denoiser
     samples  of each half
+    power    of the law
     """
     # a bias that is not seen may be as large as its uncertainty
     seen = max(blend.bias_alone, blend.estimate.standard_error)
-    return seen / (noise**POWER * effort(samples).leaves)
+    return seen / (max(noise, 1e-9) ** power * effort(samples).leaves)
 
 
-def predict_error(noise: float, scale: float, samples: int, limit: float) -> float:
+def predict_error(
+    noise: float, scale: float, samples: int, limit: float, power: float = POWER
+) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all.
 
     noise    error of the same samples without denoiser
     samples  of each half
+    power    of the law
     """
-    known = _blends(noise, scale, samples)
+    known = blends_of(noise, scale, samples, power)
     allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
     return min(allowed or [error for error, _ in known])
 
@@ -81,15 +85,17 @@ def needed_samples(
     count = least
     while count <= MOST_SAMPLES and not any(
         error <= limit and bias <= blends.MOST_BIAS * limit
-        for error, bias in _blends(noise * samples / count, scale, count)
+        for error, bias in blends_of(noise * samples / count, scale, count)
     ):
         count = math.ceil(1.1 * count)
     return count
 
 
-def _blends(noise: float, scale: float, samples: int) -> list[tuple[float, float]]:
-    """Return error and squared bias of each blend, by the law."""
-    bias = scale * noise**POWER * effort(samples).leaves
+def blends_of(
+    noise: float, scale: float, samples: int, power: float = POWER
+) -> list[tuple[float, float]]:
+    """Return error and squared bias of each blend of so many samples of each half, by the law."""
+    bias = scale * noise**power * effort(samples).leaves
     return [
         ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
         for share in blends.SHARES

@@ -76,6 +76,7 @@ class _GrowingPicture:
         self.samples = 0
         self.mean: Portion | None = None
         self._denoised: np.ndarray | None = None
+        self._denoised_indirect: np.ndarray | None = None
 
     def grow(self, count: int) -> None:
         """Render `count` further samples."""
@@ -83,7 +84,7 @@ class _GrowingPicture:
         if self.mean is not None:
             share = np.float32(count / (self.samples + count))
             part = Portion(*(a + share * (b - a) for a, b in zip(self.mean, part, strict=True)))
-        self.mean, self._denoised = part, None
+        self.mean, self._denoised, self._denoised_indirect = part, None, None
         self.samples += count
 
     def denoised_picture(self, prefilter: bool) -> np.ndarray:
@@ -93,6 +94,15 @@ class _GrowingPicture:
             how = effort(self.samples)._replace(prefilter=prefilter)
             self._denoised = self._renderer.denoise(self.mean, how)
         return self._denoised
+
+    def denoised_indirect(self, prefilter: bool) -> np.ndarray:
+        """Return the indirect light (height, width, 3) of all samples, denoised."""
+        if self._denoised_indirect is None:
+            assert self.mean is not None
+            how = effort(self.samples)._replace(prefilter=prefilter)
+            part = self.mean._replace(noisy=self.mean.indirect)
+            self._denoised_indirect = self._renderer.denoise(part, how)
+        return self._denoised_indirect
 
 
 class Halves:
@@ -125,6 +135,26 @@ class Halves:
         """Return both halves' radiance (height, width, 3), each of all its samples, denoised."""
         prefilter = self.has_noisy_guides
         return [half.denoised_picture(prefilter) for half in self._shown]
+
+    def indirect_pictures(self, denoised: bool = False) -> list[np.ndarray]:
+        """Return both halves' light (height, width, 3) that the object reflects onto itself."""
+        means = [half.mean for half in self._shown]
+        if denoised and any(mean is not None and mean.indirect.any() for mean in means):
+            prefilter = self.has_noisy_guides
+            return [half.denoised_indirect(prefilter) for half in self._shown]
+        return [mean.indirect for mean in means if mean is not None]
+
+    def noise_of_indirect_light(self) -> Estimate:
+        """Return the error that the noise of indirect light makes in the mean of both halves."""
+        mask, mean = self.shown.mask, self.picture
+        slope = tone.display_slope(mean[mask], self.exposure)
+        one, other = (each[mask] * slope for each in self.indirect_pictures())
+        return mean_over(tone.squared_difference(one, other) / 4)
+
+    def traced_direct_pictures(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return both halves' direct light (height, width, 3), with the shadows of the tier."""
+        (a, b), (one, other) = self.pictures, self.indirect_pictures()
+        return a - one, b - other
 
     @property
     def has_noisy_guides(self) -> bool:
@@ -204,9 +234,13 @@ class Halves:
         """
         return self.error_and_bias(denoised, self.pictures, self.slope(denoised))[0]
 
-    def slope(self, smooth: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the display curve's slope (P, 3) at the mean of two pictures with little noise."""
-        return tone.display_slope(((smooth[0] + smooth[1]) / 2)[self.shown.mask], self.exposure)
+    def slope(self, smooth: Sequence[np.ndarray], exposure: float | None = None) -> np.ndarray:
+        """Return the display curve's slope (P, 3) at the mean of two pictures with little noise.
+
+        exposure  None: that of the picture without noise, as the halves say it
+        """
+        mean = ((smooth[0] + smooth[1]) / 2)[self.shown.mask]
+        return tone.display_slope(mean, self.exposure if exposure is None else exposure)
 
     def slope_map(self, smooth: Sequence[np.ndarray]) -> np.ndarray:
         """Return the same as (height, width, 3), 0 outside the mask."""

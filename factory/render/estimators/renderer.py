@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
+    from factory.render.shadow_rays import Share
     from manifests.schema import Tier
 
 
@@ -17,11 +18,13 @@ class Portion(NamedTuple):
     noisy   (height, width, 3) their mean, linear radiance
     alpha   (height, width) the object's coverage
     guides  (height, width, G) what a denoiser sees besides: albedo and normal
+    indirect  (height, width, 3) the part of `noisy` that the object reflects onto itself
     """
 
     noisy: np.ndarray
     alpha: np.ndarray
     guides: np.ndarray
+    indirect: np.ndarray
 
 
 class Effort(NamedTuple):
@@ -92,6 +95,8 @@ class Renderer(Protocol):
                           where memory does not suffice. None where no closed form holds. With
                           `where` (height, width) only these pixels, and the others as in `known`
     direct_light_work     what it takes; None as above
+    visible_share         of the direct light, which the object does not block: by `rays` rays from
+                          each of a half's points. None where no closed form holds
     forget_grids          makes `direct_light` see the shape again, as it does in another view
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
@@ -103,6 +108,10 @@ class Renderer(Protocol):
     def direct_light(
         self, points: int, known: DirectPicture | None = None, where: np.ndarray | None = None
     ) -> DirectPicture | None: ...
+
+    def visible_share(
+        self, points: int, rays: int, seed: int, half: int, where: np.ndarray | None = None
+    ) -> Share | None: ...
 
     def direct_light_work(self, points: int) -> DirectWork | None: ...
 

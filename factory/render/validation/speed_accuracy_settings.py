@@ -21,8 +21,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from factory.render.estimators import choice, ratio
+from factory.render.estimators import choice, ratio, shadow_rays
 from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
+from factory.render.estimators.halves import half_seed
 from factory.render.estimators.renderer import Shown, effort
 from factory.render.studio import Studio
 from factory.render.validation.speed_accuracy_report import (
@@ -39,6 +40,8 @@ from manifests.schema import Tier
 SAMPLES = (4, 16, 64, 256, 1024)
 MOST = 256  # samples, unless more are requested
 RATIO_SAMPLES = (4, 16, 64)
+# samples, of which indirect light is denoised, and rays from each point of direct light
+SHADOW_RAYS = ((4, 1), (16, 2), (64, 8))
 CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
 LIMITS = (60.0, 20.0, 5.0, 2.0)
 SMALLER_LIMITS = (0.5, 0.125)  # tried until a limit's picture is as good as the other program's
@@ -120,6 +123,25 @@ def methods(
 
         return render
 
+    def by_rays(samples: int, rays: int) -> Method:
+        def render(at: Shown) -> np.ndarray:
+            exact = studio.direct_light()
+            if exact is None:
+                return smooth(samples)(at)
+            part = studio.portion(0, samples, at.seed, at.tier)
+            shares = [
+                studio.visible_share(shadow_rays.POINTS, rays, half_seed(at.seed, half), half)
+                for half in (0, 1)
+            ]
+            assert shares[0] is not None and shares[1] is not None
+            direct = exact.radiance * shares[0].add(shares[1]).factor
+            if not part.indirect.any():
+                return direct
+            how = effort(samples)
+            return direct + studio.denoise(part._replace(noisy=part.indirect), how)
+
+        return render
+
     def closed(points: int) -> Method:
         def render(at: Shown) -> np.ndarray:
             exact = studio.direct_light(points)
@@ -140,15 +162,19 @@ def methods(
         }
         | {("denoised", f"{n} samples"): smooth(n) for n in counts}
         | {("ratio", f"{n} samples"): by_ratio(n) for n in RATIO_SAMPLES}
+        | {
+            ("shadow rays", f"{n} samples, {rays} rays"): by_rays(n, rays)
+            for n, rays in SHADOW_RAYS
+        }
         | {(CLOSED, f"{n} points"): closed(n) for n in CLOSED_POINTS}
         | {(LIMIT, f"{e:g}"): render_to_limit(e) for e in LIMITS}
     )
 
 
 def of_tier(known: dict[tuple[str, str], Method], tier: Tier) -> dict[tuple[str, str], Method]:
-    """Return the settings that a tier has: the closed form alone in `direct`, else the ratio."""
-    other = "ratio" if tier == "direct" else CLOSED
-    return {key: method for key, method in known.items() if key[0] != other}
+    """Return the settings that a tier has: the closed form in `direct`, else ratio and rays."""
+    others = ("ratio", "shadow rays") if tier == "direct" else (CLOSED,)
+    return {key: method for key, method in known.items() if key[0] not in others}
 
 
 def save(shown: Shown, path: Path) -> None:

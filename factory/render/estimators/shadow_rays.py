@@ -1,0 +1,185 @@
+"""Direct light without noise, times the share of it that rays find unblocked, plus indirect light.
+
+what      closed form · share of the light that arrives (factory.render.shadow_rays) + denoised
+          indirect light. Rays go where light would come from, so that all noise is that of
+          visibility, which is a fraction of path tracing's; what the object reflects onto itself is
+          the part of the halves that is left to be denoised, and in most shots a small one
+halves    each has rays of its own from points of its own, and its own indirect light
+bias      of the denoiser, on indirect light alone: the estimate contains it, and a share of the
+          noisy one (`blends`) keeps it small. That of shadowed direct light is added: it is
+          measured by the halves' direct light, and by what is expected before (`EXPECTED`)
+cost      the closed form, and the rays, which are cast again where the halves differ
+fails     shadows in mirror-like reflections narrower than shadow_rays.LEAST, which are blurred, and
+          coarse meshes whose interpolated normals lean from their facets: Cycles moves the
+          rays' origins there. Both are seen by the halves
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from factory.render.estimators import blends, closed_form, denoised
+from factory.render.estimators.blends import Blend
+from factory.render.estimators.halves import Estimate, half_seed, mean_over
+from factory.render.estimators.renderer import DirectPicture, Shown
+from factory.render.shadow_rays import Share
+from manifests.schema import Estimator
+from shaders import tone
+
+NAME: Estimator = "shadow-rays"
+POINTS = 64  # per pixel, of which either half has 32
+ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
+ROUNDS = 3  # of casting more rays, where the halves differ
+MOST_RAYS = 16  # from each point and in each round
+# what shadowed direct light is off by besides the closed form's own error, and by how much that
+# differs between shots
+EXPECTED = Estimate(0.15, 0.3)
+# of the law of `denoised`, of indirect light
+SCALE, POWER = 1.75, 0.45
+MOST_TRIES = 3
+LEAST = 4  # samples of each half
+MOST_SAMPLES = 1 << 20  # more never help
+# samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
+GROUPS, RAYS = 12000.0, 9.0
+
+
+def cost_in_samples(pixels: int) -> float:
+    """Return the samples of each half that take as long as the rays of so many pixels."""
+    return RAYS + GROUPS / max(pixels, 1)
+
+
+def expected_error(direct: Estimate) -> Estimate:
+    """Return what shadowed direct light is off by, before samples have measured it.
+
+    direct  what the closed form is off by in the tier `direct`
+    """
+    spread = math.hypot(direct.standard_error, EXPECTED.standard_error)
+    return Estimate(direct.error + EXPECTED.error, spread)
+
+
+def expected_scale(pixels: int) -> float:
+    """Return the law's scale for a frame of so many pixels before any try has measured it."""
+    return SCALE * denoised.size_factor(pixels)
+
+
+def measure_scale(blend: Blend, noise: float, samples: int) -> float:
+    """Return the law's scale by a try; noise: that of indirect light, of `samples` of each half."""
+    return denoised.measure_scale(blend, noise, samples, POWER)
+
+
+def predict_error(noise: float, scale: float, samples: int, limit: float, known: Estimate) -> float:
+    """Return the error of the best blend that a limit allows.
+
+    noise  of indirect light, of so many samples of each half
+    known  what shadowed direct light is off by
+    """
+    return known.error + denoised.predict_error(noise, scale, samples, limit, POWER)
+
+
+def needed_samples(
+    noise: float, samples: int, scale: float, limit: float, known: Estimate, least: int = LEAST
+) -> int:
+    """Return the samples of each half whose picture keeps a limit on error and bias, by the law.
+
+    noise  of indirect light, of `samples` of each half
+    known  what shadowed direct light is off by
+    least  samples that are worth a try
+    """
+    count = least
+    left = limit * (1 - ENOUGH) - known.bound
+    most_bias = blends.MOST_BIAS * limit - known.error
+    while count <= MOST_SAMPLES:
+        for error, bias in denoised.blends_of(noise * samples / count, scale, count, POWER):
+            if error <= left and bias <= most_bias:
+                return count
+        if left <= 0 or most_bias <= 0:
+            return MOST_SAMPLES + 1
+        count = math.ceil(1.1 * count)
+    return count
+
+
+@dataclass
+class ShadowedLight:
+    """Direct light with shadows: of either half by rays of its own.
+
+    direct  the closed form's picture
+    limit   on the error, by which rays are cast
+    shares  of both halves; [] before they are cast
+    """
+
+    shown: Shown
+    direct: DirectPicture
+    limit: float
+    shares: list[Share] = field(default_factory=list)
+
+    @property
+    def pictures(self) -> list[np.ndarray]:
+        """Radiance (height, width, 3) of both halves."""
+        self._cast()
+        return [self.direct.radiance * share.factor for share in self.shares]
+
+    @property
+    def picture(self) -> np.ndarray:
+        """Radiance (height, width, 3) of all rays."""
+        one, other = self.pictures
+        return (one + other) / np.float32(2)
+
+    @property
+    def noise(self) -> Estimate:
+        """The error that the rays of both halves leave."""
+        return mean_over(self._parts())
+
+    def _parts(self) -> np.ndarray:
+        """Return the same of each pixel of the mask, (P,)."""
+        mask, mean = self.shown.mask, self.picture
+        slope = tone.display_slope(mean[mask], tone.auto_exposure(mean, mask))
+        one, other = (each[mask] * slope for each in self.pictures)
+        return tone.squared_difference(one, other) / 4
+
+    def _cast(self) -> None:
+        """Cast rays until the halves differ by little; where they do not, no more are cast."""
+        if self.shares:
+            return
+        self.shares = self._round(0, 1, None)
+        cast = np.ones(int(self.shown.mask.sum()))  # rays from each point
+        for number in range(1, ROUNDS + 1):
+            parts = self._parts()
+            budget = ENOUGH * self.limit
+            if parts.mean() <= budget:
+                return
+            likely = closed_form.with_neighbours(parts, self.shown.mask)
+            order = np.argsort(likely)
+            # what lies in the pixels of least noise stays as it is, up to half of what is allowed
+            stays = np.cumsum(likely[order]) <= budget / 2 * len(parts)
+            more = np.ones(len(parts), bool)
+            more[order[stays]] = False
+            left = float(likely[more].sum()) / (budget / 2 * len(parts))
+            rays = int(np.clip(math.ceil((left - 1) * float(cast[more].mean())), 1, MOST_RAYS))
+            where = np.zeros_like(self.shown.mask)
+            where[self.shown.mask] = more
+            further = self._round(number, rays, where)
+            self.shares = [a.add(b) for a, b in zip(self.shares, further, strict=True)]
+            cast[more] += rays
+
+    def _round(self, number: int, rays: int, where: np.ndarray | None) -> list[Share]:
+        """Return the shares of both halves by so many rays from each point, of their own seeds."""
+        shares = []
+        for half in (0, 1):
+            seed = half_seed(half_seed(self.shown.seed, half) + number, 1)
+            share = self.shown.renderer.visible_share(POINTS, rays, seed, half, where)
+            assert share is not None  # there is a closed form
+            shares.append(share)
+        return shares
+
+    def error(self, direct: tuple[np.ndarray, np.ndarray], expected: Estimate) -> Estimate:
+        """Return what `picture` is off by, without the noise of its rays.
+
+        direct    both halves' direct light with shadows, as it was traced
+        expected  what `expected_error` says
+        """
+        measured = closed_form.measure_error(self.picture, direct, self.shown.mask)
+        own = Estimate(measured.error - self.noise.error, measured.standard_error)
+        return closed_form.combine_with_expectation(own, expected)

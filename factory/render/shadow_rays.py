@@ -1,0 +1,229 @@
+"""Which share of the direct light reaches what is visible, by rays towards the light.
+
+At each point, directions are drawn in proportion to what they would add to the picture: the
+material's closed form times the light, evaluated at a grid of normals. All noise is therefore that
+of visibility: where nothing or everything is blocked there is none. The points of a pixel divide
+the light equally between them.
+
+The share is a factor of the closed form's picture (factory.render.direct_light), which has neither
+shadows nor noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from factory.render import camera
+from factory.render.direct_light import Points
+from factory.render.geometry import Surface
+from manifests.schema import Camera
+from shaders import frames
+
+if TYPE_CHECKING:
+    from shaders.direct_light import DirectLight
+
+MARGIN = 1e-4  # by which rays begin beside the surface, in units of the object's radius
+# steps of x and y per unit, by the least α of the lobes: normals that are equal when they are
+# rounded to these share one evaluation of the light
+STEPS = ((0.1, 16), (0.0, 32))
+ROWS = 32  # of blocks of the light, of which wide lobes reflect each as one light
+LEAST = 0.02  # α of lobes: half a texel's width of half vectors
+AT_ONCE = 1 << 19  # numbers of evaluated light in memory, 2 MB
+
+
+class Share(NamedTuple):
+    """Sums over the rays of each pixel, (height, width, 3) float64.
+
+    arrived  light that rays met
+    sent     light of all rays
+    """
+
+    arrived: np.ndarray
+    sent: np.ndarray
+
+    @property
+    def factor(self) -> np.ndarray:
+        """By which direct light is multiplied, (height, width, 3) float32; 1 without rays."""
+        known = self.sent > 0
+        factor = np.ones(self.sent.shape, np.float32)
+        np.divide(self.arrived, self.sent, out=factor, where=known, casting="same_kind")
+        return factor
+
+    def add(self, other: Share) -> Share:
+        """Return the sums over the rays of both."""
+        return Share(self.arrived + other.arrived, self.sent + other.sent)
+
+
+class ShadowRays:
+    """Rays against one shape.
+
+    vertices  (V, 3) float32 in the object's frame
+    faces     (F, 3)
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
+        from factory.render import ray_kernels  # and numba, which takes half a second
+
+        corners = vertices[faces].astype(np.float32)
+        order = np.arange(len(faces))
+        boxes = np.zeros((2 * len(faces), 6), np.float32)
+        first, count = np.zeros((2, 2 * len(faces)), np.int32)
+        low, high = corners.min(1), corners.max(1)
+        nodes = ray_kernels.build_tree(low, high, order, boxes, first, count)
+        edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        triangles = np.concatenate([corners[:, 0], *edges], axis=1)[order]
+        self._tree = boxes[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy(), triangles
+        self._margin = np.float32(MARGIN * float(np.abs(vertices).max()))
+
+    def are_blocked(self, origins: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """Return whether rays (R,) from origins (R, 3) in unit directions (R, 3) meet the shape."""
+        from factory.render import ray_kernels
+
+        out = np.zeros(len(origins), bool)
+        ray_kernels.are_blocked(
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(towards, np.float32),
+            *self._tree,
+            out,
+        )
+        return out
+
+    def share(
+        self,
+        direct: Sequence[DirectLight],
+        grids: Sequence[Surface],
+        lens: Camera,
+        azimuth: float,
+        points: Points,
+        rays: int,
+        seed: int,
+        where: np.ndarray | None = None,
+    ) -> Share:
+        """Return the share of direct light that arrives, by `rays` rays from each point.
+
+        direct   of the segments' materials, in the order of their ids
+        grids    the surface at the points of each of the grids of `points`
+        azimuth  of the view, radians
+        seed     of the directions
+        where    (height, width) bool, the pixels that rays are cast for; None: all
+        """
+        height, width = lens.size
+        at = _points_seen(grids, lens, points, where)
+        rotation = camera.camera_from_object(azimuth, lens)
+        arrived, sent = np.zeros((2, height * width, 3))
+        # numbers of the points within their pixels
+        order = np.argsort(at.pixels, kind="stable")
+        counts = np.bincount(at.pixels, minlength=height * width)
+        turns = np.empty(len(order), np.int64)
+        turns[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+        for number, each in enumerate(direct, 1):
+            here = np.nonzero(at.segments == number)[0]
+            if len(here):
+                self._cast(each, at, here, turns, counts, rotation, rays, seed, arrived, sent)
+        shape = (height, width, 3)
+        return Share(arrived.reshape(shape), sent.reshape(shape))
+
+    def _cast(
+        self,
+        direct: DirectLight,
+        at: _PointsSeen,
+        here: np.ndarray,
+        turns: np.ndarray,
+        counts: np.ndarray,
+        rotation: np.ndarray,
+        rays: int,
+        seed: int,
+        arrived: np.ndarray,
+        sent: np.ndarray,
+    ) -> None:
+        """Cast the rays of one segment's points, whose numbers are `here`."""
+        from factory.render import ray_kernels
+        from shaders.normal_groups import turn_to_viewer
+
+        steps = next(steps for least, steps in STEPS if direct.narrowest >= least)
+        towards, _ = turn_to_viewer(at.normals[here], at.facets[here])
+        cells = np.round(towards[:, :2] * steps).astype(np.int64) + steps
+        _, group, counted = np.unique(
+            cells[:, 0] * (2 * steps + 1) + cells[:, 1], return_inverse=True, return_counts=True
+        )
+        members = here[np.argsort(group, kind="stable")]
+        firsts = np.concatenate([[0], np.cumsum(counted)])
+        sums = np.stack([np.bincount(group, towards[:, k]) for k in range(3)], axis=1)
+        normals = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+        patches = direct.blocks.listed_patches(ROWS)
+        order = _in_order_of_neighbours(patches)
+        object_from_light = (rotation.T @ direct.camera_from_light).astype(np.float32)
+        origins, facets = (
+            np.ascontiguousarray(each @ rotation, np.float32) for each in (at.places, at.facets)
+        )
+        some = max(1, AT_ONCE // (3 * len(patches)))
+        for begin in range(0, len(normals), some):
+            part = normals[begin : begin + some].astype(np.float32)
+            ray_kernels.cast(
+                direct.each_light(part, ROWS, LEAST),
+                patches,
+                order,
+                object_from_light,
+                firsts[begin : begin + len(part) + 1],
+                members,
+                origins,
+                facets,
+                self._margin,
+                at.pixels,
+                turns,
+                counts,
+                rays,
+                seed,
+                *self._tree,
+                arrived,
+                sent,
+            )
+
+
+class _PointsSeen(NamedTuple):
+    """Points of a picture that lie on the object: pixels and segments (P,), and in the camera frame
+
+    places, normals and facets (P, 3).
+    """
+
+    pixels: np.ndarray
+    segments: np.ndarray
+    places: np.ndarray
+    normals: np.ndarray
+    facets: np.ndarray
+
+
+def _points_seen(
+    grids: Sequence[Surface], lens: Camera, points: Points, where: np.ndarray | None
+) -> _PointsSeen:
+    """Return what all grids see inside `where`."""
+    height, width = lens.size
+    across = points.across
+    fine = None if where is None else where.repeat(across, 0).repeat(across, 1)
+    step = 2 * lens.half_extent / (max(lens.size) * across)
+    result: list[list[np.ndarray]] = []
+    for grid, (rightwards, upwards) in zip(grids, points.shifts, strict=True):
+        kept = slice(None) if fine is None else fine[grid.mask]
+        rows, columns = (each[kept] for each in np.nonzero(grid.mask))
+        x, y = (
+            each[grid.mask][kept] * lens.half_extent
+            for each in frames.pixel_grid(height * across, width * across)
+        )
+        places = np.stack([x + rightwards * step, y + upwards * step, -grid.depth[kept]], axis=-1)
+        pixels = rows // across * width + columns // across
+        result.append([pixels, grid.segments[kept], places, grid.normals[kept], grid.facets[kept]])
+    return _PointsSeen(*(np.concatenate(each) for each in zip(*result, strict=True)))
+
+
+def _in_order_of_neighbours(patches: np.ndarray) -> np.ndarray:
+    """Return an order of patches (T, 4) of a light in which neighbours are near (Morton's)."""
+    middle = (patches[:, 0] + patches[:, 1]) / 2, (patches[:, 2] + patches[:, 3]) / 2
+    row = np.clip(np.arccos(np.clip(middle[0], -1, 1)) / np.pi * 1024, 0, 1023).astype(np.int64)
+    column = np.clip(middle[1] / (2 * np.pi) * 2048, 0, 2047).astype(np.int64)
+    code = np.zeros(len(patches), np.int64)
+    for bit in range(11):
+        code |= ((column >> bit) & 1) << (2 * bit) | ((row >> bit) & 1) << (2 * bit + 1)
+    return np.argsort(code, kind="stable")

@@ -1,0 +1,159 @@
+"""Shadow rays: their tree against all triangles, their share against geometry and Cycles."""
+
+import numpy as np
+import pytest
+
+from factory.render.shadow_rays import LEAST, ROWS, ShadowRays, Share
+from manifests.materials import load_catalogue
+from manifests.schema import Camera
+from shaders.direct_light import DirectLight
+from shaders.mixture import Mixture
+
+RNG = np.random.default_rng(3)
+
+
+def soup(count):
+    """Triangles of many sizes anywhere in a cube."""
+    centres = RNG.uniform(-1, 1, (count, 1, 3))
+    corners = centres + RNG.normal(size=(count, 3, 3)) * RNG.uniform(0.01, 0.3, (count, 1, 1))
+    return corners.reshape(-1, 3).astype(np.float32), np.arange(3 * count).reshape(count, 3)
+
+
+def meet_any(vertices, faces, origins, towards):
+    """Whether rays (R,) meet any triangle, by all pairs of them in float64."""
+    a, b, c = (vertices[faces[:, k]].astype(float)[None] for k in range(3))
+    o, d = origins[:, None].astype(float), towards[:, None].astype(float)
+    normal = np.cross(b - a, c - a)
+    along = (normal * d).sum(-1)
+    t = (normal * (a - o)).sum(-1) / np.where(along == 0, np.inf, along)
+    at = o + t[..., None] * d
+    inside = np.ones(t.shape, bool)
+    for one, other in ((a, b), (b, c), (c, a)):
+        inside &= (np.cross(other - one, at - one) * normal).sum(-1) >= 0
+    return ((t > 0) & inside).any(1)
+
+
+@pytest.mark.parametrize("count", [1, 3, 200, 3000])
+def test_rays_meet_what_all_triangles_together_meet(count):
+    vertices, faces = soup(count)
+    origins = RNG.uniform(-1.5, 1.5, (500, 3)).astype(np.float32)
+    towards = RNG.normal(size=(500, 3))
+    towards[:30] = np.eye(3)[RNG.integers(3, size=30)]  # along an axis, other components 0
+    towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
+    truth = meet_any(vertices, faces, origins, towards)
+    known = ShadowRays(vertices, faces).are_blocked(origins, towards)
+    # a ray through an edge may count to either side
+    assert (known != truth).mean() <= 0.004
+    assert 0.0 <= truth.mean() < 1.0 and (count == 1 or truth.any())
+
+
+def test_triangles_in_one_place_make_a_tree_too():
+    vertices = np.tile(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32), (500, 1))
+    rays = ShadowRays(vertices, np.arange(1500).reshape(500, 3))
+    up = np.array([[0, 0, 1]], np.float32)
+    assert rays.are_blocked(np.array([[0.2, 0.2, -1]], np.float32), up).all()
+    assert not rays.are_blocked(np.array([[0.9, 0.9, -1]], np.float32), up).any()
+
+
+@pytest.mark.parametrize("name", ["green-fabric", "steel", "paper_white", "brass"])
+def test_listed_lights_add_up_to_direct_light(name):
+    light = RNG.gamma(0.3, size=(8, 16, 3)).astype(np.float32).repeat(8, 0).repeat(8, 1)
+    direct = DirectLight(load_catalogue()[name].mixture, light, np.eye(3), misdirected=False)
+    n = RNG.normal(size=(40, 3)) + [0, 0, 2]
+    n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
+    n = n[n[:, 2] > 0.3]
+    listed = direct.each_light(n, ROWS, LEAST)
+    assert listed.shape[2] == len(direct.blocks.listed_patches(ROWS))
+    assert (listed >= 0).all()
+    np.testing.assert_allclose(listed.sum(2).mean(0), direct.at(n).mean(0), rtol=0.05)
+
+
+def test_patches_hold_the_directions_of_their_lights():
+    light = RNG.gamma(0.3, size=(64, 128, 3)).astype(np.float32)
+    blocks = DirectLight(Mixture.lambert((1, 1, 1)), light, np.eye(3)).blocks
+    near = blocks.detail(1)[2]
+    w = np.concatenate([blocks.lights(ROWS)[:3].T, near[:, :3].swapaxes(1, 2).reshape(-1, 3)])
+    top, bottom, left, right = blocks.listed_patches(ROWS).T
+    turn = np.arctan2(w[:, 2], w[:, 0]) % (2 * np.pi)
+    assert ((w[:, 1] <= top + 1e-5) & (w[:, 1] >= bottom - 1e-5)).all()
+    assert ((turn >= left - 1e-4) & (turn <= right + 1e-4)).all()
+    solid_angle = (top - bottom) * (right - left)
+    lamps = len(w) - near.shape[0] * near.shape[2]
+    assert solid_angle[lamps:].sum() == pytest.approx(4 * np.pi, rel=1e-5)
+
+
+def test_a_share_of_two_rounds_is_that_of_all_their_rays():
+    one = Share(np.full((1, 1, 3), 3.0), np.full((1, 1, 3), 4.0))
+    other = Share(np.full((1, 1, 3), 0.0), np.full((1, 1, 3), 8.0))
+    assert one.add(other).factor == pytest.approx(0.25)
+    assert Share(np.zeros((1, 1, 3)), np.zeros((1, 1, 3))).factor == pytest.approx(1)
+
+
+def wall_and_floor():
+    """A floor in the plane z = 0 and a wall upon it that faces +y, as a mesh of the factory."""
+    from factory.shapes.mesh import finish
+
+    corners = np.array(
+        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+        + [[-1, 0.2, 0], [1, 0.2, 0], [1, 0.2, 0.9], [-1, 0.2, 0.9]],
+        np.float64,
+    )
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    return finish("wall", "test", corners, faces, crease_deg=10.0)
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("material", ["matte", "steel"])
+def test_direct_light_times_the_share_is_what_cycles_shows(studio, material):
+    light = np.full((64, 128, 3), 0.2, np.float32)
+    light[20:24, 40:44] = 30.0
+    mixture = (
+        Mixture.lambert((0.6, 0.5, 0.4))
+        if material == "matte"
+        else load_catalogue()["steel"].mixture
+    )
+    studio.set_camera(Camera(size=(48, 48), elevation_deg=35.0))
+    studio.set_shape(wall_and_floor())
+    studio.set_light(light, 0)
+    studio.set_materials([mixture])
+    studio.set_view(0.4)
+    mask = studio.geometry().mask
+    direct = studio.direct_light(64)
+    shares = [studio.visible_share(64, 8, seed, half) for seed, half in ((1, 0), (2, 1))]
+    shadowed = direct.radiance * shares[0].add(shares[1]).factor
+    cycles = studio.picture(512, 7, "shadow")[0]
+    blocked = direct.radiance[mask].mean() - cycles[mask].mean()
+    assert blocked > 0.1 * cycles[mask].mean()  # there are shadows
+    assert abs(shadowed[mask].mean() - cycles[mask].mean()) < 0.05 * blocked
+    off = np.abs(shadowed - cycles)[mask].mean()
+    assert off < 0.15 * np.abs(direct.radiance - cycles)[mask].mean()
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize(("shape", "least"), [("cube", 0.999), ("sphere", 0.97)])
+def test_no_ray_meets_the_surface_that_it_leaves(studio, shape, least):
+    """Both are convex; a sphere's facets lean a little from its normals."""
+    from factory.shapes.catalogue import load
+
+    light = RNG.gamma(0.3, size=(64, 128, 3)).astype(np.float32)
+    studio.set_camera(Camera(size=(48, 48)))
+    studio.set_shape(load(shape))
+    studio.set_light(light, 0)
+    studio.set_materials([Mixture.lambert((0.6, 0.5, 0.4))])
+    studio.set_view(0.4)
+    mask = studio.geometry().mask
+    factor = studio.visible_share(16, 16, 1, 0).factor[mask]
+    assert factor.mean() >= least
+
+
+@pytest.mark.blender
+def test_indirect_light_is_what_further_bounces_add(studio):
+    light = np.full((64, 128, 3), 0.5, np.float32)
+    studio.set_camera(Camera(size=(40, 40), elevation_deg=35.0))
+    studio.set_shape(wall_and_floor())
+    studio.set_light(light, 0)
+    studio.set_materials([Mixture.lambert((0.8, 0.7, 0.6))])
+    studio.set_view(0.4)
+    full, shadow = (studio.portion(0, 8, 5, tier) for tier in ("full", "shadow"))
+    assert full.indirect.max() > 0.02 and not shadow.indirect.any()
+    np.testing.assert_allclose(full.indirect, full.noisy - shadow.noisy, atol=2e-6)
