@@ -137,15 +137,15 @@ def test_a_denoised_picture_is_the_mean_over_its_flips(chair):
     portion = chair.portion(0, 4, 3, "shadow")
     once, four = (Effort("BALANCED", flips, 1.0, 1.0) for flips in (1, 4))
     each = [
-        denoiser.denoise(chair._scene, *(part[::rows, ::columns] for part in portion), once)[
+        denoiser.denoise(chair._scene, *(part[::rows, ::columns] for part in portion[:3]), once)[
             ::rows, ::columns
         ]
         for rows, columns in denoiser.FLIPS
     ]
-    mean = denoiser.denoise(chair._scene, *portion, four)
+    mean = denoiser.denoise(chair._scene, *portion[:3], four)
     np.testing.assert_allclose(mean, sum(each) / 4, atol=1e-5)
     assert np.abs(each[0] - each[1]).max() > 1e-3 and len(set(denoiser.FLIPS)) == 4
-    filtered = denoiser.denoise(chair._scene, *portion, once._replace(prefilter=True))
+    filtered = denoiser.denoise(chair._scene, *portion[:3], once._replace(prefilter=True))
     assert np.abs(filtered - each[0]).max() > 1e-3
     assert not chair._scene.cycles.use_denoising
     assert not list(Path(bpy.app.tempdir).glob("*.exr"))  # nothing is left behind

@@ -12,10 +12,11 @@ from factory.render.estimators import (
     denoised,
     path_tracing,
     ratio,
+    shadow_rays,
 )
 from manifests.schema import Estimator
 
-CHOSEN = (path_tracing, denoised, ratio, closed_form)
+CHOSEN = (path_tracing, denoised, ratio, closed_form, shadow_rays)
 
 
 @pytest.mark.parametrize("module", [*CHOSEN, adaptive_sampling, self_shading])

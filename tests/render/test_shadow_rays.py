@@ -59,7 +59,7 @@ def test_triangles_in_one_place_make_a_tree_too():
 def test_listed_lights_add_up_to_direct_light(name):
     light = RNG.gamma(0.3, size=(8, 16, 3)).astype(np.float32).repeat(8, 0).repeat(8, 1)
     direct = DirectLight(load_catalogue()[name].mixture, light, np.eye(3), misdirected=False)
-    n = RNG.normal(size=(40, 3)) + [0, 0, 2]
+    n = RNG.normal(size=(40, 3)) + np.array([0, 0, 2])
     n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
     n = n[n[:, 2] > 0.3]
     listed = direct.each_light(n, ROWS, LEAST)
@@ -93,11 +93,9 @@ def wall_and_floor():
     """A floor in the plane z = 0 and a wall upon it that faces +y, as a mesh of the factory."""
     from factory.shapes.mesh import finish
 
-    corners = np.array(
-        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
-        + [[-1, 0.2, 0], [1, 0.2, 0], [1, 0.2, 0.9], [-1, 0.2, 0.9]],
-        np.float64,
-    )
+    floor = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    wall = [[-1, 0.2, 0], [1, 0.2, 0], [1, 0.2, 0.9], [-1, 0.2, 0.9]]
+    corners = np.array([*floor, *wall], np.float64)
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     return finish("wall", "test", corners, faces, crease_deg=10.0)
 

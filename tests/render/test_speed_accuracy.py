@@ -359,7 +359,8 @@ def test_the_closed_form_is_a_setting_of_direct_light_alone_and_the_ratio_of_the
         tier: {family for family, _ in settings.of_tier(known, tier)}
         for tier in ("direct", "shadow", "full")
     }
-    assert families["shadow"] == families["full"] == families["direct"] ^ {"ratio", "closed form"}
+    others = {"ratio", "shadow rays", "closed form"}
+    assert families["shadow"] == families["full"] == families["direct"] ^ others
     assert "closed form" in families["direct"] and "ratio" not in families["direct"]
 
 

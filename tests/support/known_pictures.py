@@ -3,6 +3,7 @@
 import numpy as np
 
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Portion, Shown
+from factory.render.shadow_rays import Share
 from shaders import tone
 
 SIZE = 48
@@ -88,6 +89,22 @@ class Shaded(Known):
         self.closed_forms += 1
         radiance = np.float32(self.unblocked * self.closed)
         return DirectPicture(radiance, MASK.astype(np.float32), np.zeros_like(radiance))
+
+
+class Rays(Shaded):
+    """The same, with rays: which find the share that arrives, with noise, and `off` by a factor."""
+
+    def __init__(self, off=1.0, spread=0.3, **words):
+        super().__init__(**words)
+        self.off, self.spread, self.rays = off, spread, []
+
+    def visible_share(self, points, rays, seed, half, where=None):
+        self.rays.append((rays, half, where))
+        rng = np.random.default_rng(np.random.SeedSequence(seed))
+        shape = self.truth.shape
+        noise = self.spread * rng.normal(size=shape) * (self.share < 1) / np.sqrt(rays * points / 2)
+        sent = np.full(shape, float(rays)) * (1 if where is None else where[..., None])
+        return Share(sent * np.clip(self.share * self.off + noise, 0, 1), sent)
 
 
 def error(picture, known):

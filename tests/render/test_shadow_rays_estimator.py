@@ -1,0 +1,60 @@
+"""The estimator by shadow rays: what it is chosen for, and what it may not hide."""
+
+import pytest
+
+from factory.render.estimators import shadow_rays
+from factory.render.estimators.choice import ALL, render_within_error
+from factory.render.estimators.halves import Estimate
+from factory.render.estimators.shadow_rays import ShadowedLight
+from tests.support.known_pictures import MASK, Rays, error, shown
+
+WITH_RAYS = (*ALL, shadow_rays.NAME)
+
+
+def test_a_shaded_ramp_is_rendered_by_rays_from_few_samples():
+    known = Rays()
+    made = render_within_error(shown(known), 5.0, WITH_RAYS)
+    assert made.estimator == shadow_rays.NAME and made.samples <= 64
+    assert error(made.radiance, known) < 5.0
+    assert made.estimated.bound <= 5.0
+    without = render_within_error(shown(Rays()), 5.0)
+    assert without.samples > 2 * made.samples
+
+
+def test_rays_are_among_the_estimators_only_where_they_are_named():
+    known = Rays()
+    assert render_within_error(shown(known), 5.0).estimator != shadow_rays.NAME
+    assert not known.rays
+
+
+def test_rays_that_are_wrong_are_seen_by_the_samples():
+    kept = 0
+    for seed in range(8):
+        known = Rays(off=0.75, noise=0.2)
+        made = render_within_error(shown(known, seed), 5.0, WITH_RAYS)
+        kept += error(made.radiance, known) <= 5.0
+    assert kept >= 7
+
+
+def test_more_rays_are_cast_where_the_halves_differ():
+    known, limit = Rays(spread=0.4), 10.0
+    light = ShadowedLight(shown(known), known.direct_light(), limit)
+    assert light.noise.error <= limit * shadow_rays.ENOUGH
+    further = [where for rays, half, where in known.rays if where is not None]
+    assert further
+    lit = (known.share == 1).repeat(MASK.shape[0], 0)[..., 0]
+    # of the columns in light, which have no noise, only the neighbours of others get more
+    assert further[0][MASK & lit].mean() < further[0][MASK & ~lit].mean()
+    assert error(light.picture, known) == pytest.approx(light.noise.error, rel=0.3)
+
+
+def test_what_is_left_of_a_limit_decides_how_many_samples_are_needed():
+    scale, small = shadow_rays.expected_scale(128 * 128), Estimate(0.1, 0.1)
+    needed = [
+        shadow_rays.needed_samples(noise, 4, scale, limit, small)
+        for noise, limit in ((0.0, 5.0), (50.0, 20.0), (50.0, 5.0), (200.0, 5.0))
+    ]
+    assert needed == sorted(needed) and needed[0] == shadow_rays.LEAST
+    assert needed[-1] <= shadow_rays.MOST_SAMPLES
+    unknown = Estimate(6.0, 0.1)
+    assert shadow_rays.needed_samples(0.0, 4, scale, 5.0, unknown) > shadow_rays.MOST_SAMPLES
