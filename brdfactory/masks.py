@@ -37,16 +37,11 @@ def make_mask(
     """
     picture = arguments.require_picture("photo", photo)
     source = picture if isinstance(picture, np.ndarray) else resolve_example(picture, [], None)[0]
-    given = {
-        "around": around,
-        "without": without,
-        "on_object": on_object,
-        "on_background": on_background,
-    }
-    for name, points in given.items():
+    names = ("around", "without", "on_object", "on_background")
+    for name, points in zip(names, (around, without, on_object, on_background), strict=True):
         if not isinstance(points, Iterable):
             rule, remedy = "a list of points", "write [(30, 20), (570, 380)]"
             raise InputError(name, rule, arguments.shown(points), remedy)
     lines, others = ([line] if len(line) else [] for line in (around, without))
     marks = list(on_object), list(on_background)  # each may be an array, too
-    return select(source, Points(lines, others, *marks, tuple(given))).labels() > 0
+    return select(source, Points(lines, others, *marks, names)).labels() > 0
