@@ -111,9 +111,9 @@ def _json_of(job: Mapping[str, Any]) -> bytes:
             if isinstance(error, InputError):
                 raise
             rule, remedy = "numbers, texts, lists and dicts", "write it as in a job file"
-            found = str(error).partition(":")[0]
+            result = str(error).partition(":")[0]
             where = f"job: {key}" if isinstance(key, str) else "job"
-            raise InputError(where, f"{rule}, as JSON has them", found, remedy) from None
+            raise InputError(where, f"{rule}, as JSON has them", result, remedy) from None
     return json.dumps(dict(job), allow_nan=False, default=_as_json).encode()
 
 

@@ -239,8 +239,8 @@ def decompose(
         fit_mask = arguments.require_flag("fit_mask", fit_mask)
     if shape is not None and (not isinstance(shape, str) or shape not in PRIMITIVES):
         remedy = "leave it out, and the network guesses the shape"
-        found = shape if isinstance(shape, str) else arguments.shown(shape)
-        raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", found, remedy)
+        result = shape if isinstance(shape, str) else arguments.shown(shape)
+        raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", result, remedy)
     chosen = _device(device)
     opened = _open_photograph(
         photo, mask, regions, parse_balance(white_balance), exposure, fit_mask
