@@ -19,9 +19,13 @@ def hide_working_folder() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command that the arguments name (None: those of the process); return its status."""
-    from brdfactory.command_line import run
+    try:
+        from brdfactory.command_line import run
 
-    return run(arguments)
+        return run(arguments)
+    except KeyboardInterrupt:  # while modules are imported; manifests.cli handles the rest
+        print("\nbrdfactory: stopped before it began", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
 """Make data sets from Python: load a job, and render it into a folder."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from brdfactory import arguments
+from manifests import outputs
 from manifests.errors import InputError
+from manifests.object_store import is_url
 
 if TYPE_CHECKING:
     from manifests.schema import Job
@@ -13,7 +17,7 @@ if TYPE_CHECKING:
 def load_job(job: "str | Path | Mapping[str, Any] | Job") -> "Job":
     """Return the Job of a preset's name, a JSON file or a dict of a job's keys.
 
-    A Job is returned as it is. Raises InputError for unknown keys and values out of range.
+    Raises InputError for unknown keys, and for values of another type or out of range, as NaN is.
     """
     return _job_and_folder(job)[0]
 
@@ -47,19 +51,33 @@ def generate(
     from factory.execution.run import RunOptions, carry_out, make_plan
     from factory.planning.assets import resolve_unread
 
-    if workers < 1:
-        raise InputError("generate: workers", "1 or more", f"{workers}", "2 suits two cores")
-    if limit is not None and limit < 0:
-        raise InputError("generate: limit", "0 or more, or None", f"{limit}", "None makes all")
     loaded, folder = _job_and_folder(job)
-    library = None if lights is None else str(lights)
+    rule, remedy = "a whole number, 1 or more", "2 suits two cores"
+    workers = arguments.require_whole("generate: workers", workers, rule, remedy)
+    if workers < 1:
+        raise InputError("generate: workers", rule, f"{workers}", remedy)
+    if limit is not None:
+        rule, remedy = "a whole number, 0 or more, or None", "None makes all"
+        limit = arguments.require_whole("generate: limit", limit, rule, remedy)
+        if limit < 0:
+            raise InputError("generate: limit", rule, f"{limit}", remedy)
+    library = None
+    if lights is not None:
+        rule, remedy = "a folder of light maps, or None", "check the path"
+        library = arguments.require_path("generate: lights", lights, rule, remedy)
+    if ray is not None:
+        rule = "a cluster's address, auto, or None"
+        ray = arguments.require_path("generate: ray", ray, rule, "None renders on this machine")
+    target = arguments.require_path("generate: out", out, "a folder", "'my-data' is one")
+    if not is_url(target):
+        outputs.try_folder(target)
     plan = make_plan(loaded, resolve_unread(loaded, folder, library))
     options = RunOptions(workers=workers, limit=limit, library=library, ray=ray)
     if progress:
         with Progress(limit, "picture" if loaded.pictures else "view") as bar:
-            outcome = carry_out(plan, out, options, bar)
+            outcome = carry_out(plan, target, options, bar)
     else:
-        outcome = carry_out(plan, out, options)
+        outcome = carry_out(plan, target, options)
     return {
         "made": outcome.made,
         "already_there": outcome.already_there,
@@ -77,19 +95,43 @@ def _job_and_folder(
     from manifests.schema import Job
 
     if isinstance(job, Job):
-        return job, None
+        return decode(_json_of(msgspec.structs.asdict(job)), Job, "job"), None
     if isinstance(job, Mapping):
-        return decode(msgspec.json.encode(dict(job), enc_hook=_as_json), Job, "job"), None
-    return jobs.load(str(job))
+        return decode(_json_of(job), Job, "job"), None
+    rule = "a preset's name, a file, a dict of a job's keys, or a bf.Job"
+    return jobs.load(arguments.require_path("job", job, rule, "'demo' is a preset"))
+
+
+def _json_of(job: Mapping[str, Any]) -> bytes:
+    """Return a job's keys as JSON, in which there is no NaN. Raises InputError for other values."""
+    for key, value in job.items():
+        try:
+            json.dumps({key: value}, allow_nan=False, default=_as_json)
+        except (ValueError, TypeError, RecursionError) as error:
+            if isinstance(error, InputError):
+                raise
+            rule, remedy = "numbers, texts, lists and dicts", "write it as in a job file"
+            result = str(error).partition(":")[0]
+            where = f"job: {key}" if isinstance(key, str) else "job"
+            raise InputError(where, f"{rule}, as JSON has them", result, remedy) from None
+    return json.dumps(dict(job), allow_nan=False, default=_as_json).encode()
 
 
 def _as_json(value: object) -> object:
-    """Return a path or a number of NumPy as JSON has it. Raises InputError for anything else."""
+    """Return a path, a number of NumPy or a part of a Job as JSON has it.
+
+    Raises InputError for anything else.
+    """
+    import msgspec
     import numpy as np
 
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
+    if isinstance(value, msgspec.Struct):
+        return msgspec.structs.asdict(value)
+    if isinstance(value, set | frozenset):
+        return sorted(value, key=str)
     rule, remedy = "texts, numbers, lists and dicts", "write it as in a job file"
     raise InputError("job", rule, type(value).__name__, remedy)

@@ -1,5 +1,6 @@
 """Editing a photograph from Python: decompose it once, then paint its object in any material."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -9,13 +10,13 @@ from typing import TypedDict, Unpack
 import numpy as np
 import torch
 
-from brdfactory import rendering
+from brdfactory import arguments, rendering
 from brdfactory.materials import Material, material
 from brdfactory.pictures import Picture
 from learn.commands.options import EDITING_WEIGHTS, weights_file
 from learn.data import devices, photographs
 from learn.data.devices import to_numpy
-from learn.editing import DETAIL, drawing, photograph
+from learn.editing import DETAIL, MOST_STOPS, drawing, photograph
 from learn.editing import decomposition as decomposing
 from learn.editing.compositor import Compositor
 from learn.editing.photograph import Photograph
@@ -31,6 +32,8 @@ from shaders import tone
 
 MaterialSource = str | Path | np.ndarray | Material
 PictureSource = str | Path | np.ndarray
+
+STOPS = f"a number of stops from -{MOST_STOPS:g} to {MOST_STOPS:g}"
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,7 @@ class Decomposition:
         """
         from learn.commands.editing_options import check_brightness
 
+        brightness = arguments.require_number("brightness", brightness, STOPS, "0 changes nothing")
         check_brightness(brightness, "brightness")
         count = len(self.computed.label)
         if len(materials) not in (1, count):
@@ -128,7 +132,8 @@ class Decomposition:
         if isinstance(light, str | Path):
             L = rendering.light(light)
         else:
-            L = np.ascontiguousarray(light, np.float32)
+            rule = "a light's name or file, or an array (64, 128, 3)"
+            L = arguments.require_floats("relight: light", light, rule, "use bf.light")
         if L.shape != (64, 128, 3):
             raise InputError(
                 "relight: light", "an array (64, 128, 3)", f"{L.shape}", "use bf.light"
@@ -221,18 +226,28 @@ def decompose(
         refinement_of_photographs,
     )
 
+    refine = arguments.require_flag("refine", refine)
     settings = refinement_of_photographs(refine, refinement_method, "refinement_method")
-    check("detail", 0 <= detail <= 1, "a number from 0 to 1", detail)
+    rule = "a number from 0 to 1"
+    detail = arguments.require_number("detail", detail, rule, f"leave it out: it is {DETAIL:g}")
+    check("detail", 0 <= detail <= 1, rule, detail)
+    if exposure is not None:
+        rule = "a number above 0, or None"
+        exposure = arguments.require_number("exposure", exposure, rule, "None estimates it")
     check_exposure(exposure)
-    if shape is not None and shape not in PRIMITIVES:
+    if fit_mask is not None:
+        fit_mask = arguments.require_flag("fit_mask", fit_mask)
+    if shape is not None and (not isinstance(shape, str) or shape not in PRIMITIVES):
         remedy = "leave it out, and the network guesses the shape"
-        raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", str(shape), remedy)
+        result = shape if isinstance(shape, str) else arguments.shown(shape)
+        raise InputError("shape", f"{', '.join(PRIMITIVES)}, or None", result, remedy)
     chosen = _device(device)
     opened = _open_photograph(
         photo, mask, regions, parse_balance(white_balance), exposure, fit_mask
     )
-    file = weights_file(str(weights))
-    modified = file.stat().st_mtime_ns if file.exists() else 0
+    rule, remedy = "a file, or a name of weights", "leave it out for those of photographs"
+    file = weights_file(arguments.require_path("weights", weights, rule, remedy))
+    modified = file.stat().st_mtime_ns if os.path.exists(file) else 0
     network, size = _network(str(file), modified, str(chosen))
     decomposed = decomposing.decompose(opened, network, size, settings, shape=shape)
     return Decomposition(opened, decomposed, detail)
@@ -257,8 +272,8 @@ def edit(
     brightness            as of `paint`
     Raises                InputError: a file or a name that does not exist, a mask of another size
     """
-    one = material is None or isinstance(material, str | Path | np.ndarray | Material)
-    drawn: Sequence[MaterialSource | None] = (material,) if one else material  # type: ignore[assignment]
+    several = isinstance(material, list | tuple)
+    drawn: Sequence[MaterialSource | None] = material if several else (material,)  # type: ignore[assignment]
     return decompose(photo, mask, **options).paint(*drawn, brightness=brightness)
 
 
@@ -271,44 +286,60 @@ def _open_photograph(
     fit_mask: bool | None,
 ) -> Photograph:
     """Return the Photograph of files or of arrays."""
-    if not any(isinstance(given, np.ndarray) for given in (photo, mask, regions)):
-        masks = [] if mask is None else [Path(str(mask))]
+    picture = arguments.require_picture("photo", photo)
+    covered, parted = (
+        given if given is None else arguments.require_picture(name, given)
+        for name, given in (("mask", mask), ("regions", regions))
+    )
+    if not any(isinstance(given, np.ndarray) for given in (picture, covered, parted)):
         return photograph.open_photograph(
-            str(photo),
-            masks,
-            None if regions is None else Path(str(regions)),
+            str(picture),
+            [] if covered is None else [Path(str(covered))],
+            None if parted is None else Path(str(parted)),
             balance,
             exposure,
             fit_mask=fit_mask,
         )
-    files_or_arrays = [
-        given if given is None or isinstance(given, np.ndarray) else Path(str(given))
-        for given in (photo, mask, regions)
-    ]
-    picture, covered, parted = files_or_arrays
-    if picture is None:
-        raise InputError("photo", "a file or an array", "None", "give the photograph")
-    if isinstance(picture, Path):
-        picture = photograph.resolve_example(picture, [], None)[0]
-    opened = photograph.from_arrays(picture, covered, parted, balance, exposure, fit_mask=fit_mask)
-    if isinstance(picture, Path) and (
-        line := photographs.reduction(picture, opened.radiance.shape[:2])
+    source = _array_or_path(picture)
+    if isinstance(source, Path):
+        source = photograph.resolve_example(source, [], None)[0]
+    opened = photograph.from_arrays(
+        source,
+        None if covered is None else _array_or_path(covered),
+        None if parted is None else _array_or_path(parted),
+        balance,
+        exposure,
+        fit_mask=fit_mask,
+    )
+    if isinstance(source, Path) and (
+        line := photographs.reduction(source, opened.radiance.shape[:2])
     ):
-        notices.notice(f"{picture}: {line}")
+        notices.notice(f"{source}: {line}")
     return opened
+
+
+def _array_or_path(given: str | np.ndarray) -> Path | np.ndarray:
+    return given if isinstance(given, np.ndarray) else Path(given)
 
 
 def _device(given: str | torch.device) -> torch.device:
     """Return the torch.device that a user named. Raises InputError if it is not available."""
+    rule, remedy = "auto, cpu or cuda", "leave it out: the CPU computes"
+    if not isinstance(given, str | torch.device):
+        raise InputError("device", rule, arguments.shown(given), remedy)
     if str(given) in devices.CHOICES:
         return devices.choose(str(given))
     try:
         result = torch.device(given)
     except RuntimeError:
-        remedy = "leave it out: the CPU computes"
-        raise InputError("device", "auto, cpu or cuda", str(given), remedy) from None
+        raise InputError("device", rule, str(given), remedy) from None
+    if result.type not in devices.CHOICES:  # mps, meta and others, for which there is no layer
+        raise InputError("device", rule, str(given), remedy)
     if result.type == "cuda":
         devices.choose("cuda")
+        if result.index is not None and result.index >= torch.cuda.device_count():
+            count = number_of(torch.cuda.device_count(), "CUDA device")
+            raise InputError("device", f"one of {count}", str(given), "they are counted from 0")
     return result
 
 

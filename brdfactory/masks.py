@@ -1,12 +1,14 @@
 """Masks of objects in photographs, from a line around them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from brdfactory import arguments
 from learn.editing.photograph import resolve_example
 from learn.selection.points import Point, Points, select
+from manifests.errors import InputError
 
 
 def make_mask(
@@ -33,9 +35,13 @@ def make_mask(
     Raises         InputError: neither a line nor a point on the object, a point outside the
                    picture, a mask of nearly nothing or of everything
     """
-    if not isinstance(photo, np.ndarray):
-        photo = resolve_example(photo, [], None)[0]
-    lines, others = ([line] if len(line) else [] for line in (around, without))
+    picture = arguments.require_picture("photo", photo)
+    source = picture if isinstance(picture, np.ndarray) else resolve_example(picture, [], None)[0]
     names = ("around", "without", "on_object", "on_background")
+    for name, points in zip(names, (around, without, on_object, on_background), strict=True):
+        if not isinstance(points, Iterable):
+            rule, remedy = "a list of points", "write [(30, 20), (570, 380)]"
+            raise InputError(name, rule, arguments.shown(points), remedy)
+    lines, others = ([line] if len(line) else [] for line in (around, without))
     marks = list(on_object), list(on_background)  # each may be an array, too
-    return select(photo, Points(lines, others, *marks, names)).labels() > 0
+    return select(source, Points(lines, others, *marks, names)).labels() > 0

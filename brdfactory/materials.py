@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from brdfactory import arguments
 from learn.editing import material_file, targets
 from manifests.errors import InputError
 from shaders.dsbrdf import SIZE
@@ -56,24 +57,27 @@ def material(text: "str | Path | np.ndarray | Material", name: str = "") -> Mate
     if isinstance(text, Material):
         return text
     if isinstance(text, np.ndarray):
-        label = np.asarray(text, np.float32)
+        rule, remedy = f"a label ({SIZE},) of finite numbers", "bf.material('brass').label is one"
+        label = arguments.require_floats("material", text, rule, remedy)
         if label.shape != (SIZE,) or not np.isfinite(label).all():
-            rule, result = f"a label ({SIZE},) of finite numbers", f"shape {label.shape}"
-            raise InputError("material", rule, result, "bf.material('brass').label is one")
+            raise InputError("material", rule, f"shape {label.shape}", remedy)
         label = material_file.require_label(label, "material")
         return Material(name or "label", ((1.0, label),))
+
+    rule = f"a name, a description, a file, an array ({SIZE},) or a bf.Material"
+    text = arguments.require_path("material", text, rule, "'brass' is a name")
 
     def refuse(path: Path) -> np.ndarray:
         rule = "a material's name, an expression, or a material.json"
         raise InputError(f"material {path}", rule, "a picture", PHOTOGRAPH)
 
-    labels = targets.resolve_labels(str(text), refuse)
+    labels = targets.resolve_labels(text, refuse)
     if labels is None or len(labels) != 1:
         result = "keep" if labels is None else f"{len(labels)} materials"
         raise InputError(f"material {text}", "one material", result, "name one")
-    shown = name or re.sub(r"\s+", " ", str(text))
+    shown = name or re.sub(r"\s+", " ", text)
     label = np.asarray(labels[0], np.float32)
-    return Material(shown, ((1.0, label),), (label,) if targets.is_from_picture(str(text)) else ())
+    return Material(shown, ((1.0, label),), (label,) if targets.is_from_picture(text) else ())
 
 
 def blend(
@@ -87,8 +91,10 @@ def blend(
     share          of the second material, from 0 (only the first) to 1 (only the second)
     Raises         InputError: a share outside this range, an unknown name
     """
+    rule, remedy = "a number from 0 to 1", "0.5 is half each"
+    share = arguments.require_number("blend: share", share, rule, remedy)
     if not 0 <= share <= 1:
-        raise InputError("blend: share", "a number from 0 to 1", f"{share:g}", "0.5 is half each")
+        raise InputError("blend: share", rule, f"{share:g}", remedy)
     a, b = material(first), material(second)
     weighted = [(w * (1 - share), m) for w, m in a.parts] + [(w * share, m) for w, m in b.parts]
     return Material(

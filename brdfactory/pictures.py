@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from brdfactory import arguments
 from learn.figures.montage import eight_bit
-from manifests import files
+from manifests import files, outputs
 from manifests.errors import InputError
 from shaders import tone
 
@@ -38,14 +39,15 @@ class Picture:
         The path's ending decides which. Colours of an EXR are premultiplied by its alpha, which is
         the picture's opacity.
 
-        Raises  InputError for another ending; OSError
+        Raises  InputError for another ending, and for a place that cannot be written; OSError
         """
-        path = Path(path)
+        rule = "a file ending in .png or .exr"
+        text = arguments.require_path("save", path, rule, "save('brass.png')")
+        path = Path(text)
         kind = path.suffix.lower()
         if kind not in (".png", ".exr"):
-            raise InputError(
-                path, "a file ending in .png or .exr", kind or "no ending", "rename it"
-            )
+            raise InputError(path, rule, kind or "no ending", "rename it")
+        outputs.try_file(text)
         path.parent.mkdir(parents=True, exist_ok=True)
         if kind == ".exr":
             from learn.data import photographs

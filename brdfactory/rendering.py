@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from brdfactory import arguments
 from brdfactory.materials import Material, material
 from learn.editing import desired_light
 from manifests import measured_lights
@@ -22,9 +23,12 @@ def light(text: str | Path, rotation_deg: float = 0.0) -> np.ndarray:
     rotation_deg  about the vertical, rounded to the map's columns of 2.8°
     Raises        InputError: an unknown name, an unusable map
     """
-    text = str(text)
+    rule = "a light's name or file; an array is a light already"
+    text = arguments.require_path("light", text, rule, "bf.light('city') is one")
+    rule = "a number of degrees"
+    rotation_deg = arguments.require_number("light: rotation_deg", rotation_deg, rule, "give 0")
     if not np.isfinite(rotation_deg):
-        raise InputError("light: rotation_deg", "a number of degrees", f"{rotation_deg}", "give 0")
+        raise InputError("light: rotation_deg", rule, f"{rotation_deg}", "give 0")
     known = measured_lights.credits()
     names = {name: name for name in known}
     names |= {name.removeprefix("blender_"): name for name in known if name.startswith("blender_")}
@@ -63,14 +67,17 @@ def render(
 
     from learn.layer import predictions
 
-    # torch reads no array that runs backwards, as a mirrored one does
-    n = np.ascontiguousarray(normals, np.float32)
-    L = np.ascontiguousarray(light, np.float32)
-    for name, array, channels in (("normals", n, 3), ("light", L, 3)):
-        if array.ndim != 3 or array.shape[2] != channels or not np.isfinite(array).all():
-            rule = "a finite array (height, width, 3)"
+    rule = "a finite array (height, width, 3)"
+    n = arguments.require_floats("render: normals", normals, rule, "bf.decompose gives normals")
+    L = arguments.require_floats("render: light", light, rule, "bf.light('city') is one")
+    for name, array in (("normals", n), ("light", L)):
+        if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all():
             raise InputError(f"render: {name}", rule, f"shape {array.shape}", "see its help")
-    covered = (n != 0).any(-1) if mask is None else np.asarray(mask, bool)
+    if mask is None:
+        covered = (n != 0).any(-1)
+    else:
+        rule = f"an array {n.shape[:2]} of bool"
+        covered = arguments.require_floats("render: mask", mask, rule, arguments.ARRAY) != 0
     if covered.shape != n.shape[:2]:
         rule = f"shape {n.shape[:2]}, as the normals"
         raise InputError("render: mask", rule, f"{covered.shape}", "give one mask per picture")

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -53,6 +54,24 @@ def require_file(
             path, f"{expected} of at most {bound}", size, "check that this is the right file"
         )
     return Path(path)
+
+
+def split_path(
+    place: str, marks: str = "#?", folder: str | os.PathLike | None = None
+) -> tuple[str, str]:
+    """Return the path of a place such as "PATH#MEMBER?key=value", and the rest, which may be "".
+
+    A mark may be part of the path. So the path is the longest beginning of the place that exists
+    and is followed by a mark or by nothing. If none exists, it ends before the first mark.
+
+    marks   characters that may follow a path
+    folder  where a relative path starts; None: the working folder
+    """
+    ends = [len(place), *(match.start() for match in re.finditer(f"[{re.escape(marks)}]", place))]
+    ends = [end for end in sorted(ends, reverse=True) if end]
+    there = (end for end in ends if os.path.exists(os.path.join(folder or "", place[:end])))
+    end = next(there, ends[-1] if ends else 0)
+    return place[:end], place[end:]
 
 
 def require_hash(path: str | os.PathLike, data: bytes | None, expected: str | None) -> None:

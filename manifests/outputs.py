@@ -10,7 +10,7 @@ from typing import Any
 
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_json
-from manifests.inputs import require_file
+from manifests.inputs import require_file, split_path
 from manifests.object_store import is_url
 
 MOST_LINE_BYTES = 256 << 20  # of a file of result lines: a thousand edits take 4 MB
@@ -22,7 +22,7 @@ def require_places(options: object) -> None:
     options  parsed arguments; their `result_folders` and `result_files` are names of options, whose
              values are paths or None, and `result_urls` those of them that may be URLs of an object
              store, which is tried when the command opens it
-    Raises   as `try_folder` and `try_file`
+    Raises   as `try_folder` and `try_file`; InputError for a file that another option reads
 
     A command computes for minutes or days before it writes, so this is called before its run.
     """
@@ -35,7 +35,27 @@ def require_places(options: object) -> None:
     for name in getattr(options, "result_files", ()):
         path = getattr(options, name)
         if path is not None:
+            _refuse_inputs(Path(path), name, vars(options))
             try_file(path)
+
+
+def _refuse_inputs(path: Path, name: str, values: Mapping[str, Any]) -> None:
+    """Raise InputError if a result's file is one that another option than `name` names.
+
+    values  {option: its value}; a value may be a list, and a text may go on after its file's path
+    """
+    if not path.is_file():
+        return
+    for option, value in values.items():
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if option != name and isinstance(each, str | os.PathLike):
+                there = split_path(os.fspath(each))[0]
+                if os.path.isfile(there) and path.samefile(there):
+                    raise _is_input(path, "a name for a new file")
+
+
+def _is_input(path: Path, rule: str) -> InputError:
+    return InputError(path, rule, "this input", "give another --out")
 
 
 def try_folder(folder: str | os.PathLike) -> None:
@@ -112,12 +132,7 @@ def reserve_outputs(
     read = [Path(path) for path in inputs if path is not None and os.path.isfile(path)]
     for path in there:
         if any(path.samefile(each) for each in read):
-            raise InputError(
-                path,
-                "a folder for results that does not hold what they are made of",
-                "this input",
-                "give another --out",
-            )
+            raise _is_input(path, "a folder for results that does not hold what they are made of")
     if there and not overwrite:
         raise InputError(there[0], "no earlier result", "one", "give another --out, or --overwrite")
 

@@ -84,6 +84,9 @@ def run(options: argparse.Namespace) -> int:
     for path in (options.out if options.to == "records" else None, options.parquet):
         if path is not None:
             try_file(path)
+            if Path(options.folder).resolve() in path.resolve().parents:
+                rule, remedy = "a file outside the data set", "give another --out"
+                raise InputError(path, rule, "a place in it", remedy)
     for path in (options.out if options.to not in (None, "records") else None, options.tars):
         if path is not None:
             try_folder(path)

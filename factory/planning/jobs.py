@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import os
 from pathlib import Path
 
 import msgspec
@@ -37,7 +38,7 @@ def load(name_or_path: str | Path) -> tuple[Job, Path]:
     """
     path, known = Path(name_or_path), presets()
     # a folder of a preset's name may be a data set that was made of it
-    other = not path.exists() or (path.is_dir() and path.name in known)
+    other = not os.path.exists(path) or (path.is_dir() and path.name in known)
     if other and path.suffix != ".json" and len(path.parts) == 1:
         if path.name not in known:
             raise InputError(

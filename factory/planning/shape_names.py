@@ -15,13 +15,13 @@ import msgspec
 
 from manifests import splits
 from manifests.errors import InputError
+from manifests.inputs import split_path
 from manifests.schema import Job
 
 if TYPE_CHECKING:
     from factory.shapes.mesh import Mesh
 
 RANGE = re.compile(r"^(\w+):([0-9]{1,100})-([0-9]{1,100})$")
-MARK = re.compile(r"[#?]")
 OWN_LICENCE = "Apache-2.0"  # shapes that this program's families make
 MOST_SHAPES = 1_000_000
 
@@ -86,10 +86,9 @@ def locate(path: str, folder: str | Path) -> str:
     path  with a member ("#NAME") and reading options ("?up=z") if there are any
     """
     place = path.removeprefix("file:")
-    names = [name for name in (place, MARK.split(place)[0]) if name]
-    if any(map(os.path.exists, names)):
+    if os.path.exists(split_path(place)[0]):
         return path
-    inner = any(os.path.exists(Path(folder) / name) for name in names)
+    inner = os.path.exists(Path(folder) / split_path(place, folder=folder)[0])
     return str(Path(folder) / place) if inner else path
 
 
@@ -151,9 +150,8 @@ def _files(place: str, folder: str | Path | None) -> Iterator[Source]:
     from factory.shapes.library import note_of
 
     target = resolve_path(place, folder, "job: shapes")
-    # a '#' or '?' in the name of an existing file is part of the name
-    rest = "" if target.exists() else place[len(MARK.split(place)[0]) :]
-    target = resolve_path(place.removesuffix(rest), folder, "job: shapes")
+    path, rest = split_path(place, folder=folder)
+    target = resolve_path(path, folder, "job: shapes")
     if target.is_dir() or (target.suffix.lower() == ".sh3f" and not rest.startswith("#")):
         if rest.startswith("#"):
             raise InputError(

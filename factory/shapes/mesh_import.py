@@ -16,6 +16,7 @@ from factory.shapes.files import check_format, from_bytes, read
 from factory.shapes.libraries import category_of, member
 from factory.shapes.mesh import Mesh, finish
 from factory.shapes.raw import MAXIMUM_TRIANGLES, Raw
+from manifests import inputs
 from manifests.errors import InputError, closest
 from manifests.wording import number_of
 
@@ -103,10 +104,8 @@ def split_place(place: str | Path) -> tuple[str, str | None, dict[str, str]]:
 
     A '#' or '?' that belongs to an existing path stays in it.
     """
-    text = str(place)
-    if Path(text).exists():
-        return text, None, {}
-    text, _, query = text.partition("?")
+    path, rest = inputs.split_path(str(place))
+    chosen, _, query = rest.partition("?")
     # a plus is the sign of an axis
     options = dict(parse_qsl(query.replace("+", "%2B"), keep_blank_values=True))
     for key, value in options.items():
@@ -116,8 +115,7 @@ def split_place(place: str | Path) -> tuple[str, str | None, dict[str, str]]:
             )
         if not value:
             raise InputError(place, f"a value of the option {key}", "none", f"write {key}=VALUE")
-    path, mark, chosen = text.partition("#")
-    return path, chosen if mark else None, options
+    return path, chosen.removeprefix("#") if chosen else None, options
 
 
 def world_from_file(place: str | Path, up: str, front: str) -> np.ndarray:

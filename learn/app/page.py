@@ -6,9 +6,11 @@ computer alone unless another address is given.
 
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 from learn.app import gallery, work_file
 from learn.app.background_decomposition import Network
@@ -40,7 +42,7 @@ def serve(
 
     host   address to listen on; 127.0.0.1: this computer alone
     port   None: a free one from 7860 on
-    wait   whether to return only when the server is ended from the keyboard
+    wait   whether to return only when the server is ended, by Ctrl-C or a signal that ends programs
     Raises InputError: the port is taken
     """
     folder = Path(tempfile.mkdtemp(prefix="brdfactory-app-"))
@@ -76,12 +78,21 @@ def serve(
         end()
         raise InputError("--port", "a free port", str(error), "leave --port out") from None
     if wait:
+        # kill, a service's stop or a closed terminal: without this, users' photographs would stay
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _interrupt)
         print(f"Open {address} in a browser. Ctrl+C ends the server.", flush=True)
         try:
             blocks.block_thread()
         finally:
             end()
     return address, end
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """End the server as Ctrl-C does; the handler of a signal."""
+    raise KeyboardInterrupt
 
 
 def page(sessions: Sessions) -> gr.Blocks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from learn.networks import own_weights
@@ -90,7 +91,7 @@ def add_weights(parser: ParserOrGroup, default: Path = EDITING_WEIGHTS) -> None:
 def weights_file(text: str) -> Path:
     """Return the path of a weights file, or of the program's own weights of that name."""
     own = WEIGHTS_FOLDER / f"{text}.safetensors"
-    return own if Path(text).name == text and own.exists() else Path(text)
+    return own if Path(text).name == text and os.path.exists(own) else Path(text)
 
 
 def add_count(

@@ -20,6 +20,8 @@ from manifests import exr, notices
 from manifests.errors import InputError
 from shaders import tone
 
+LARGEST_WHITE = 16  # a picture of whole numbers above it holds display values, not radiance
+
 
 def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return radiance (H, W, 3) float32, alpha (H, W) and whether the array held radiance.
@@ -49,6 +51,10 @@ def read_picture(picture: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarra
             rule = f"radiance from 0 to {LARGEST_RADIANCE:g}"
             result = f"{values.min():g} to {values.max():g}"
             raise InputError(where, rule, result, "check for NaN, infinity and negative values")
+        if (brightest := values.max()) > LARGEST_WHITE and (values == values.round()).all():
+            rule = "floats of linear radiance, in which white is about 1"
+            result = f"whole numbers up to {brightest:g}, as display values are"
+            raise InputError(where, rule, result, "give display values as uint8")
         radiance, alpha = values[..., :3], values[..., 3:].clip(0, 1)
     else:
         values = _reduce(values, Image.Resampling.BOX)
@@ -95,6 +101,9 @@ def read_regions(regions: np.ndarray, size: tuple[int, ...], where: str) -> np.n
     result = f"{values.dtype} of shape {values.shape}"
     if values.dtype.kind not in "biu" or values.ndim != 2:
         raise InputError(f"{where}: regions", rule, result, "0 is background")
+    if values.size and values.min() < 0:
+        remedy = "0 is background, and regions are above it"
+        raise InputError(f"{where}: regions", rule, f"{values.min()}", remedy)
     levels = [level for level in np.unique(values) if level != 0]
     if not 1 <= len(levels) <= MOST_REGIONS:
         rule = f"1 to {MOST_REGIONS} values besides 0"

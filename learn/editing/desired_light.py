@@ -14,6 +14,7 @@ import numpy as np
 from learn.data import lights, photographs
 from manifests.arrays import LIGHT_SHAPE
 from manifests.errors import InputError, closest
+from manifests.inputs import split_path
 from manifests.wording import number_of
 from shaders import envmap
 
@@ -53,9 +54,15 @@ def _compute(text: str) -> np.ndarray:
     return lights.draw_computed(np.random.default_rng(int(seed)))
 
 
+def split_collection(text: str) -> tuple[str, str]:
+    """Return the path and the map's name of FILE.npz#NAME; the name of other texts is ""."""
+    path, name = split_path(text, "#")
+    return path, name.removeprefix("#")
+
+
 def _read_from_collection(text: str) -> np.ndarray:
     """Return the map of FILE.npz#NAME."""
-    path, _, name = text.partition("#")
+    path, name = split_collection(text)
     maps = lights.read_maps(path)
     if not name and len(maps) == 1:
         return next(iter(maps.values()))

@@ -101,7 +101,10 @@ def run(
     """
     out = Path(out)
     groups, light_names, grids, names = plan_results(paths, per_grid, lights)
-    inputs: list[str | Path] = [*paths, *(text.partition("#")[0] for text in lights)]
+    inputs: list[str | Path] = [
+        *paths,
+        *(desired_light.split_collection(text)[0] for text in lights),
+    ]
     outputs.reserve_outputs(out, [*grids, *names, "transfer.json"], overwrite, inputs)
     if edit_options.fit_mask and not any(list_masks(path, mask_folder) for path in paths):
         rule, remedy = "a mask besides the pictures' own transparency", "leave it out"

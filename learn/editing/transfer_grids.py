@@ -45,7 +45,7 @@ def light_names(lights: Sequence[str]) -> list[str]:
     """Return how files are named after desired lights. Raises InputError for duplicates."""
     names = []
     for text in lights:
-        path, _, member = text.partition("#")
+        path, member = desired_light.split_collection(text)
         stem = member or (text if text.startswith(desired_light.COMPUTED) else Path(path).stem)
         names.append(re.sub(r"[^A-Za-z0-9._-]+", "-", stem)[:80] or "light")
     if len(set(names)) < len(names):

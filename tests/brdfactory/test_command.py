@@ -155,3 +155,12 @@ def test_workers_too_find_the_right_packages_there(tmp_path, root):
 def test_the_entry_point_is_the_packages_main(root):
     assert f'brdfactory = "{__main__.__name__}:main"' in (root / "pyproject.toml").read_text()
     assert __main__.main(["lights", "list"]) == 0
+
+
+def test_a_stop_while_modules_are_imported_is_one_line(monkeypatch, capsys):
+    def stopped(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line, "run", stopped)
+    assert __main__.main(["edit"]) == 130
+    assert capsys.readouterr().err.strip() == "brdfactory: stopped before it began"

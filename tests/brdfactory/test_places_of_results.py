@@ -132,3 +132,27 @@ def test_a_url_is_a_place_for_the_command_that_writes_there_and_for_no_other(tmp
     options.result_urls = ("out",)
     outputs.require_places(options)
     assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("read", ["chair.obj", "chair.obj?up=z", "./chair.obj"])
+def test_no_result_replaces_a_file_that_the_command_reads(read, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    Path("chair.obj").write_text(text)
+    Path("other.png").write_text("an earlier result, which may be replaced")
+    words = ["shapes", "preview", read, "--out"]
+    assert command_line.run([*words, "chair.obj"]) == 1
+    assert "a name for a new file, found this input" in capsys.readouterr().err
+    assert Path("chair.obj").read_text() == text
+    outputs.require_places(
+        argparse.Namespace(result_files=("out",), out=Path("other.png"), mesh=[read], limit=3)
+    )
+
+
+@pytest.mark.parametrize("option", [["--to", "records", "--out"], ["--parquet"]])
+def test_a_table_of_records_does_not_replace_a_file_of_its_data_set(option, tmp_path, capsys):
+    (tmp_path / "materials.json").write_text("{}")
+    place = str(tmp_path / "materials.json")
+    assert command_line.run(["export", str(tmp_path), *option, place]) == 1
+    assert "a file outside the data set, found a place in it" in capsys.readouterr().err
+    assert (tmp_path / "materials.json").read_text() == "{}"

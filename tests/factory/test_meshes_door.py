@@ -1,11 +1,13 @@
 """Meshes from outside: read, cleaned, turned outward and to our axes; real ones too."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from factory.planning.shape_names import list_sources, locate
 from factory.shapes.catalogue import load
 from factory.shapes.closed_surface import Surface, signed_volume
 from factory.shapes.libraries import category_of, find
@@ -14,6 +16,7 @@ from factory.shapes.lofts import ellipsoid
 from factory.shapes.mesh_import import open_mesh
 from factory.shapes.rounded_boxes import rounded_box
 from manifests.errors import InputError
+from manifests.schema import Job
 
 SWEET_HOME = Path("/usr/share/sweethome3d/furniture")
 
@@ -86,6 +89,33 @@ def test_an_option_without_a_value_is_refused(tmp_path, option):
     path = write_obj(tmp_path / "a.obj", *arrow())
     with pytest.raises(InputError, match=option.rstrip("=")):
         open_mesh(f"{path}?{option}")
+
+
+def test_a_mark_in_a_folder_s_name_stays_part_of_the_path(tmp_path, monkeypatch):
+    """Of a mesh with reading options and of a member of a library, also in a job's shapes."""
+    place = tmp_path / "my #1 ? é"
+    place.mkdir()
+    vertices, faces = arrow()
+    write_obj(place / "a.obj", vertices, faces)
+    expected = open_mesh(str(place / "a.obj"), up="z", front="x")
+    again = open_mesh(f"{place}/a.obj?up=z&front=x")
+    np.testing.assert_array_equal(again.vertices, expected.vertices)
+    catalogue = "id#1=arrow\nname#1=arrow\nmodel#1=/a.obj\n"
+    with zipfile.ZipFile(place / "all.sh3f", "w") as library:
+        library.writestr("PluginFurnitureCatalog.properties", catalogue)
+        library.write(place / "a.obj", "a.obj")
+    (entry,) = find(place / "all.sh3f")
+    member = open_mesh(entry.place)
+    options = dict(zip(("up", "front"), ("y", "z"), strict=True))
+    np.testing.assert_array_equal(
+        member.vertices, open_mesh(str(place / "a.obj"), **options).vertices
+    )
+    for text in ("my #1 ? é/a.obj?up=z", entry.place.replace(f"{tmp_path}/", "")):
+        job = Job(shapes=(text,), materials=("brass",), lights=("city",))
+        (source,) = list_sources(job, tmp_path)
+        assert source.place == f"{tmp_path}/{text}"
+    monkeypatch.chdir(place)
+    assert locate("my #1 ? é/a.obj?up=z", tmp_path) == f"{tmp_path}/my #1 ? é/a.obj?up=z"
 
 
 @pytest.mark.parametrize("kind", ["ply", "stl", "off", "glb"])

@@ -1,5 +1,10 @@
 """What the page does when users are faster than it is, or press what cannot work yet."""
 
+import os
+import signal
+import socket
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -154,3 +159,25 @@ def test_the_tab_key_stops_at_one_material() -> None:
     tiles = gallery.page_tiles(gallery.search("leather"), "materials.jpg")
     assert tiles.count('tabindex="0"') == 1
     assert tiles.count('tabindex="-1"') == tiles.count("<button") - 1 > 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_the_server_deletes_what_was_sent(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """SIGTERM comes from `kill` and from services that stop, SIGHUP from a terminal that closes."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = [sys.executable, "-m", "brdfactory", "app", "--port", str(port)]
+    place = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=place) as server:
+        assert server.stdout is not None
+        assert any("Open http" in line for line in server.stdout)
+        (folder,) = tmp_path.glob("brdfactory-app-*")
+        (folder / "sent").mkdir(exist_ok=True)
+        (folder / "sent" / "photo.png").write_bytes(b"a user's photograph")
+        server.send_signal(number)
+        server.communicate(timeout=60)
+    assert server.returncode == 0
+    assert not folder.exists()

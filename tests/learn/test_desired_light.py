@@ -12,6 +12,7 @@ from learn.data import lights, photographs
 from learn.editing import decomposition
 from learn.editing.compositor import Compositor
 from learn.editing.desired_light import resolve_light
+from learn.editing.transfer_grids import light_names
 from learn.layer import render
 from manifests.cli import main
 from manifests.errors import InputError
@@ -60,6 +61,17 @@ def test_lights_come_from_maps_seeds_and_pictures_at_unit_mean(tmp_path):
         assert envmap.mean_radiance(L) @ tone.LUMINANCE == pytest.approx(1, abs=1e-4)
     quarter = resolve_light(f"{tmp_path / 'maps.npz'}#right", no_picture, 90)
     np.testing.assert_array_equal(quarter, envmap.roll(right, 32))
+
+
+def test_a_mark_in_a_folder_s_name_is_no_map_s_name(tmp_path):
+    place = tmp_path / "room #1"
+    place.mkdir()
+    np.savez(place / "maps.npz", **{"left": lamp(90), "right #2": lamp(10)})
+    right = resolve_light(f"{place}/maps.npz#right #2", no_picture)
+    np.testing.assert_allclose(right, envmap.unit_mean(lamp(10))[0], rtol=1e-5)
+    texts = [f"{place}/maps.npz#left", f"{place}/other.exr", "computed:3"]
+    (place / "other.exr").touch()
+    assert light_names(texts) == ["left", "other", "computed-3"]
 
 
 @pytest.mark.parametrize(
