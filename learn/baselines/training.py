@@ -22,7 +22,7 @@ FILE_OF = {
 }
 
 
-def make(
+def train_baseline(
     name: str,
     preset: str | Path | None,
     options: argparse.Namespace,

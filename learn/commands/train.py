@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> None:
         known = training.step == begun and (arguments.out / "made.json").exists()
         # only the first process has a journal; a run that was complete already keeps its made.json
         if training.journal is not None and not known:
-            training.journal.made(
+            training.journal.write_made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},
                 len(left_out),

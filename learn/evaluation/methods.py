@@ -240,7 +240,7 @@ def layer_alone() -> Layered:
 
 
 @dataclass(frozen=True)
-class Entrants:
+class ComparedMethods:
     """The methods that are compared.
 
     edits     methods that edit: the rows of the table of edits, in order; the last one is the layer
@@ -257,15 +257,15 @@ class Entrants:
 OURS, OURS_REFINED = "ours", "ours, refined"
 
 
-def entrants(
+def list_methods(
     net: torch.nn.Module,
     refine: Refine | None,
     labels: Sequence[np.ndarray],
     baselines: Path | None = None,
     device: str | torch.device = "cpu",
     refine_lit: Refine | None = None,
-) -> Entrants:
-    """Return the Entrants.
+) -> ComparedMethods:
+    """Return the ComparedMethods.
 
     net        a network of learn.networks
     refine     None: no method is refined
@@ -303,4 +303,4 @@ def entrants(
         )
     trivial: list[Method] = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
     parts = (*mean[1:], facing_viewer())
-    return Entrants((*trivial, *rows, layer_alone()), parts, left_out)
+    return ComparedMethods((*trivial, *rows, layer_alone()), parts, left_out)

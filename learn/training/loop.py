@@ -28,8 +28,8 @@ from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded
 from learn.training import (
     checkpoints,
+    contact_sheet,
     losses,
-    montage,
     processes,
     repetition,
     revival,
@@ -356,11 +356,11 @@ class Training:
             figures |= dead.figures()
             source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
-            contact_sheet = montage.write(
+            sheet = contact_sheet.write(
                 self._sheet_path(), batch, self._predict_finite(network, batch)
             )
             if self.journal:
-                self.journal.show(self.step - 1, contact_sheet)
+                self.journal.add_contact_sheet(self.step - 1, sheet)
         self._save_weights()
         return figures
 

@@ -56,12 +56,12 @@ def test_the_main_table_sets_metals_apart_and_has_medians(edits):
 
 
 def test_edits_that_refinement_made_worse_are_counted(edits):
-    assert cells(tables.gains(edits, FAMILIES))["all edits"]["worse"] == 2
-    assert cells(tables.gains(edits, FAMILIES))["shape: car"]["worse"] == 1
+    assert cells(tables.gains_table(edits, FAMILIES))["all edits"]["worse"] == 2
+    assert cells(tables.gains_table(edits, FAMILIES))["shape: car"]["worse"] == 1
 
 
 def test_the_worst_edit_of_each_family_is_named(edits):
-    result = cells(breakdowns.worst(edits, Rows([], "materials"), FAMILIES))
+    result = cells(breakdowns.worst_edits(edits, Rows([], "materials"), FAMILIES))
     assert result["into: metal"]["worst"] == 90 and result["into: fabric"]["worst"] == 310
     assert result["shape: chair"]["which"] == "wax → felt, b, hall"
     assert result["shape: car"]["l2"][0] == pytest.approx(185)
@@ -69,13 +69,13 @@ def test_the_worst_edit_of_each_family_is_named(edits):
 
 def test_edits_are_grouped_by_the_distance_of_their_input(edits):
     known = {"lights": {"city": 0.0, "hall": 0.4}, "materials": {"wax": 0.9, "clay": 0.2}}
-    result = cells(breakdowns.by_distance(edits, NO_PICTURES, known))
+    result = cells(breakdowns.distance_table(edits, NO_PICTURES, known))
     assert result["light: of training"]["edits"] == 3
     assert result["light: of training"]["refined"][0] == pytest.approx(190 / 3)
     assert result["light: not of training"]["distance"] == 0.4
     assert result["input material: nearer half"]["edits"] == 4
     assert result["input material: farther half"]["l2"][0] == pytest.approx(275)
-    assert breakdowns.by_distance(edits, NO_PICTURES, {"lights": {}, "materials": {}}) is None
+    assert breakdowns.distance_table(edits, NO_PICTURES, {"lights": {}, "materials": {}}) is None
 
 
 def test_the_rows_of_shapes_have_normals_and_the_difference_of_their_ends(edits):
@@ -89,7 +89,7 @@ def test_the_rows_of_shapes_have_normals_and_the_difference_of_their_ends(edits)
         for shape, degrees in (("a", 10), ("a", 14), ("b", 20), ("c", 30))
     ]
     known = {"shapes": {"a": 0.0, "b": 20.0, "c": 40.0}}
-    table = breakdowns.by_distance(edits, Rows(pictures, "materials"), known)
+    table = breakdowns.distance_table(edits, Rows(pictures, "materials"), known)
     result = cells(table)
     assert result["shape: of training"]["normals"][0] == 12
     assert result["shape: farther half"]["normals"] == [30, 30, 30]

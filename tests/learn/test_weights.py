@@ -222,7 +222,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
 )
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
-    for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
+    for read in (weights.load_network, features.load, perceptual.load, priors.load):
         with pytest.raises(InputError, match=r"w\.safetensors: expected .*, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
@@ -258,7 +258,7 @@ def lpips():
 def test_lpips_of_other_shapes_or_without_numbers_is_refused(tmp_path, lpips, name, value):
     (tmp_path / "lpips.safetensors").write_bytes(save(lpips | {name: value}))
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        perceptual.of_file(tmp_path / "lpips.safetensors")
+        perceptual.load(tmp_path / "lpips.safetensors")
 
 
 @pytest.fixture

@@ -103,7 +103,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rung = RUNGS[0]
     pictures = {rung.name: ladder_scenes.pictures_of(records)[rung.name]}
     scenes = ladder_scenes.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
+    seen = overlap.report_overlap(
+        [weights], ladder.list_tested(records, scenes), arguments.data, True
+    )
     about = {
         "data": file_hash(arguments.data / "materials.json"),
         "weights": file_hash(weights),

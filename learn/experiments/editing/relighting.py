@@ -85,7 +85,9 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     available = sorted(set.intersection(*(set(each) for each in pictures.values())))
     cases = cases_of(available, arguments.pictures, arguments.seed, arguments.data)
     scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
-    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
+    seen = overlap.report_overlap(
+        [weights], ladder.list_tested(records, scenes), arguments.data, True
+    )
     about = {
         "data": file_hash(records.store.fetch("materials.json")),
         "weights": file_hash(weights),

@@ -127,7 +127,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         for case in cases
         for target in case.targets
     ]
-    seen = overlap.sentences(
+    seen = overlap.report_overlap(
         [arguments.weights], ladder.list_tested(records, scenes), arguments.data, True
     )
     about = {

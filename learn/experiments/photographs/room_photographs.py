@@ -97,7 +97,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     elif arguments.use_shapes:
         raise InputError("--use-shapes", "--shapes FILE", "none", "name the objects' shapes")
     settings = None if arguments.no_refine else PHOTOGRAPHS
-    seen = overlap.sentences(
+    seen = overlap.report_overlap(
         [arguments.weights], room_cases.list_tested(cases), arguments.data, True
     )
     about = {

@@ -144,7 +144,7 @@ def _what_weights_saw(weights: Path, records: Records, shown: Sequence[Record]) 
             map_hash(records.light(name)): name for name in {record.light for record in shown}
         },
     }
-    return overlap.sentences([weights], tested, records.folder, True)
+    return overlap.report_overlap([weights], tested, records.folder, True)
 
 
 def row_of(network: Coded, records: Records, record: Record) -> dict[str, Any]:

@@ -81,8 +81,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     todo, sentences = [], []
     for folder in arguments.data:
         sources = photographs_of(folder, arguments.weights[0], list(networks))
-        shown = overlap.of_split(next(iter(sources.values())).data_split)
-        sentences += overlap.sentences(arguments.weights, shown, folder, arguments.allow_overlap)
+        shown = overlap.shown_by_split(next(iter(sources.values())).data_split)
+        sentences += overlap.report_overlap(
+            arguments.weights, shown, folder, arguments.allow_overlap
+        )
         todo += [
             ({"picture": f"{folder.name} {k}", "data": folder.name}, (sources, k))
             for k in range(arguments.pictures)

@@ -73,8 +73,8 @@ class Line(Struct, frozen=True, kw_only=True):
     commit: str = "none"
 
 
-class Bench:
-    """Records and a network, which measure scenes.
+class LadderEvaluator:
+    """Measures a network on scenes of the ladder, whose pictures are records.
 
     Raises  InputError for unusable weights
     """
@@ -86,7 +86,7 @@ class Bench:
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
         self.commit = provenance()["commit"]
 
-    def line(self, scene: Scene, name: str, refined: bool) -> Line:
+    def measure(self, scene: Scene, name: str, refined: bool) -> Line:
         """Return the figures of a scene on a rung; refined: whether those of refinement too."""
         (rung,) = (each for each in RUNGS if each.name == name)
         picture = load_scene(self.records, scene, rung, self.size)
