@@ -28,7 +28,7 @@ from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
 from learn.networks.features import Features
 from learn.networks.prediction import require_part
 from learn.training.loop import VALIDATION_BATCHES, Training
-from learn.training.losses import compared_by
+from learn.training.losses import feature_difference
 from manifests.files import write_image
 from shaders import tone
 
@@ -130,7 +130,7 @@ def terms(
             3 * inside.sum()
         ).clamp(min=1)
     if weights.target_features:
-        result["target_features"] = compared_by(features, edited.picture, truth, inside)
+        result["target_features"] = feature_difference(features, edited.picture, truth, inside)
     return result
 
 

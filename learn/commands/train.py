@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> None:
         remedy = "leave --pictures out, or change data.source in the run"
         raise InputError("--pictures", rule, '"relit", which uses no pictures', remedy)
     torch.set_num_threads(arguments.threads)
-    with processes.only_writer(arguments.out):
+    with processes.lock_run_folder(arguments.out):
         data_splits = sources.load_data_splits(
             chosen.data,
             arguments.data,

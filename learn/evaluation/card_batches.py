@@ -102,7 +102,7 @@ class CardEvaluator:
         if kind in PATTERNS:
             batch, prediction = self.predict(self.networks[0], own, ("normals",))
             cosine = (require_part(prediction.n) * batch.n).sum(1).clamp(-1, 1)
-            angle = validation.means(cosine.arccos().rad2deg(), batch.segments > 0)
+            angle = validation.masked_means(cosine.arccos().rad2deg(), batch.segments > 0)
             return [({"angle_deg": angle}, batch.names)]
         result: list[Measured] = []
         for network in self.networks:

@@ -297,7 +297,7 @@ def fill_heads(network: Coded, stored: tensor_file.Stored) -> None:
 
 
 @contextlib.contextmanager
-def remedy(text: str) -> Iterator[None]:
+def with_remedy(text: str) -> Iterator[None]:
     """Give every InputError of the block this remedy, for a reader cannot know a file's purpose."""
     try:
         yield

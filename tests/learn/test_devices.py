@@ -283,9 +283,9 @@ def test_a_checkpoint_of_one_device_goes_on_on_another(data_splits, tmp_path, de
         run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=first
     )
     next_batch = half._batches()
-    half._one_step(next(next_batch).to(first))
+    half._make_step(next(next_batch).to(first))
     half.step = 1
-    half._save()
+    half._save_checkpoint()
     resumed = Training(
         run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=second
     )

@@ -88,13 +88,13 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
     metals, entries, tmp_path, monkeypatch
 ):
     shown = set()
-    one_step = loop.Training._one_step
+    one_step = loop.Training._make_step
 
     def watched(self, batch):
         shown.update(name.split(" ")[-1] for name in batch.names)
         return one_step(self, batch)
 
-    monkeypatch.setattr(loop.Training, "_one_step", watched)
+    monkeypatch.setattr(loop.Training, "_make_step", watched)
     (tmp_path / "run.json").write_text(json.dumps(RUN))
     words = [
         "train",

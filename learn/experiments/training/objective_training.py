@@ -171,8 +171,8 @@ def rows(
     angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
     true_label, target = batch.label, batch.target_label
     figures = {
-        "angle_deg": validation.means(angle, batch.segments > 0),
-        "albedo": validation.albedos(label, batch)["albedo"],
+        "angle_deg": validation.masked_means(angle, batch.segments > 0),
+        "albedo": validation.albedo_errors(label, batch)["albedo"],
         "irradiance": irradiance_error(light, batch.light).double().numpy(),
         "image_l2": validation.compare_renderings(
             n, label, light, true_label, batch, batch.picture, policy
