@@ -163,8 +163,8 @@ def test_shadows_of_deformed_pictures_are_computed_from_the_deformed_depth(data_
         shown.append((n, position, view, segments))
         return factor(n, position, view, segments, *others)
 
-    factor = shadows.factor
-    monkeypatch.setattr(shadows, "factor", recorded)
+    factor = shadows.shadow_factor
+    monkeypatch.setattr(shadows, "shadow_factor", recorded)
     geometry = Geometry(data_split.geometry.folder, progress=False, depth=True)
     of_train = DataSplit(geometry, data_split.views, data_split.labels, data_split.maps, "train")
     RelitDataset(of_train, with_keys(deformations=1.0, shadows=1.0), 4, SIZE, 5)[0]

@@ -21,7 +21,7 @@ def matte_label(albedo):
 
 def factor_of(n, depth, mask, radiance, label):
     position, view = shadows.positions(depth, Camera(size=mask.shape))
-    return shadows.factor(
+    return shadows.shadow_factor(
         n, position, view, mask.astype(np.int64), radiance, label[None], LIGHT, 0.3
     )
 
