@@ -27,8 +27,7 @@ from manifests.errors import InputError, closest
 SIDES = {"train": 0, "validation": 1, "test": 2}
 # of a SeedSequence's key, after side, batch and group: draws of their own, so that pictures without
 # them are the same in a run that has them
-LABELS, PATTERNS, DEFORMATIONS = 1, 2, 3
-SHADOWS = 1
+LABELS, PATTERNS, DEFORMATIONS, SHADOWS = 1, 2, 3, 4
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
 
 
