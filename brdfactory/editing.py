@@ -292,7 +292,7 @@ def _open_photograph(
         picture = photograph.resolve_example(picture, [], None)[0]
     opened = photograph.from_arrays(picture, covered, parted, balance, exposure, fit_mask=fit_mask)
     if isinstance(picture, Path) and (
-        line := photographs.reduction(picture, opened.radiance.shape[:2])
+        line := photographs.describe_reduction(picture, opened.radiance.shape[:2])
     ):
         notices.notice(f"{picture}: {line}")
     return opened

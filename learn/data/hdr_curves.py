@@ -1,7 +1,7 @@
 """Converts pictures in the curves of HDR screens, PQ and HLG (ITU-R BT.2100), to sRGB.
 
 Some phones and cameras store HEIC so. A file names its curve and its primary colours by numbers of
-ITU-T H.273: HEIC, AVIF and PNG in the header (learn.data.colour_numbers), other files in the tag
+ITU-T H.273: HEIC, AVIF and PNG in the header (learn.data.cicp), other files in the tag
 `cicp` of their profile (ICC.1:2022).
 
 White of sRGB is the white of paper in HDR pictures, 203 cd/m² (ITU-R BT.2408). What is brighter,

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, JpegImagePlugin, UnidentifiedImageError
 
-from learn.data import colour_numbers, colour_profiles, heic
+from learn.data import cicp, colour_profiles, heic
 from learn.data.file_kinds import HEAD, is_heic, kind_of
 from manifests.errors import InputError
 from manifests.inputs import require_file
@@ -98,10 +98,10 @@ def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarra
     return _opened(path, values, is_mixed=False)
 
 
-def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
+def describe_file_reduction(path: str | Path, size: tuple[int, ...]) -> str | None:
     """Return a sentence that says that a file was made smaller when it was read, else None.
 
-    size    (H, W) that it has now
+    size    (H, W) of what was read
     Raises  InputError
     """
 
@@ -185,7 +185,7 @@ def _open(path):
     opened.seek(0)
     if opened.format in ("PNG", "AVIF"):
         with open(path, "rb") as file:
-            opened.info["nclx_profile"] = colour_numbers.read_numbers(file)
+            opened.info["nclx_profile"] = cicp.read_cicp(file)
     return opened
 
 

@@ -177,7 +177,7 @@ class EditEvaluator:
             "commit": self.commit,
             "source": edit.source.id,
             "truth": edit.truth.id,
-            "several": edit.several,
+            "several": edit.per_segment,
             "methods": {},
         }
         row |= summary_of(edit.source) | {"wanted": list(edit.truth.materials)}

@@ -42,7 +42,7 @@ def main() -> None:
     report: dict[str, dict[str, float]] = {}
     rows = []
     for name, (path, mask, _) in sources(arguments.root).items():
-        _, exact, _ = photographs.read_soft(path, mask)
+        _, exact, _ = photographs.read_with_coverage(path, mask)
         shown, differences = {}, {}
         for damage in MASKS:
             for choice, fit_mask in FIT.items():

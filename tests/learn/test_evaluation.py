@@ -639,7 +639,7 @@ def two_regions(data, tmp_path):
 def test_each_region_gets_its_own_material(two_regions, weights):
     work = edit_evaluator.EditEvaluator(two_regions, weights, refine=False)
     edits = pairs.choose_edits(work.records.records, 6, 0)
-    assert len(edits) == 6 and all(edit.several for edit in edits)
+    assert len(edits) == 6 and all(edit.per_segment for edit in edits)
     for edit in edits:
         assert (
             pairs.make_source_batch(work.records, edit).label.shape

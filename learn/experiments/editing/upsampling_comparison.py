@@ -38,7 +38,7 @@ def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str,
     network, metadata = checkpoint.load_parts(weights)
     size = metadata["size"]
     edits = pairs.choose_edits(records.records, count, 0)
-    if any(edit.several for edit in edits):
+    if any(edit.per_segment for edit in edits):
         raise InputError(
             records.folder,
             "pictures of one material each",
