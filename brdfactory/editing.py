@@ -318,7 +318,7 @@ def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
 
     modified  time at which the file was modified, so that weights trained again are read again
     """
-    network, metadata = checkpoint.load_parts(path, device)
+    network, metadata = checkpoint.load_full_network(path, device)
     return network, metadata["size"]
 
 

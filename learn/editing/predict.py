@@ -88,7 +88,7 @@ def predict_picture(
 
     Regions are one object here: there is one material.
     """
-    network, metadata = checkpoint.load_parts(weights, device)
+    network, metadata = checkpoint.load_full_network(weights, device)
     masks = [] if mask is None else [mask]
     opened = photograph.open_photograph(image, masks, exposure=exposure, fit_mask=fit_mask)
     framed = framing.frame_object(

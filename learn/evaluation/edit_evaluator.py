@@ -70,7 +70,7 @@ class EditEvaluator:
         self.records = Records(data)
         self.repeats = pairs.find_repeats(self.records.records)
         self._against_nodes: dict[str, dict[str, float]] = {}  # by id of the truth
-        net, self.metadata = checkpoint.load_parts(weights, device)
+        net, self.metadata = checkpoint.load_full_network(weights, device)
         self.device = torch.device(device)
         self.commit = provenance()["commit"]
         self.size, self.ranges = self.metadata["size"], net.ranges

@@ -80,7 +80,7 @@ class LadderEvaluator:
     """
 
     def __init__(self, records: Records, weights: Path, device: str = "cpu"):
-        network, metadata = checkpoint.load_parts(weights, device)
+        network, metadata = checkpoint.load_full_network(weights, device)
         self.records, self.size, self.device = records, metadata["size"], torch.device(device)
         self.predict = methods.make_predictor(network)
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))

@@ -263,13 +263,14 @@ def list_methods(
     labels: Sequence[np.ndarray],
     baselines: Path | None = None,
     device: str | torch.device = "cpu",
-    refine_lit: Refine | None = None,
+    refine_with_normals_kept: Refine | None = None,
 ) -> ComparedMethods:
     """Return the ComparedMethods.
 
     net        a network of learn.networks
     refine     None: no method is refined
-    refine_lit refines material and light and keeps normals: for the rows with true normals
+    refine_with_normals_kept
+               refines material and light alone: for the row with true normals
     labels     (M, 108) of training materials, whose mean is a method; none: that row is left out
     baselines  a folder of weights, or None
     device     where the baselines compute
@@ -291,8 +292,8 @@ def list_methods(
     rows += [ours, best] if refine else [ours]
     rows.append(AsEdited(best))
     rows.append(with_true_normals(ours))
-    if refine_lit:
-        rows.append(Refined(rows[-1], refine_lit))
+    if refine_with_normals_kept:
+        rows.append(Refined(rows[-1], refine_with_normals_kept))
     if not refine:
         left_out["refined rows"] = "--no-refine was given"
     mean = [MeanMaterial(labels), MeanMaterial(labels, ours)] if len(labels) else []

@@ -106,7 +106,7 @@ def evaluate(options: Options) -> dict:
     out = Path(options.out)
     with lock.writing(out, patience=0):
         # here first, so that unusable weights are reported before any process starts
-        evaluator = EditEvaluator(**arguments(options))
+        evaluator = EditEvaluator(**evaluator_arguments(options))
         seen = overlap.report_overlap(
             [options.weights, *overlap.baseline_files(options.baselines)],
             overlap.shown_by_edits(records, chosen),
@@ -115,7 +115,7 @@ def evaluate(options: Options) -> dict:
         )
         nearest = nearest_training_items(options, records, chosen, evaluator)
         outputs.pin_settings(out / "settings.json", settings(options))
-        work_through(options, units(out, chosen, options.gallery, evaluator.repeats), evaluator)
+        measure(options, list_work(out, chosen, options.gallery, evaluator.repeats), evaluator)
         pictures, edits = (
             [row for id_, row in rows_of(out / name).items() if id_ in requested]
             for name, requested in ids_of(chosen).items()
@@ -151,9 +151,9 @@ def nearest_training_items(
     same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
     labels = {name: records.label(name) for name in materials}
     return {
-        "shapes": distances.of_shapes(distances.rasters(records, shown), shapes, same),
-        "materials": distances.of_materials(labels, evaluator.training_labels),
-        "lights": distances.of_lights({name: records.light(name) for name in lights}, maps),
+        "shapes": distances.shape_distances(distances.rasters(records, shown), shapes, same),
+        "materials": distances.material_distances(labels, evaluator.training_labels),
+        "lights": distances.light_distances({name: records.light(name) for name in lights}, maps),
     }
 
 
@@ -165,7 +165,7 @@ def ids_of(chosen: Sequence[EditPair]) -> dict[str, set[str]]:
     }
 
 
-def arguments(options: Options) -> dict:
+def evaluator_arguments(options: Options) -> dict:
     """Return the arguments of EditEvaluator in every process."""
     return {
         "data": options.data,
@@ -209,10 +209,10 @@ def settings(options: Options) -> dict:
     )
 
 
-def units(
+def list_work(
     out: Path, chosen: Sequence[EditPair], gallery: int, repeats: dict[tuple, list[Record]]
 ) -> list[Unit]:
-    """Return the work that is still to do, one unit per source picture.
+    """Return the units of work that are still to do, one per source picture.
 
     An edit is measured again if it is to be shown and its picture is missing, or if its truth has
     more seeds than before; of two lines the later one counts.
@@ -237,14 +237,14 @@ def units(
     work: list[Unit] = []
     for source, edits in grouped.items():
         todo = [edit for edit in edits if not finished(edit)]
-        whole = source not in pictures
-        if todo or whole:
+        is_missing = source not in pictures
+        if todo or is_missing:
             folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
-            work.append((edits[0], todo, whole, folder))
+            work.append((edits[0], todo, is_missing, folder))
     return work
 
 
-def work_through(options: Options, todo: Sequence[Unit], evaluator: EditEvaluator) -> None:
+def measure(options: Options, todo: Sequence[Unit], evaluator: EditEvaluator) -> None:
     """Measure the units, and append their lines as they are finished."""
     lines = {name: Lines(Path(options.out) / name) for name in ("pictures.jsonl", "edits.jsonl")}
     total = sum(len(edits) for _, edits, _, _ in todo)
@@ -276,7 +276,7 @@ def results(
     threads = max(1, subprocesses.processors() // processes)
     # a fork of a process with running threads may hang
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads))
+    pool = ProcessPoolExecutor(processes, context, _begin, (evaluator_arguments(options), threads))
     remedy = "run the same command again with fewer --processes: what was done stays"
     for _, finished in subprocesses.results_of(pool, _work, todo, "evaluation", remedy):
         yield finished
@@ -294,7 +294,7 @@ def _results_of_cluster(
     ]
     maker = f"{__name__}:on_worker"
     with contextlib.closing(
-        ray_tasks.results(options.ray or "auto", maker, arguments(options), pieces)
+        ray_tasks.results(options.ray or "auto", maker, evaluator_arguments(options), pieces)
     ) as answers:
         for _, answer in answers:
             yield msgspec.json.decode(answer, type=tuple[dict | None, list[dict]])

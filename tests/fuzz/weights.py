@@ -236,7 +236,7 @@ def used(name, path):
         return methods.load("Baseline 1", path).net(
             torch.rand(1, 3, 32, 32), torch.ones(1, 1, 32, 32), torch.zeros(1, 1, 108)
         )[:4]
-    network, metadata = weights.load_parts(path)
+    network, metadata = weights.load_full_network(path)
     size = metadata["size"]
     if not (isinstance(size, int) and 32 <= size <= 1024):
         raise AssertionError(f"a size of {size!r} was accepted")

@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("root", type=Path)
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
-    network, metadata = weights.load_parts(EDITING_WEIGHTS, "cpu")
+    network, metadata = weights.load_full_network(EDITING_WEIGHTS, "cpu")
     inside = (spheres.sphere_normals(drawing.SPHERE) != 0).any(-1)
     report: dict[str, dict[str, float]] = {}
     rows = []

@@ -547,7 +547,7 @@ def test_an_evaluation_refines_by_the_method_that_is_named(options, monkeypatch)
 
     monkeypatch.setattr("learn.refinement.refine", refined)
     named = replace(options, refine=True, refinement_method="quadrature", processes=1)
-    measuring = edit_evaluator.EditEvaluator(**run.arguments(named))
+    measuring = edit_evaluator.EditEvaluator(**run.evaluator_arguments(named))
     for method in measuring.methods.edits:
         if isinstance(method, methods.Refined):
             with pytest.raises(InputError):

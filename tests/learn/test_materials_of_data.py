@@ -256,7 +256,7 @@ def test_two_region_chairs_hold_out_the_lights_that_joint_compact_held_out():
     """Otherwise evaluations would refuse what the preset makes of these weights."""
     run = settings.read_run("two-region-chairs-compact")
     assert run.data.regions == 2
-    metadata = weights.load_parts(TABLE_WEIGHTS)[1]
+    metadata = weights.load_full_network(TABLE_WEIGHTS)[1]
     before = settings.decode_run(json.dumps(metadata["run"]).encode(), "joint-compact")
     for name in ("validation_lights", "test_lights"):
         held_out = {light.removeprefix("blender_") for light in getattr(before.data, name)}

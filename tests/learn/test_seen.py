@@ -14,7 +14,7 @@ from learn.data.records import Records
 from learn.data.seen import DIGITS, Seen, label_hash, map_hash
 from learn.data.settings import Data
 from learn.evaluation import overlap
-from learn.networks import own_weights, tensor_file, weights
+from learn.networks import built_in_weights, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.seen_lists import write_lists
@@ -328,7 +328,7 @@ def test_lists_are_not_written_into_what_is_no_weights(tmp_path):
     ],
 )
 def test_the_committed_weights_say_all_that_they_saw(name, digest, shapes, tmp_path):
-    path = own_weights.FOLDER / f"{name}.safetensors"
+    path = built_in_weights.FOLDER / f"{name}.safetensors"
     with tensor_file.open_tensor_file(path) as stored:
         tensors = {each: stored.tensor(each) for each in stored.shapes}
     assert weights.digest_of(tensors)[:16] == digest  # of the tensors that training left

@@ -98,7 +98,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     weights = arguments.weights
-    net, metadata = checkpoint.load_parts(weights)
+    net, metadata = checkpoint.load_full_network(weights)
     records = Records(arguments.data)
     rung = RUNGS[0]
     pictures = {rung.name: ladder_scenes.pictures_of(records)[rung.name]}

@@ -79,7 +79,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     weights = arguments.weights
-    net, metadata = checkpoint.load_parts(weights)
+    net, metadata = checkpoint.load_full_network(weights)
     records = Records(arguments.data)
     pictures = pictures_of(records)
     available = sorted(set.intersection(*(set(each) for each in pictures.values())))

@@ -111,7 +111,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "detail": arguments.detail,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    network, metadata = checkpoint.load_parts(arguments.weights)
+    network, metadata = checkpoint.load_full_network(arguments.weights)
     todo = [({"photograph": room_cases.name_of(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",

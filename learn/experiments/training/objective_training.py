@@ -193,6 +193,6 @@ def as_given(
     policy: predictions.Policy = predictions.VALIDATION,
 ) -> variants.Result:
     """Return the result of weights without a step of training. Raises InputError."""
-    network, _ = weights.load_parts(path)
+    network, _ = weights.load_full_network(path)
     of_tests = [row for batch in tested for row in rows(None, network, batch, policy)]
     return {"steps": 0, "seconds": 0.0, "rows": of_tests}
