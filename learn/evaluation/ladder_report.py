@@ -17,7 +17,7 @@ from learn.evaluation.ladder_design import (
     OTHER_FOV_DEG,
 )
 from learn.evaluation.ladder_lines import Figures, figure_of, groups, rungs, select
-from learn.evaluation.page import text_of
+from learn.evaluation.page import table_lines, text_of
 from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
 from learn.metrics import bootstrap
 from manifests import files
@@ -281,13 +281,7 @@ def markdown(report: Mapping) -> str:
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     lines += ["![Normals, light and edits on every rung](chart.png)", ""]
     for each in report["tables"].values():
-        lines += [f"## {each['title']}", "", each["note"], ""]
-        lines.append("| | " + " | ".join(c["label"] for c in each["columns"]) + " |")
-        lines.append("|---" * (len(each["columns"]) + 1) + "|")
-        for row in each["rows"]:
-            texts = [text_of(row["cells"].get(c["key"]), c) for c in each["columns"]]
-            lines.append(f"| {row['name']} | " + " | ".join(texts) + " |")
-        lines.append("")
+        lines += table_lines(each)
     return "\n".join([*lines, "## How it was made", "", *(f"- {s}" for s in origin(about))]) + "\n"
 
 
