@@ -1,8 +1,8 @@
 """Crops a picture to a square around its object, at the size that networks take, and exposes it.
 
-An object whose brightness does not allow its exposure to be estimated (GUESSABLE_LUMINANCE), or that networks
-never see so dark or so bright (EXPOSED_LUMINANCE), is refused. Objects of one colour and fully clipped ones are
-accepted.
+An object is refused if its brightness does not allow its exposure to be guessed
+(GUESSABLE_LUMINANCE), or if networks never see one so dark or so bright (EXPOSED_LUMINANCE).
+Objects of one colour and fully clipped ones are accepted.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ MARGIN = 1.18
 # as a line fitted to them, and either is wrong by more than a factor of 2.5 for a third of them.
 # `python -m learn.experiments exposure` measures this (docs/editing-measurements.md).
 TYPICAL, DEPENDENCE = 0.23, 0.19
-# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
+# Mean luminance of an object whose exposure is guessed: below it 8 bits have three steps, above
 # it a file is in units of its own.
 GUESSABLE_LUMINANCE = (1e-3, 1e3)
 # Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials
