@@ -122,7 +122,7 @@ def row_of(evaluator: Any, scene: Scene, rung: str) -> dict[str, Any]:
     from learn.evaluation import ladder_evaluator
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import load_scene
-    from learn.training.validation import albedos
+    from learn.training.validation import albedo_errors
 
     (known,) = (each for each in RUNGS if each.name == rung)
     picture = of_size(load_scene(evaluator.records, scene, known, evaluator.size), evaluator.size)
@@ -135,7 +135,7 @@ def row_of(evaluator: Any, scene: Scene, rung: str) -> dict[str, Any]:
         "source": scene.source[rung].materials[0],
         "target": scene.truth[rung].materials[0],
         "normals_mean_deg": of_parts.normals_mean_deg,
-        "albedo": float(albedos(parts.label, picture.batch)["albedo"][0]),
+        "albedo": float(albedo_errors(parts.label, picture.batch)["albedo"][0]),
         "irradiance": of_parts.irradiance,
         "image_l2": ladder_evaluator.error_of_rerendering(prediction, picture),
         "edit_l2": of_parts.edit_l2,
