@@ -432,7 +432,7 @@ def test_a_sheet_shows_each_edit_and_its_error_beneath(tmp_path):
 def test_an_evaluation_refines_unless_told_otherwise(monkeypatch):
     asked = []
     monkeypatch.setattr(
-        run, "make", lambda options: asked.append(options) or {"headline": ["done"]}
+        run, "evaluate", lambda options: asked.append(options) or {"headline": ["done"]}
     )
     parser = argparse.ArgumentParser()
     evaluate.register(parser.add_subparsers())
