@@ -356,11 +356,11 @@ class Training:
             figures |= dead.figures()
             source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
-            sheet = contact_sheet.write(
+            picture = contact_sheet.write(
                 self._sheet_path(), batch, self._predict_finite(network, batch)
             )
             if self.journal:
-                self.journal.add_contact_sheet(self.step - 1, sheet)
+                self.journal.add_contact_sheet(self.step - 1, picture)
         self._save_weights()
         return figures
 
