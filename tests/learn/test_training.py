@@ -324,13 +324,13 @@ def test_a_killed_run_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
     killed = Training(
         run(), data_splits, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0
     )
-    save = killed._save
+    save = killed._save_checkpoint
 
     def die_after_saving():
         save()
         raise KeyboardInterrupt
 
-    killed._save = die_after_saving
+    killed._save_checkpoint = die_after_saving
     with pytest.raises(KeyboardInterrupt):
         killed.train()
     resumed = trained(run(), data_splits, tmp_path / "killed")
