@@ -312,7 +312,7 @@ def _open_photograph(
         fit_mask=fit_mask,
     )
     if isinstance(source, Path) and (
-        line := photographs.reduction(source, opened.radiance.shape[:2])
+        line := photographs.describe_reduction(source, opened.radiance.shape[:2])
     ):
         notices.notice(f"{source}: {line}")
     return opened
@@ -349,7 +349,7 @@ def _network(path: str, modified: int, device: str) -> tuple[Coded, int]:
 
     modified  time at which the file was modified, so that weights trained again are read again
     """
-    network, metadata = checkpoint.load_parts(path, device)
+    network, metadata = checkpoint.load_full_network(path, device)
     return network, metadata["size"]
 
 

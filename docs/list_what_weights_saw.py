@@ -19,7 +19,7 @@ from learn.data import sources
 from learn.data.light_copies import KnownLights
 from learn.data.seen import Seen, label_hash, make_seen, map_hash
 from learn.data.settings import Data, decode_run
-from learn.networks import own_weights, tensor_file, weights
+from learn.networks import built_in_weights, tensor_file, weights
 from learn.networks.seen_lists import write_lists
 from manifests import JOBS, measured_lights
 from manifests.progress import tqdm
@@ -89,7 +89,7 @@ def lists(names: Iterable[str] | None = None) -> Seen:
 
     names  of the shapes of its data set; None: of all of them, whose making takes minutes
     """
-    path = own_weights.FOLDER / f"{FIRST}.safetensors"
+    path = built_in_weights.FOLDER / f"{FIRST}.safetensors"
     return make_seen(
         {
             "shapes": shape_hashes(shapes() if names is None else names).values(),
@@ -107,7 +107,7 @@ def lists_of_all(first: Seen) -> dict[str, Seen]:
     """
     result = {FIRST: first}
     for name in BEGAN_WITH_IT:
-        own = weights.seen_by(own_weights.FOLDER / f"{name}.safetensors")
+        own = weights.seen_by(built_in_weights.FOLDER / f"{name}.safetensors")
         if own is None:
             raise ValueError(f"{name}: expected lists of the stages that its training made")
         union = own.join(first)
@@ -124,7 +124,7 @@ def main() -> int:
     options = parser.parse_args()
     wrong = 0
     for name, seen in lists_of_all(lists()).items():
-        path = own_weights.FOLDER / f"{name}.safetensors"
+        path = built_in_weights.FOLDER / f"{name}.safetensors"
         numbers = f"{len(seen.shapes)} shapes, {len(seen.materials)} materials, {len(seen.lights)}"
         if options.check:
             is_there = weights.seen_by(path) == seen

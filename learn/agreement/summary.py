@@ -12,7 +12,7 @@ from learn.agreement import facets, surface, uncertainty
 from learn.agreement.measure import Row
 
 # net display L2 of the direct tier, in units of the materials' own node fit
-LIMIT = 1.5
+LIMIT = 1.5  # times the node fit, up to which the layer is said to agree with Cycles
 FIGURES = (
     "signed",
     "absolute",

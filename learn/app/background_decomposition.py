@@ -32,7 +32,7 @@ class Network:
         """Return the network and its metadata."""
         with self._lock:
             if self._loaded is None:
-                self._loaded = checkpoint.load_parts(self.weights, self.device)
+                self._loaded = checkpoint.load_full_network(self.weights, self.device)
             return self._loaded
 
 

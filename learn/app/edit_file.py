@@ -23,7 +23,7 @@ from learn.app.choices import (
 )
 from learn.data import photographs
 from learn.editing import DETAIL, MOST_STOPS, material_expression, material_file, targets
-from learn.networks import own_weights
+from learn.networks import built_in_weights
 from manifests import files, reading
 from manifests.errors import InputError
 from shaders.dsbrdf import SIZE
@@ -73,7 +73,7 @@ def command_line(
         words += ["--material", "+".join(texts), "--out", "edited"]
     else:
         words += ["app", photograph, *kept, "--repeat", "edit.json", "--out", "edited"]
-    return shlex.join([*words, *own_weights.options_for(weights)])
+    return shlex.join([*words, *built_in_weights.options_for(weights)])
 
 
 Numbers = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]

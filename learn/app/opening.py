@@ -59,7 +59,7 @@ def _kept(
     files.write_bytes(path, sent.read_bytes())
     display, is_brightened = display_for_marking(radiance, photographs.holds_radiance(path))
     result = MarkedPhotograph(path, name, Selection(display), is_brightened=is_brightened)
-    result.reduction = photographs.reduction(path, radiance.shape[:2])
+    result.reduction = photographs.describe_reduction(path, radiance.shape[:2])
     if (alpha < 0.5).any():
         result.coverage = alpha
         result.selection.given = (alpha >= 0.5).astype(np.uint8)

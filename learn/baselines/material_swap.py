@@ -28,7 +28,7 @@ from learn.networks.encoder_decoder import Edited, EncoderDecoder, radiance
 from learn.networks.features import Features
 from learn.networks.prediction import require_part
 from learn.training.loop import VALIDATION_BATCHES, Training
-from learn.training.losses import compared_by
+from learn.training.losses import feature_difference
 from manifests.files import write_image
 from shaders import tone
 
@@ -101,7 +101,7 @@ class SwapTraining(Training):
         with torch.no_grad():
             batches = [source[k].to(self.device) for k in range(VALIDATION_BATCHES)]
             edits = [self._predict_finite(network, batch) for batch in batches]
-        write_montage(self._sheet_path(), batches[0], edits[0])
+        write_contact_sheet(self._sheet_path(), batches[0], edits[0])
         self._save_weights()
         results = [
             figures(edit, batch, network.ranges) for edit, batch in zip(edits, batches, strict=True)
@@ -130,7 +130,7 @@ def terms(
             3 * inside.sum()
         ).clamp(min=1)
     if weights.target_features:
-        result["target_features"] = compared_by(features, edited.picture, truth, inside)
+        result["target_features"] = feature_difference(features, edited.picture, truth, inside)
     return result
 
 
@@ -153,7 +153,7 @@ def figures(edited: Edited, batch: ExampleBatch, ranges: Ranges) -> dict[str, fl
     return {name: float(np.mean(values)) for name, values in result.items()} | {"code_l2": code_l2}
 
 
-def write_montage(path: Path, batch: ExampleBatch, edited: Edited) -> None:
+def write_contact_sheet(path: Path, batch: ExampleBatch, edited: Edited) -> None:
     """Write a JPEG with one row per example: the picture as seen, O' and O."""
     rows = []
     drawn = to_numpy((radiance(edited.picture) * batch.mask).movedim(1, -1))

@@ -138,7 +138,7 @@ def descend_from(
     return best
 
 
-def prediction(batch: ExampleBatch, priors: Priors) -> Prediction:
+def predict(batch: ExampleBatch, priors: Priors) -> Prediction:
     """Return the Prediction of a batch of one: normals as given, material and light estimated."""
     result = estimate(batch, priors)
     return Prediction(batch.n, None, result.label, None, result.light)

@@ -74,14 +74,14 @@ class Priors:
 
 def fit(labels: Sequence[np.ndarray], maps: Sequence[np.ndarray]) -> Priors:
     """Return the Priors of training labels [(108,)] and maps [(64, 128, 3)]."""
-    mean, directions = _principal(np.stack(labels).astype(np.float64))
+    mean, directions = _fit_labels(np.stack(labels).astype(np.float64))
     z = (np.stack(labels) - mean) @ np.linalg.pinv(directions)
-    mu, spread = _light(maps)
-    numbers = (mean, directions, _medoids(z, MOST_MEDOIDS), mu, spread)
+    mu, spread = _fit_lights(maps)
+    numbers = (mean, directions, _choose_medoids(z, MOST_MEDOIDS), mu, spread)
     return Priors(*(torch.from_numpy(np.ascontiguousarray(x)).double() for x in numbers))
 
 
-def _principal(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fit_labels(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return mean (108,) and directions σ_k u_k (K, 108) of labels (M, 108), the largest first."""
     orders = itertools.permutations(range(3))
     all_labels = np.concatenate(
@@ -94,7 +94,7 @@ def _principal(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, (spread[:count, None] / np.sqrt(len(all_labels))) * directions[:count]
 
 
-def _medoids(z: np.ndarray, count: int) -> np.ndarray:
+def _choose_medoids(z: np.ndarray, count: int) -> np.ndarray:
     """Return the materials (count, K) of z (M, K) that together are nearest to all others.
 
     They are chosen greedily, one by one.
@@ -108,7 +108,7 @@ def _medoids(z: np.ndarray, count: int) -> np.ndarray:
     return z[chosen]
 
 
-def _light(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _fit_lights(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and spread (J, 3) over harmonics and colour axes.
 
     Each map's log radiance is fitted by least squares, weighed by solid angle.
@@ -124,7 +124,7 @@ def _light(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         for L in maps
     ]
     result = np.stack([solve @ log for log in logs])  # (N, J, 3)
-    degree, order = _degrees()
+    degree, order = _degrees_and_orders()
     mean = np.where((order == 0)[:, None], result.mean(0), 0.0)
     squared = ((result - mean) ** 2).mean(0)
     return mean, np.sqrt(
@@ -132,7 +132,7 @@ def _light(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _degrees() -> np.ndarray:
+def _degrees_and_orders() -> np.ndarray:
     """Return degree and order of each harmonic, (2, J), in the order of `spherical_harmonics`."""
     each = [
         (degree, m)

@@ -22,7 +22,7 @@ FILE_OF = {
 }
 
 
-def make(
+def train_baseline(
     name: str,
     preset: str | Path | None,
     options: argparse.Namespace,
@@ -56,7 +56,7 @@ def make(
         return f"{target}: {materials}, {number_of(len(data_split.maps), 'light map')}"
     kind = SwapTraining if run.network == SwapTraining.network_name else loop.Training
     folder = options.out / name
-    with processes.only_writer(folder):
+    with processes.lock_run_folder(folder):
         figures = kind(run, data_splits, folder, workers=options.workers, device=device).train()
     write_bytes(target, (folder / "weights.safetensors").read_bytes())
     return f"{target}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items())

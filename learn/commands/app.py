@@ -170,7 +170,7 @@ def _repeat(arguments: argparse.Namespace) -> None:
         rule = f"{opened.count} regions, as the mask has"
         raise InputError(arguments.repeat, rule, f"{len(edit.regions)}", "give the page's regions")
     device = devices.choose(arguments.device)
-    network, metadata = checkpoint.load_parts(arguments.weights, device)
+    network, metadata = checkpoint.load_full_network(arguments.weights, device)
     settings = None if arguments.refine is False else PHOTOGRAPHS
     decomposed = decomposition.decompose(
         opened, network, metadata["size"], settings, shape=arguments.shape

@@ -120,5 +120,5 @@ def run(arguments: argparse.Namespace) -> None:
     device = arguments.device if arguments.ray is None else "cpu"
     given["device"] = str(devices.choose(device))
     given["processes"] = arguments.processes or subprocesses.processors()
-    print(report.line(run.make(run.Options(**given))))
+    print(report.summary_line(run.evaluate(run.Options(**given))))
     print(f"See {arguments.out / 'index.html'}")

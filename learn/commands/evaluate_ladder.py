@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> None:
         )
     options.require_cpu(arguments)
     device = arguments.device if arguments.ray is None else "cpu"
-    report = ladder.make(
+    report = ladder.evaluate(
         ladder.Options(
             data=arguments.data,
             weights=arguments.weights,

@@ -75,9 +75,9 @@ def run(arguments: argparse.Namespace) -> None:
     data_splits = sources.load_data_splits(
         settings.data, arguments.data, arguments.lights, pictures=arguments.pictures
     )
-    seen = overlap.sentences(
+    seen = overlap.report_overlap(
         [arguments.weights, *arguments.other_seeds],
-        overlap.of_split(data_splits["test"]),
+        overlap.shown_by_split(data_splits["test"]),
         arguments.data,
         arguments.allow_overlap,
     )
@@ -90,17 +90,17 @@ def run(arguments: argparse.Namespace) -> None:
             arguments.lights,
             arguments.pictures,
         )
-    figures = model_card.make(
+    figures = model_card.write_card(
         arguments.weights,
         data_splits,
         arguments.out,
         arguments.batches,
-        arguments.note,
-        arguments.other_seeds,
-        device,
-        seen,
-        arguments.printed,
-        cluster,
+        note=arguments.note,
+        other_seeds=arguments.other_seeds,
+        device=device,
+        seen=seen,
+        printed=arguments.printed,
+        cluster=cluster,
     )
     for kind, of_kind in figures.items():
         print(f"{kind}: " + ", ".join(f"{name} {value[0]:.4g}" for name, value in of_kind.items()))

@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from learn.networks import own_weights
+from learn.networks import built_in_weights
 from manifests.option_types import MATERIALS, positive, whole
 from manifests.training_runs import LAYER_METHODS
 
@@ -15,8 +15,8 @@ ParserOrGroup = argparse.ArgumentParser | argparse._ArgumentGroup
 
 # what learn.data.devices.choose takes; to import that would load torch
 DEVICES = ("auto", "cpu", "cuda")
-WEIGHTS_FOLDER = own_weights.FOLDER
-EDITING_WEIGHTS = own_weights.EDITING
+WEIGHTS_FOLDER = built_in_weights.FOLDER
+EDITING_WEIGHTS = built_in_weights.EDITING
 TABLE_WEIGHTS = WEIGHTS_FOLDER / "joint-compact.safetensors"  # of the published figures
 DATA = "a data set that `python -m factory render` wrote"
 

@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> None:
         remedy = "leave --pictures out, or change data.source in the run"
         raise InputError("--pictures", rule, '"relit", which uses no pictures', remedy)
     torch.set_num_threads(arguments.threads)
-    with processes.only_writer(arguments.out):
+    with processes.lock_run_folder(arguments.out):
         data_splits = sources.load_data_splits(
             chosen.data,
             arguments.data,
@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> None:
         known = training.step == begun and (arguments.out / "made.json").exists()
         # only the first process has a journal; a run that was complete already keeps its made.json
         if training.journal is not None and not known:
-            training.journal.made(
+            training.journal.write_made(
                 provenance(),
                 {side: data_split.sizes() for side, data_split in data_splits.items()},
                 len(left_out),

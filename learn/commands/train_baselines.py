@@ -71,4 +71,4 @@ def run(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(arguments.threads)
     for name in arguments.only:
         preset = None if name == "lombardi" else RUNS / f"{PRESETS[name]}.json"
-        print(training.make(name, preset, arguments, device))
+        print(training.train_baseline(name, preset, arguments, device))

@@ -27,7 +27,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from learn.data.framing import ESTIMATED, resolve_exposure
+from learn.data.framing import GUESSABLE_LUMINANCE, resolve_exposure
 from learn.data.photographs import NEAR_WHITE
 from shaders import tone
 from shaders.tone import LUMINANCE
@@ -84,9 +84,9 @@ def take_photograph(
     radiance = tone.linear_from_srgb(stored / 255.0)
     brightness = float((radiance[mask] @ LUMINANCE).mean())
     # an object darker than the reader accepts is shown as the darkest that it does
-    radiance = radiance * max(1.0, 1.001 * ESTIMATED[0] / max(brightness, 1e-12))
+    radiance = radiance * max(1.0, 1.001 * GUESSABLE_LUMINANCE[0] / max(brightness, 1e-12))
     if brightness <= 0:
-        radiance = np.where(mask[..., None], 2 * ESTIMATED[0], radiance)
+        radiance = np.where(mask[..., None], 2 * GUESSABLE_LUMINANCE[0], radiance)
     exposure = resolve_exposure(radiance, mask, None, "a picture of training")
     clipped = (stored >= NEAR_WHITE) & mask[..., None]
     return (radiance * exposure).astype(np.float32), Clipping(

@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 class DataSplit:
     """The shapes, materials and lights of one side of the split: train, validation or test.
 
-    views     indices into geometry; labels: {name: (108,) float32}; maps: [(64, 128, 3)]
-    rendered_split   this side's pictures by Cycles, or None
-    skipped   {name: what is wrong} of materials that were left out
-    copies    hashes (learn.data.seen) of further copies of these maps, which were left out
-    map_names of the maps; () where they have none
+    geometry        of the whole data set
+    views           (V,) indices into geometry
+    labels          {name: (108,) float32} of the side's materials
+    maps            [(64, 128, 3)] light maps of unit mean luminance, light frame
+    side            "train", "validation" or "test"
+    rendered_split  this side's pictures by Cycles, or None
+    skipped         {name: what is wrong} of materials that were left out, on all sides
+    copies          hashes (learn.data.seen) of further copies of these maps, which were left out
+    map_names       of the maps; () where they have none
     """
 
     geometry: Geometry

@@ -1,8 +1,8 @@
 """Crops a picture to a square around its object, at the size that networks take, and exposes it.
 
-An object whose brightness does not allow its exposure to be estimated (ESTIMATED), or that networks
-never see so dark or so bright (SEEN), is refused. Objects of one colour and fully clipped ones are
-accepted.
+An object is refused if its brightness does not allow its exposure to be guessed
+(GUESSABLE_LUMINANCE), or if networks never see one so dark or so bright (EXPOSED_LUMINANCE).
+Objects of one colour and fully clipped ones are accepted.
 """
 
 from dataclasses import dataclass
@@ -25,13 +25,13 @@ MARGIN = 1.18
 # as a line fitted to them, and either is wrong by more than a factor of 2.5 for a third of them.
 # `python -m learn.experiments exposure` measures this (docs/editing-measurements.md).
 TYPICAL, DEPENDENCE = 0.23, 0.19
-# Mean luminance of an object whose exposure is estimated: below it 8 bits have three steps, above
+# Mean luminance of an object whose exposure is guessed: below it 8 bits have three steps, above
 # it a file is in units of its own.
-ESTIMATED = (1e-3, 1e3)
+GUESSABLE_LUMINANCE = (1e-3, 1e3)
 # Mean luminance of an object times its exposure. Under light of unit mean the catalogue's materials
 # on a sphere have 2.3e-4 (lit by a sun from behind) to 1.8; a mirror that faces the sun may have
 # far more, but not over a whole object.
-SEEN = (1e-4, 1e2)
+EXPOSED_LUMINANCE = (1e-4, 1e2)
 Box = tuple[int, int, int]  # top, left, side
 
 
@@ -69,8 +69,8 @@ def resolve_exposure(
     Y = float((radiance[mask] @ LUMINANCE).mean())
     shown = f"{Y:.3g}" + ", black or negative" * (Y == 0)
     if exposure is None:
-        if not ESTIMATED[0] <= Y <= ESTIMATED[1]:
-            rule = "an object of mean luminance {:g} to {:g}".format(*ESTIMATED)
+        if not GUESSABLE_LUMINANCE[0] <= Y <= GUESSABLE_LUMINANCE[1]:
+            rule = "an object of mean luminance {:g} to {:g}".format(*GUESSABLE_LUMINANCE)
             raise InputError(
                 where,
                 rule,
@@ -78,8 +78,10 @@ def resolve_exposure(
                 "scale the file so that white is 1, or give --exposure",
             )
         return TYPICAL * Y**-DEPENDENCE
-    if not SEEN[0] <= exposure * Y <= SEEN[1]:
-        rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(*SEEN)
+    if not EXPOSED_LUMINANCE[0] <= exposure * Y <= EXPOSED_LUMINANCE[1]:
+        rule = "an object whose mean luminance times the exposure is {:g} to {:g}".format(
+            *EXPOSED_LUMINANCE
+        )
         raise InputError(
             where, rule, f"{shown} times {exposure:g}", "give another --exposure, or leave it out"
         )

@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from learn.data.geometry_cache import GeometryCache, Rows
 from learn.data.records import Records
@@ -48,14 +49,13 @@ class Geometry:
     Networks and layer assume a distant viewer. Normals of a view in perspective are therefore
     turned, at each pixel, by the smallest rotation that takes the direction to the viewer to +z.
 
-    elevation       of the one camera, radians; of several, the preset one, for then the light is
-                    given in the frame that lies below the camera by that angle
-    several         whether there are several cameras, or one with perspective or roll
-    skip_bad  whether damaged geometry is left out and listed in `skipped`, {hash: what is wrong};
-              otherwise the first damaged file raises
-    depth     whether `depth` is needed too
-    Raises    InputError: no data set, nothing rendered, pictures of several sizes; damaged geometry
-              when it is packed
+    folder               the folder of the data set, as a path
+    size                 height and width of the pictures
+    has_several_cameras  whether there are several cameras, or one with perspective or roll
+    elevation            of the one camera, radians; of several, the preset one, for then the light
+                         is given in the frame that lies below the camera by that angle
+    views, cameras       [PackedView] and [Camera] of all views, in the same order
+    skipped              {hash: what is wrong} of damaged geometry that was left out
     """
 
     def __init__(
@@ -65,39 +65,30 @@ class Geometry:
         skip_bad: bool = False,
         depth: bool = False,
     ):
+        """Open a data set's geometry, and pack it where this was not done before.
+
+        progress  whether to show a progress bar
+        skip_bad  whether damaged geometry is left out; otherwise the first damaged file raises
+        depth     whether `depth` is needed too
+        Raises    InputError: no data set, nothing rendered, pictures of several sizes; damaged
+                  geometry when it is packed
+        """
         records = Records(folder)
-        first: dict[str, Record | View] = {}
-        for record in chain(records.views(), records.records):
-            if record.coverage >= LEAST_COVERAGE:
-                first.setdefault(record.geometry_hash, record)
-        if not first:
-            raise InputError(
-                folder,
-                "views or records",
-                "none",
-                f"render some: python -m factory render geometry --out {folder}",
-            )
-        chosen = sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
-        cameras = {r.camera for r in chosen}
-        sizes = sorted({camera.size for camera in cameras})
-        if len(sizes) > 1:
-            raise InputError(
-                folder,
-                "pictures of one size",
-                f"{sizes}",
-                "render them with one size",
-            )
-        first_camera = chosen[0].camera
-        self.several = (
+        chosen = _choose_views(records, folder)
+        self.folder, self.size = records.folder, _common_size(chosen, folder)
+        cameras = {record.camera for record in chosen}
+        self.has_several_cameras = (
             len({(camera.fov_deg, camera.elevation_deg, camera.roll_deg) for camera in cameras}) > 1
-            or first_camera.fov_deg is not None
-            or first_camera.roll_deg != 0
+            or chosen[0].camera.fov_deg is not None
+            or chosen[0].camera.roll_deg != 0
         )
-        self.folder, self.size = records.folder, first_camera.size
-        elevation_deg = np.degrees(ELEVATION) if self.several else first_camera.elevation_deg
-        self.elevation = float(np.radians(elevation_deg))
+        self.elevation = (
+            float(ELEVATION)
+            if self.has_several_cameras
+            else float(np.radians(chosen[0].camera.elevation_deg))
+        )
         shapes = records.dataset.shapes
-        missing = sorted({r.shape for r in chosen} - set(shapes))
+        missing = sorted({record.shape for record in chosen} - set(shapes))
         if missing:
             raise InputError(
                 self.folder / "dataset.json",
@@ -105,33 +96,25 @@ class Geometry:
                 "none",
                 "copy the dataset again",
             )
-        cache = GeometryCache(self.folder, self.size, depth)
-        self.skipped = cache.skipped() if skip_bad else {}
-        arrays = cache.read(
-            [r.geometry_hash for r in chosen if r.geometry_hash not in self.skipped]
-        )
-        if arrays is None:
-            rows = partial(self._rows, records, chosen, progress, skip_bad, depth)
-            arrays = self._pack(cache, rows, len(chosen))
-        self._n, self._segments = arrays[:2]
-        self._depth = arrays[2] if depth else None
-        chosen = [r for r in chosen if r.geometry_hash not in self.skipped]
+        self.skipped: dict[str, str] = {}
+        self._read_or_pack(records, chosen, progress, skip_bad, depth)
+        chosen = [record for record in chosen if record.geometry_hash not in self.skipped]
         if not chosen:
             raise InputError(
                 folder, "geometry that can be used", "none", next(iter(self.skipped.values()))
             )
         self.views = [
             PackedView(
-                r.shape,
-                r.category,
-                r.viewpoint,
-                shapes[r.shape].side,
-                r.geometry_hash,
-                shapes[r.shape].hash,
+                record.shape,
+                record.category,
+                record.viewpoint,
+                shapes[record.shape].side,
+                record.geometry_hash,
+                shapes[record.shape].hash,
             )
-            for r in chosen
+            for record in chosen
         ]
-        self.cameras = [r.camera for r in chosen]
+        self.cameras = [record.camera for record in chosen]
 
     def __len__(self) -> int:
         return len(self.views)
@@ -155,6 +138,26 @@ class Geometry:
         if self._depth is None:
             raise ValueError("depth: expected geometry opened with depth=True, found none")
         return unpack_depth(self._depth[index])
+
+    def _read_or_pack(
+        self,
+        records: Records,
+        chosen: Sequence[Record | View],
+        progress: bool,
+        skip_bad: bool,
+        depth: bool,
+    ) -> None:
+        """Open the arrays of the chosen views; pack them first where the cache is not of them."""
+        cache = GeometryCache(self.folder, self.size, depth)
+        self.skipped = cache.skipped() if skip_bad else {}
+        arrays = cache.read(
+            [each.geometry_hash for each in chosen if each.geometry_hash not in self.skipped]
+        )
+        if arrays is None:
+            rows = partial(self._rows, records, chosen, progress, skip_bad, depth)
+            arrays = self._pack(cache, rows, len(chosen))
+        self._n, self._segments = arrays[:2]
+        self._depth = arrays[2] if depth else None
 
     def _pack(
         self, cache: GeometryCache, rows: Callable[[], Iterator[tuple[str, Rows]]], most: int
@@ -218,6 +221,50 @@ class Geometry:
         if record.camera.fov_deg is not None:
             normals = turned_to_viewer(normals, view_vectors_of(record.camera))
         return normals, depth, segments
+
+
+def _choose_views(records: Records, folder: str | Path) -> list[Record | View]:
+    """Return the first line of each view that shows enough of its shape, in a fixed order.
+
+    Raises InputError where there is none.
+    """
+    first: dict[str, Record | View] = {}
+    for record in chain(records.views(), records.records):
+        if record.coverage >= LEAST_COVERAGE:
+            first.setdefault(record.geometry_hash, record)
+    if not first:
+        raise InputError(
+            folder,
+            "views or records",
+            "none",
+            f"render some: python -m factory render geometry --out {folder}",
+        )
+    return sorted(first.values(), key=lambda r: (r.shape, r.viewpoint, r.geometry_hash))
+
+
+def _common_size(chosen: Sequence[Record | View], folder: str | Path) -> tuple[int, int]:
+    """Return the height and width of all views. Raises InputError where there are several sizes."""
+    sizes = sorted({record.camera.size for record in chosen})
+    if len(sizes) > 1:
+        raise InputError(folder, "pictures of one size", f"{sizes}", "render them with one size")
+    return sizes[0]
+
+
+def subsample(values: np.ndarray, size: int) -> np.ndarray:
+    """Return every n-th pixel of values (H, W, …), so that `size` rows are left.
+
+    Pixels are not averaged: a mean of normals is no surface's normal.
+    """
+    step = len(values) // size
+    return np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
+
+
+def fold_segments(segments: torch.Tensor, regions: int) -> torch.Tensor:
+    """Return the regions (…) 1 … `regions` of segments (…) 1 … S; 0 in the background.
+
+    Segments beyond `regions` begin again with the first.
+    """
+    return (segments - 1).clamp(min=0) % regions + (segments > 0)
 
 
 def view_vectors_of(camera: Camera) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The cache of a data set's geometry: arrays mapped into memory, five bytes per pixel.
 
-It is made on first use and made again when it is stale or damaged; a third array, of two bytes per
-pixel, is there where a run needs depth. V views, H, W picture:
+The cache is made on first use, and again when it is stale or damaged. Runs that need depth have a
+third array, of two more bytes per pixel. V views, H, W picture:
 
 packed/normals.npy   (V, H, W, 2) int16, n_x and n_y in units of 1/32767; n_z = √(1 − n_x² − n_y²),
                      for normals face the viewer. Packing turns a normal by .002° where it faces the

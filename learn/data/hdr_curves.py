@@ -1,7 +1,7 @@
 """Converts pictures in the curves of HDR screens, PQ and HLG (ITU-R BT.2100), to sRGB.
 
 Some phones and cameras store HEIC so. A file names its curve and its primary colours by numbers of
-ITU-T H.273: HEIC, AVIF and PNG in the header (learn.data.colour_numbers), other files in the tag
+ITU-T H.273: HEIC, AVIF and PNG in the header (learn.data.cicp), other files in the tag
 `cicp` of their profile (ICC.1:2022).
 
 White of sRGB is the white of paper in HDR pictures, 203 cd/m² (ITU-R BT.2408). What is brighter,
@@ -35,7 +35,8 @@ SRGB_FROM_P3 = np.array(
         [-0.0196376, -0.0786361, 1.0982735],
     ]
 )
-FROM = {BT709: np.eye(3), P3: SRGB_FROM_P3}  # others count as BT.2020, whose the curves are
+# {primary colours: matrix}; all others count as those of BT.2020, in which both curves are defined
+SRGB_FROM = {BT709: np.eye(3), P3: SRGB_FROM_P3}
 # of BT.2100's functions
 M1, M2, C1, C2, C3 = 2610 / 16384, 2523 / 32, 3424 / 4096, 2413 / 128, 2392 / 128
 A, B, C = 0.17883277, 0.28466892, 0.55991073
@@ -84,7 +85,7 @@ def to_srgb(picture: Image.Image, primaries: int, curve: int) -> Image.Image:
     """Return a Pillow image, RGB or RGBA, in sRGB from one in PQ or HLG."""
     signal = np.arange(256) / 255
     table = (pq_light(signal) if curve == PQ else hlg_scene(signal)).astype(np.float32)
-    matrix = FROM.get(primaries, SRGB_FROM_2020)
+    matrix = SRGB_FROM.get(primaries, SRGB_FROM_2020)
     # luminance of sRGB, which is that of the same colour in other primary colours
     weights = tone.LUMINANCE @ matrix
     values = np.array(picture)

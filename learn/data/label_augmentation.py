@@ -69,7 +69,7 @@ class LabelAugmentation:
         if kind < data.principled:
             i = int(rng.integers(data.principled_materials))
             result = principled_label(self.seed, i).reshape(SHAPE)[rng.permutation(3)]
-            return f"principled-{i}", self._within(result, 0.0)
+            return f"principled-{i}", self._make_valid(result, 0.0)
         kind -= data.principled
         if kind < data.label_mixtures:
             other = admitted[int(rng.integers(len(admitted)))]
@@ -77,11 +77,11 @@ class LabelAugmentation:
             second = self.labels[other].reshape(SHAPE)[rng.permutation(3)]
             mixed = (1 - share) * label.reshape(SHAPE) + share * second
             largest = max(_albedo(label), _albedo(second))
-            return f"mixture({name},{other})", self._within(mixed, largest)
+            return f"mixture({name},{other})", self._make_valid(mixed, largest)
         kind -= data.label_mixtures
         if kind < data.scaled_lobes:
             scaled = self._scale_lobes(rng, label.reshape(SHAPE))
-            return f"scaled({name})", self._within(scaled, _albedo(label))
+            return f"scaled({name})", self._make_valid(scaled, _albedo(label))
         return name, label
 
     def _scale_lobes(self, rng: np.random.Generator, label: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ class LabelAugmentation:
             result[:, :, 1] = label[:, :, 1]
         return result
 
-    def _within(self, label: np.ndarray, albedo: float) -> np.ndarray:
+    def _make_valid(self, label: np.ndarray, albedo: float) -> np.ndarray:
         """Return a label as it is rendered: clipped, in order, and no brighter than allowed.
 
         albedo  that is allowed, where it is more than LARGEST_ALBEDO

@@ -23,12 +23,12 @@ from manifests.schema import Record
 class EditPair:
     """An edit: two records of one scene.
 
-    several  whether the scene's pictures have a material for each segment
+    per_segment  whether the scene's pictures have a material for each segment
     """
 
     source: Record
     truth: Record
-    several: bool
+    per_segment: bool
 
     @property
     def id(self) -> str:
@@ -61,10 +61,12 @@ def edits_between(records: Iterable[Record]) -> dict[str, list[EditPair]]:
         scenes[scene_key(record)].setdefault(record.materials, record)
     edits = {}
     for group in scenes.values():
-        several = any(len(set(materials)) > 1 for materials in group)
+        per_segment = any(len(set(materials)) > 1 for materials in group)
         for source in group.values():
             edits[source.id] = [
-                EditPair(source, truth, several) for truth in group.values() if truth is not source
+                EditPair(source, truth, per_segment)
+                for truth in group.values()
+                if truth is not source
             ]
     return {id_: pairs for id_, pairs in edits.items() if pairs}
 
@@ -127,15 +129,15 @@ def _shuffle(seed: int, name: str) -> bytes:
 
 def make_source_batch(records: Records, edit: EditPair) -> ExampleBatch:
     """Return the batch of one that methods see of an edit's source, as of `make_batch`."""
-    return make_batch(records, edit.source, edit.several)
+    return make_batch(records, edit.source, edit.per_segment)
 
 
-def make_batch(records: Records, record: Record, several: bool = False) -> ExampleBatch:
+def make_batch(records: Records, record: Record, per_segment: bool = False) -> ExampleBatch:
     """Return the batch of one that methods see of a record.
 
-    several  whether it has one region per segment, as where a scene has several materials;
-             otherwise one in all
-    Raises   InputError for a perspective camera, since networks and edits assume a distant viewer
+    per_segment  whether it has one region per segment, as where a scene has several materials;
+                 otherwise one in all
+    Raises       InputError for a perspective camera: networks and edits assume a distant viewer
     """
     sample = records.load(record)
     if sample.view is not None:
@@ -146,8 +148,8 @@ def make_batch(records: Records, record: Record, several: bool = False) -> Examp
             "render without fov_deg",
         )
     mask = sample.mask.numpy()
-    segments = sample.segments if several else sample.mask.long()
-    label = sample.label[: None if several else 1].numpy()
+    segments = sample.segments if per_segment else sample.mask.long()
+    label = sample.label[: None if per_segment else 1].numpy()
     image = sample.image.numpy() * mask[..., None]
     name = f"{record.shape} view {record.viewpoint} {'+'.join(dict.fromkeys(record.materials))}"
     return collate(
@@ -157,5 +159,5 @@ def make_batch(records: Records, record: Record, several: bool = False) -> Examp
 
 def target_label(records: Records, edit: EditPair) -> torch.Tensor:
     """Return the label (S, 108) of an edit's target, one row per region of `make_source_batch`."""
-    names = edit.truth.materials if edit.several else edit.truth.materials[:1]
+    names = edit.truth.materials if edit.per_segment else edit.truth.materials[:1]
     return torch.from_numpy(np.stack([records.label(name) for name in names]))

@@ -12,9 +12,9 @@ paint  a matte cover: (1 − Σ W_j) I + Σ W_j ρ_j I_c, where I_c is the pictu
 Where no ink is the picture stays as it was, bit by bit. At least LEAST_BASE of the surface shows
 the base, because the base of a surface that ink covers altogether cannot be seen.
 
-Patterns follow the surface. Geometry stores normals without depth, so depth is integrated from them
-(`depth`) and the pattern is projected onto the points: along one direction, onto a cylinder, or
-onto the sides of a box, with seams. Steep sides are not exact, and need not be.
+Patterns follow the surface. Geometry may be stored without depth, so heights are integrated from
+normals (`integrate_slopes`), and the pattern is projected onto the points: along one direction,
+onto a cylinder, or onto the sides of a box, with seams. Steep sides are not exact, and need not be.
 
 points (H, W, 3), in units of the object's size; uv (H, W, 2) coordinates of the pattern; d a field
 (H, W) that is positive on the ink
@@ -32,7 +32,7 @@ from learn.layer.albedo import log_albedo
 from shaders.dsbrdf import SHAPE
 
 LEAST_BASE = 0.35
-STEEPEST = 3.0  # slope of the depth that is integrated
+STEEPEST = 3.0  # slope that is integrated
 DARKEST, NARROWEST = 0.04, 3.0  # albedo and γ of a widest lobe that can be dyed
 NO_LOBE = -12.0  # log κ of a lobe that is left out
 PARTIAL = 0.35  # share of patterns that end at a line across the object
@@ -47,35 +47,35 @@ def add_prints(
     n: torch.Tensor,
     segments: torch.Tensor,
     label: np.ndarray,
-    pictures: Callable[[np.ndarray], np.ndarray],
+    render: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Return pictures (B, H, W, 3) of objects that carry prints, each its own.
 
     images    (B, H, W, 3) of the base material; n (B, H, W, 3); segments (B, H, W)
     label     (S, 108) of the base
-    pictures  label (S, 108) → images (B, H, W, 3) of the same objects under the same light
+    render    label (S, 108) → images (B, H, W, 3) of the same objects under the same light
     """
     base, widest = albedos(label)
     is_paint = not all(map(_can_be_dyed, label, widest)) or rng.random() < PAINT
-    carried = pictures(np.stack([_white() if is_paint else widest_lobe(m) for m in label]))
+    printed = render(np.stack([_white_label() if is_paint else widest_lobe(m) for m in label]))
     points = surface_points(n, segments)
     result = np.empty_like(images)
     for i, image in enumerate(images):
         inside, normals = segments[i].numpy(), n[i].numpy()
         region = int(rng.integers(len(label)))
-        weights = cover(rng, points[i], normals, inside > 0)
+        weights = draw_pattern(rng, points[i], normals, inside > 0)
         if len(label) > 1 and rng.random() < 0.5:
             weights = weights * (inside == region + 1)
-        inks = [_ink(rng, base[region]) for _ in weights]
+        inks = [_draw_ink(rng, base[region]) for _ in weights]
         change = np.zeros_like(image)
         for weight, ink in zip(weights, inks, strict=True):
             if is_paint:
-                change += weight[..., None] * (ink * carried[i] - image)
+                change += weight[..., None] * (ink * printed[i] - image)
             else:
                 # what the other lobes reflect is not left for the dye
                 rho = np.minimum(ink, np.maximum(0.95 - (base - widest), 0.02))
                 factor = np.concatenate([np.ones((1, 3)), rho / widest]).astype(np.float32)
-                change += weight[..., None] * (factor[inside] - 1) * carried[i]
+                change += weight[..., None] * (factor[inside] - 1) * printed[i]
         result[i] = np.maximum(image + change, 0)
     return result
 
@@ -104,7 +104,7 @@ def _can_be_dyed(label: np.ndarray, widest: np.ndarray) -> bool:
     return bool(widest.max() >= DARKEST and gamma <= NARROWEST)
 
 
-def _white() -> np.ndarray:
+def _white_label() -> np.ndarray:
     """Return the label (108,) of a white matte surface: f = 1/π."""
     result = np.zeros(SHAPE, np.float32)
     result[:, :, 0], result[:, 0, 1] = NO_LOBE, -4.0
@@ -112,7 +112,7 @@ def _white() -> np.ndarray:
     return result.reshape(-1)
 
 
-def _ink(rng: np.random.Generator, base: np.ndarray) -> np.ndarray:
+def _draw_ink(rng: np.random.Generator, base: np.ndarray) -> np.ndarray:
     """Return an ink's albedo (3,): of two random ones, that which differs more from the base."""
     inks = []
     for _ in range(2):
@@ -124,8 +124,10 @@ def _ink(rng: np.random.Generator, base: np.ndarray) -> np.ndarray:
     return colors[int(difference.argmax())]
 
 
-def depth(n: torch.Tensor) -> torch.Tensor:
-    """Return depth (B, H, W) towards the viewer, in units of half the frame's width.
+def integrate_slopes(n: torch.Tensor) -> torch.Tensor:
+    """Return height (B, H, W) towards the viewer, in units of half the frame's width.
+
+    Its sign is the opposite of depth's elsewhere, and its mean is 0.
 
     It is the least-squares integral of the slopes that normals (B, H, W, 3) have (Frankot and
     Chellappa 1988), with slopes of at most STEEPEST and none in the background.
@@ -150,7 +152,7 @@ def surface_points(n: torch.Tensor, segments: torch.Tensor) -> np.ndarray:
     is the camera's; what is in the background means nothing.
     """
     B, H, W = segments.shape
-    z = depth(n).numpy()
+    z = integrate_slopes(n).numpy()
     x = (2 * np.arange(W, dtype=np.float32) + 1) / W - 1
     y = (H - 2 * np.arange(H, dtype=np.float32) - 1) / W
     grid = np.broadcast_to(np.stack(np.meshgrid(x, y), -1), (B, H, W, 2))
@@ -162,7 +164,9 @@ def surface_points(n: torch.Tensor, segments: torch.Tensor) -> np.ndarray:
     return points
 
 
-def cover(rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.ndarray) -> Weights:
+def draw_pattern(
+    rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.ndarray
+) -> Weights:
     """Return the weights (K, H, W) of a random pattern's K inks; they add up to at most 1.
 
     points, n  (H, W, 3); mask (H, W): the object
@@ -179,7 +183,7 @@ def cover(rng: np.random.Generator, points: np.ndarray, n: np.ndarray, mask: np.
     if base[mask].mean() < max(LEAST_BASE, shares.max()):
         weights[shares.argmax()] = base  # the base takes the place of the commonest ink
     if pattern is not logo and rng.random() < PARTIAL:
-        weights *= _end(rng, uv, mask)
+        weights *= _cut_at_line(rng, uv, mask)
     weights = np.clip(weights, 0, 1) * mask
     return weights * min(1.0, (1 - LEAST_BASE) / max(float(weights[:, mask].sum(0).mean()), 1e-6))
 
@@ -199,25 +203,25 @@ def _project(rng: np.random.Generator, points: np.ndarray, n: np.ndarray) -> np.
     )
 
 
-def _edge(d: np.ndarray) -> np.ndarray:
+def _antialias(d: np.ndarray) -> np.ndarray:
     """Return the share of each pixel where d > 0, from d and its differences between pixels."""
     step = np.abs(np.diff(d, axis=0, append=d[-1:])) + np.abs(np.diff(d, axis=1, append=d[:, -1:]))
     return np.clip(0.5 + d / np.maximum(step, 1e-4), 0, 1)
 
 
-def _distance(t: np.ndarray) -> np.ndarray:
+def _distance_to_integer(t: np.ndarray) -> np.ndarray:
     """Return the distance of t from the nearest whole number."""
     return np.abs(t - np.rint(t))
 
 
-def _end(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _cut_at_line(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the part (H, W) of the object on one side of a line."""
     angle = rng.uniform(0, 2 * np.pi)
     t = uv @ np.array([np.cos(angle), np.sin(angle)], np.float32)
-    return _edge(t - np.quantile(t[mask], rng.uniform(0.25, 0.65)))
+    return _antialias(t - np.quantile(t[mask], rng.uniform(0.25, 0.65)))
 
 
-def _place(rng: np.random.Generator, uv: np.ndarray, low: float, high: float) -> np.ndarray:
+def _to_periods(rng: np.random.Generator, uv: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return uv in periods, turned and shifted; low to high periods in a unit of length."""
     angle, frequency = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(np.log(low), np.log(high)))
     c, s = frequency * np.cos(angle), frequency * np.sin(angle)
@@ -243,8 +247,8 @@ def _noise(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     return _sample(first, t) + 0.5 * _sample(second, 2 * t)
 
 
-def _above(upper: np.ndarray, *lower: np.ndarray) -> list[np.ndarray]:
-    """Return weights of layers of which each hides those after it."""
+def _stack_layers(upper: np.ndarray, *lower: np.ndarray) -> list[np.ndarray]:
+    """Return the weights (H, W) of layers, of which each hides those after it."""
     layers, free = [upper], 1 - upper
     for layer in lower:
         layers.append(layer * free)
@@ -254,26 +258,29 @@ def _above(upper: np.ndarray, *lower: np.ndarray) -> list[np.ndarray]:
 
 def stripes(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return one broad stripe in a period, and at times a narrow one beside it."""
-    t = _place(rng, uv, 1, 5)[..., 0]
-    layers = [_edge(rng.uniform(0.1, 0.3) - _distance(t))]
+    t = _to_periods(rng, uv, 1, 5)[..., 0]
+    layers = [_antialias(rng.uniform(0.1, 0.3) - _distance_to_integer(t))]
     if rng.random() < 0.5:
-        layers.append(_edge(rng.uniform(0.05, 0.12) - _distance(t + 0.5)))
-    return _above(*layers)
+        layers.append(_antialias(rng.uniform(0.05, 0.12) - _distance_to_integer(t + 0.5)))
+    return _stack_layers(*layers)
 
 
 def checks(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return the dark squares of a chessboard."""
-    t = _place(rng, uv, 0.7, 3)
-    a, b = (_edge(0.25 - _distance(t[..., i])) for i in range(2))
+    t = _to_periods(rng, uv, 0.7, 3)
+    a, b = (_antialias(0.25 - _distance_to_integer(t[..., i])) for i in range(2))
     return [a + b - 2 * a * b]
 
 
 def plaid(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return woven bands: threads of two directions each show in half of the cloth."""
-    t = _place(rng, uv, 0.7, 3)
+    t = _to_periods(rng, uv, 0.7, 3)
     broad, narrow, place = rng.uniform(0.12, 0.3), rng.uniform(0.03, 0.08), rng.uniform(0.3, 0.5)
     bands, lines = (
-        (_edge(width - _distance(t[..., 0] + shift)) + _edge(width - _distance(t[..., 1] + shift)))
+        (
+            _antialias(width - _distance_to_integer(t[..., 0] + shift))
+            + _antialias(width - _distance_to_integer(t[..., 1] + shift))
+        )
         / 2
         for width, shift in ((broad, 0.0), (narrow, place))
     )
@@ -282,11 +289,11 @@ def plaid(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np
 
 def dots(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return discs on a square or a staggered grid, of one ink or of two in turn."""
-    t = _place(rng, uv, 1, 4)
+    t = _to_periods(rng, uv, 1, 4)
     row = np.rint(t[..., 1])
     t = t + np.stack([rng.integers(2) * 0.5 * row, 0 * row], -1)
-    radius = np.hypot(_distance(t[..., 0]), _distance(t[..., 1]))
-    inside = _edge(rng.uniform(0.2, 0.42) - radius)
+    radius = np.hypot(_distance_to_integer(t[..., 0]), _distance_to_integer(t[..., 1]))
+    inside = _antialias(rng.uniform(0.2, 0.42) - radius)
     if rng.random() < 0.5:
         return [inside]
     second = (np.rint(t[..., 0]) + row) % 2
@@ -295,24 +302,24 @@ def dots(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.
 
 def camouflage(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return two or three layers of patches with smooth, irregular edges."""
-    t = _place(rng, uv, 0.8, 3)
+    t = _to_periods(rng, uv, 0.8, 3)
     layers = []
     for _ in range(int(rng.integers(2, 4))):
         noise = _noise(rng, t)
-        layers.append(_edge(noise - np.quantile(noise[mask], rng.uniform(0.6, 0.85))))
-    return _above(*layers)
+        layers.append(_antialias(noise - np.quantile(noise[mask], rng.uniform(0.6, 0.85))))
+    return _stack_layers(*layers)
 
 
 def glyphs(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return rows of shapes like letters, each on five by five texels."""
     cells = np.zeros((8, 7, 8, 7), np.float32)
     cells[:, 1:6, :, 1:6] = rng.random((8, 5, 8, 5)) < 0.55
-    return [_edge(_sample(cells.reshape(56, 56), 7 * _place(rng, uv, 0.5, 2)) - 0.5)]
+    return [_antialias(_sample(cells.reshape(56, 56), 7 * _to_periods(rng, uv, 0.5, 2)) - 0.5)]
 
 
 def gradient(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
     """Return a smooth change from the base to an ink across the object, or to another ink."""
-    t = _place(rng, uv, 0.5, 1)[..., 0]
+    t = _to_periods(rng, uv, 0.5, 1)[..., 0]
     low, middle, high = np.quantile(t[mask], (0.05, rng.uniform(0.3, 0.7), 0.95))
     layers = [np.clip((t - middle) / (high - middle + 1e-6), 0, 1)]
     if rng.random() < 0.4:
@@ -325,16 +332,16 @@ def logo(rng: np.random.Generator, uv: np.ndarray, mask: np.ndarray) -> list[np.
     rows, columns = np.nonzero(mask)
     at = int(rng.integers(len(rows)))
     t = (uv - uv[rows[at], columns[at]]) / rng.uniform(0.25, 0.6)
-    t = np.abs(_place(rng, t, 1, 1.01) - 0.5)
+    t = np.abs(_to_periods(rng, t, 1, 1.01) - 0.5)
     power = (1.0, 2.0, 6.0)[int(rng.integers(3))]
     radius = ((t**power).sum(-1)) ** (1 / power)
-    patch = _edge(1 - radius)
+    patch = _antialias(1 - radius)
     if rng.random() < 0.5:
-        mark = _edge(rng.uniform(0.1, 0.2) - np.abs(radius - rng.uniform(0.4, 0.7)))
+        mark = _antialias(rng.uniform(0.1, 0.2) - np.abs(radius - rng.uniform(0.4, 0.7)))
     else:
         texels = np.zeros((7, 7), np.float32)
         texels[1:6, 1:6] = rng.random((5, 5)) < 0.5
-        mark = _edge(_sample(texels, 4 * (uv - uv[rows[at], columns[at]]) + 3) - 0.5)
+        mark = _antialias(_sample(texels, 4 * (uv - uv[rows[at], columns[at]]) + 3) - 0.5)
     return [patch * (1 - mark), patch * mark]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn.data.picture_decoding import decode, decode_labels, reduction_of
+from learn.data.picture_decoding import decode, decode_labels, describe_file_reduction
 from manifests import exr, notices
 from manifests.arrays import PICTURE_CHANNELS
 from manifests.errors import InputError
@@ -43,12 +43,12 @@ def find_saturated(radiance: np.ndarray) -> np.ndarray:
 
 
 def read(path: str | Path, mask_path: str | Path | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return radiance (H, W, 3) and mask (H, W) bool. Raises as `read_soft`."""
-    radiance, coverage, _ = read_soft(path, mask_path)
+    """Return radiance (H, W, 3) and mask (H, W) bool. Raises as `read_with_coverage`."""
+    radiance, coverage, _ = read_with_coverage(path, mask_path)
     return radiance, coverage >= 0.5
 
 
-def read_soft(
+def read_with_coverage(
     path: str | Path,
     mask_path: str | Path | None = None,
     regions: str | Path | None = None,
@@ -66,7 +66,7 @@ def read_soft(
     """
     path = Path(path)
     radiance, alpha = read_pixels(path)
-    if line := reduction(path, radiance.shape[:2]):
+    if line := describe_reduction(path, radiance.shape[:2]):
         notices.notice(f"{path}: {line}")
     if mask_path is not None:
         coverage = read_mask(mask_path, radiance.shape[:2])
@@ -80,12 +80,14 @@ def read_soft(
     return radiance, coverage, alpha
 
 
-def reduction(path: Path, size: tuple[int, ...]) -> str | None:
+def describe_reduction(path: Path, size: tuple[int, ...]) -> str | None:
     """Return a sentence that says that a file was made smaller to the size (H, W), else None.
+
+    An EXR never is.
 
     Raises InputError.
     """
-    return None if holds_radiance(path) else reduction_of(path, size)
+    return None if holds_radiance(path) else describe_file_reduction(path, size)
 
 
 def require_object(where: str | Path, coverage: np.ndarray) -> None:

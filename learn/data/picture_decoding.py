@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, JpegImagePlugin, UnidentifiedImageError
 
-from learn.data import colour_numbers, colour_profiles, heic
+from learn.data import cicp, colour_profiles, heic
 from learn.data.file_kinds import HEAD, is_heic, kind_of
 from manifests.errors import InputError
 from manifests.inputs import require_file
@@ -83,7 +83,7 @@ def decode(path: str | Path, values_of: Callable[[Image.Image], np.ndarray]) -> 
         converted = colour_profiles.to_srgb(reduce_size(opened, Image.Resampling.BOX))
         return values_of(_upright(converted, opened))
 
-    return _opened(path, values)
+    return _apply_to_image(path, values)
 
 
 def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
@@ -95,20 +95,20 @@ def decode_labels(path: str | Path, values_of: Callable[[Image.Image], np.ndarra
     def values(opened: Image.Image) -> np.ndarray:
         return values_of(_upright(reduce_size(opened, Image.Resampling.NEAREST), opened))
 
-    return _opened(path, values, is_mixed=False)
+    return _apply_to_image(path, values, is_mixed=False)
 
 
-def reduction_of(path: str | Path, size: tuple[int, ...]) -> str | None:
+def describe_file_reduction(path: str | Path, size: tuple[int, ...]) -> str | None:
     """Return a sentence that says that a file was made smaller when it was read, else None.
 
-    size    (H, W) that it has now
+    size    (H, W) of what was read
     Raises  InputError
     """
 
     def sentence(opened: Image.Image) -> str | None:
         return describe_reduction(opened.size, size)
 
-    return _opened(path, sentence)
+    return _apply_to_image(path, sentence)
 
 
 def divisor_of(path: str | Path) -> int:
@@ -116,7 +116,7 @@ def divisor_of(path: str | Path) -> int:
 
     Raises InputError.
     """
-    return int(_opened(path, lambda opened: _divisor(opened.size)))
+    return int(_apply_to_image(path, lambda opened: _divisor(opened.size)))
 
 
 def describe_reduction(full: tuple[int, int], size: tuple[int, ...]) -> str | None:
@@ -136,8 +136,8 @@ def describe_reduction(full: tuple[int, int], size: tuple[int, ...]) -> str | No
     )
 
 
-def _opened(path, function, is_mixed=True):
-    """What a function returns for the Pillow image of a file, of which only the header was read.
+def _apply_to_image(path, function, is_mixed=True):
+    """Return what a function returns for a file's Pillow image, of which only the header was read.
 
     is_mixed  whether pixels are mixed if the picture is made smaller
     """
@@ -163,8 +163,9 @@ def _opened(path, function, is_mixed=True):
 
 
 def _open(path):
-    """The Pillow image of a file, of which only the header is read; of an animation, the first
-    frame.
+    """Return the Pillow image of a file, of which only the header is read.
+
+    Of an animation it is the first frame.
     """
     with open(path, "rb") as file:
         head = file.read(HEAD)
@@ -185,7 +186,7 @@ def _open(path):
     opened.seek(0)
     if opened.format in ("PNG", "AVIF"):
         with open(path, "rb") as file:
-            opened.info["nclx_profile"] = colour_numbers.read_numbers(file)
+            opened.info["nclx_profile"] = cicp.read_cicp(file)
     return opened
 
 
@@ -197,8 +198,9 @@ def formats() -> list[str]:
 
 
 def _require_readable(path, picture, is_mixed=True):
-    """Raises InputError for a Pillow image, of which only the header was read, that is too large or
-    holds no display values.
+    """Raise InputError for a Pillow image that is too large or holds no display values.
+
+    Only its header was read.
     """
     tags = getattr(picture, "tag_v2", {})  # of a TIFF, whose decoder takes memory for a whole tile
     most_pixels = _most_pixels(picture, is_mixed)
@@ -220,7 +222,7 @@ def _require_readable(path, picture, is_mixed=True):
 
 
 def _most_pixels(picture, is_mixed):
-    """How many pixels a Pillow image may have, by what decoding it takes."""
+    """Return how many pixels a Pillow image may have, by the memory that decoding takes."""
     each = PIXEL_BYTES.get(picture.mode, OTHER_PIXEL_BYTES)
     if picture.format in ("JPEG", "MPO"):
         if not _has_several_passes(picture):
@@ -235,8 +237,10 @@ def _most_pixels(picture, is_mixed):
 
 
 def _has_several_passes(picture):
-    """Whether the decoder of a JPEG, of which only the header was read, keeps all coefficients: of
-    a progressive one, and of one whose first pass has not all channels.
+    """Return whether the decoder of a JPEG keeps all coefficients in memory.
+
+    It does so for a progressive JPEG, and for one whose first pass has not all channels. Only the
+    header was read.
     """
     if picture.info.get("progressive"):
         return True
@@ -252,12 +256,12 @@ def _has_several_passes(picture):
 
 
 def _segment(file):
-    """The marker of a JPEG's segment, and the number of its bytes without it."""
+    """Read the marker of a JPEG's segment, and the number of its bytes without the marker."""
     return file.read(2), int.from_bytes(file.read(2), "big")
 
 
 def _divisor(size):
-    """The smallest whole number by which both sides are divided for MOST_PIXELS."""
+    """Return the smallest whole number that, dividing both sides, leaves MOST_PIXELS at most."""
     divisor = max(1, math.isqrt(math.prod(size) // MOST_PIXELS))
     while math.prod(_quotients(size, divisor)) > MOST_PIXELS:
         divisor += 1
@@ -292,8 +296,9 @@ def reduce_size(picture: Image.Image, resampling: Image.Resampling) -> Image.Ima
 
 
 def _upright(picture, opened):
-    """A picture turned upright by the orientation of the opened file; it stays as it is if the
-    orientation cannot be read.
+    """Return a picture turned upright by the orientation of the opened file.
+
+    It stays as it is if the orientation cannot be read.
     """
     try:
         orientation = opened.getexif().get(ExifTags.Base.Orientation)

@@ -8,7 +8,7 @@ material and a light, and therefore a reflectance map.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from learn.data import augmentation, deformations, lights, patterns, shadows
 from learn.data.batch import ExampleBatch, collate
 from learn.data.data_split import DataSplit, gloss
 from learn.data.devices import to_numpy
+from learn.data.geometry import fold_segments, subsample
 from learn.data.label_augmentation import LabelAugmentation
 from learn.data.settings import Data
 from learn.layer import render
@@ -26,8 +27,27 @@ from manifests.errors import InputError, closest
 SIDES = {"train": 0, "validation": 1, "test": 2}
 # of a SeedSequence's key, after side, batch and group: draws of their own, so that pictures without
 # them are the same in a run that has them
-LABELS, PATTERNS, DEFORMATIONS = 1, 2, 3
+LABELS, PATTERNS, DEFORMATIONS, SHADOWS = 1, 2, 3, 4
 BRIGHTEST = 6e4  # half floats end there, and so do pictures from files
+
+
+class _Scene(NamedTuple):
+    """What the B pictures of a group show: B views in one material under one light.
+
+    views     (B,) indices into the geometry
+    n         (B, H, W, 3) normals
+    segments  (B, H, W) 1 … S, 0 in the background
+    depths    {place in the group: (H, W)} of views that were deformed, where the run needs depth
+    label     (S, 108)
+    light     (64, 128, 3)
+    """
+
+    views: np.ndarray
+    n: torch.Tensor
+    segments: torch.Tensor
+    depths: dict[int, np.ndarray]
+    label: np.ndarray
+    light: np.ndarray
 
 
 class RelitDataset:
@@ -49,10 +69,10 @@ class RelitDataset:
         part: tuple[int, int] = (0, 1),
         printed: float | None = None,
     ):
-        is_training = data_split.side == "train"
-        self.printed = data.patterns * is_training if printed is None else printed
+        self.is_training = data_split.side == "train"
+        self.printed = data.patterns * self.is_training if printed is None else printed
         self.augmentation = None
-        if is_training and data.label_mixtures + data.scaled_lobes + data.principled > 0:
+        if self.is_training and data.label_mixtures + data.scaled_lobes + data.principled > 0:
             self.augmentation = LabelAugmentation(data_split.labels, data, seed)
         self.data_split, self.data, self.size, self.seed = data_split, data, size, seed
         if any(side % size for side in data_split.geometry.size):
@@ -76,7 +96,7 @@ class RelitDataset:
             len(range(g * data.sharing, min((g + 1) * data.sharing, batch))) for g in range(groups)
         ]
         self.probabilities = (
-            self._probabilities() if is_training and data.category_weights else None
+            self._probabilities() if self.is_training and data.category_weights else None
         )
         self.names = sorted(data_split.labels)
         if data.gloss_curriculum:
@@ -92,66 +112,60 @@ class RelitDataset:
     def _group(self, k: int, g: int) -> list[tuple]:
         """Return the examples of group g of batch k, which share a material and a light."""
         rng = self._generator(k, g)
-        count, training = self.of_group[g], self.data_split.side == "train"
-        drawable = (
-            len(self.data_split.views)
-            if self.probabilities is None
-            else np.count_nonzero(self.probabilities)
-        )
-        views = self.data_split.views[
-            rng.choice(len(self.data_split.views), count, count > drawable, self.probabilities)
-        ]
-        chosen = [self.names[i] for i in rng.choice(self._admitted_count(k), 2 * self.data.regions)]
-        channels = [rng.permutation(3) if training else np.arange(3) for _ in chosen]
-        labels = np.stack(
-            [
-                self.data_split.labels[name].reshape(3, 36)[c].reshape(108)
-                for name, c in zip(chosen, channels, strict=True)
-            ]
-        )
-        chosen, labels = self._augment_labels(k, g, chosen, labels)
-        if training:
-            L = lights.draw(rng, self.data_split.maps, self.data.real_lights)
-            if self.data.unknown_camera:
-                L = lights.tilt(rng, L)
-        else:
-            L = np.roll(
-                self.data_split.maps[rng.integers(len(self.data_split.maps))],
-                int(rng.integers(lights.WIDTH)),
-                1,
-            )
+        views = self._draw_views(rng, self.of_group[g])
+        names, labels = self._draw_materials(rng, k)
+        names, labels = self._augment_labels(k, g, names, labels)
+        light = self._draw_light(rng)
         label, target = labels[: self.data.regions], labels[self.data.regions :]
         n, segments = self._geometry(views)
         depths: dict[int, np.ndarray] = {}
-        if training and self.data.deformations:
+        if self.is_training and self.data.deformations:
             n, segments, depths = self._deform(views, n, segments, (k, g))
-        images = self._pictures(n, segments, label, L)
-        rng_of_patterns = self._generator(k, g, PATTERNS)
-        if self.printed and rng_of_patterns.random() < self.printed:
-            images = patterns.add_prints(
-                rng_of_patterns,
-                images,
-                n,
-                segments,
-                label,
-                lambda of_lobe: self._pictures(n, segments, of_lobe, L),
-            )
-        if training and self.data.shadows:
-            images = self._add_shadows(images, views, n, segments, depths, label, L, (k, g))
-        names = [
-            f"{self.data_split.geometry.views[v].shape} view"
-            f" {self.data_split.geometry.views[v].viewpoint} {'+'.join(chosen[: len(label)])}"
-            for v in views
-        ]
+        scene = _Scene(views, n, segments, depths, label, light)
+        images = self._pictures(n, segments, label, light)
+        images = self._add_prints(images, scene, (k, g))
+        if self.is_training and self.data.shadows:
+            images = self._add_shadows(images, scene, (k, g))
         result = []
-        for i in range(count):
+        for i, v in enumerate(views):
+            view = self.data_split.geometry.views[v]
+            name = f"{view.shape} view {view.viewpoint} {'+'.join(names[: len(label)])}"
             mask = (segments[i] > 0).numpy()
-            image, drawn, (normals, covered) = augmentation.augment(
-                self.data, training, rng, images[i], mask, (n[i], segments[i])
+            image, drawn_mask, (normals, covered) = augmentation.augment(
+                self.data, self.is_training, rng, images[i], mask, (n[i], segments[i])
             )
-            truth = (normals, covered, label, L, target, names[i])
-            result.append((image, drawn, *truth))
+            truth = (normals, covered, label, light, target, name)
+            result.append((image, drawn_mask, *truth))
         return result
+
+    def _draw_views(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return the indices (count,) of different views, as far as there are so many."""
+        views = self.data_split.views
+        drawable = (
+            len(views) if self.probabilities is None else np.count_nonzero(self.probabilities)
+        )
+        return views[rng.choice(len(views), count, count > drawable, self.probabilities)]
+
+    def _draw_materials(self, rng: np.random.Generator, k: int) -> tuple[list[str], np.ndarray]:
+        """Return names and labels (2 S, 108): of the picture's S regions, then of the target's.
+
+        In training the colour channels of each are exchanged at random.
+        """
+        chosen = [self.names[i] for i in rng.choice(self._admitted_count(k), 2 * self.data.regions)]
+        channels = [rng.permutation(3) if self.is_training else np.arange(3) for _ in chosen]
+        labels = [
+            self.data_split.labels[name].reshape(3, 36)[c].reshape(108)
+            for name, c in zip(chosen, channels, strict=True)
+        ]
+        return chosen, np.stack(labels)
+
+    def _draw_light(self, rng: np.random.Generator) -> np.ndarray:
+        """Return a light (64, 128, 3): in training varied, else a map at a random rotation."""
+        maps = self.data_split.maps
+        if self.is_training:
+            light = lights.draw(rng, maps, self.data.real_lights)
+            return lights.tilt(rng, light) if self.data.unknown_camera else light
+        return np.roll(maps[rng.integers(len(maps))], int(rng.integers(lights.WIDTH)), 1)
 
     def _generator(self, *key: int) -> np.random.Generator:
         """Return the generator of a batch and a group, and of what is drawn for it."""
@@ -198,7 +212,7 @@ class RelitDataset:
 
     def _admitted_count(self, k: int) -> int:
         """Return the number of materials that batch k draws from (the gloss curriculum)."""
-        if not self.data.gloss_curriculum or self.data_split.side != "train":
+        if not self.data.gloss_curriculum or not self.is_training:
             return len(self.names)
         return max(
             1, math.ceil(len(self.names) * min(1.0, (1 + 2 * k / self.data.gloss_curriculum) / 3))
@@ -206,14 +220,10 @@ class RelitDataset:
 
     def _geometry(self, views: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Return normals (B, H, W, 3) and segments (B, H, W) at the size of pictures."""
-        n = torch.from_numpy(np.stack([self.data_split.geometry.normals(v) for v in views]))
-        segments = torch.from_numpy(np.stack([self.data_split.geometry.segments(v) for v in views]))
-        step = len(n[0]) // self.size
-        n, segments = (
-            n[:, step // 2 :: step, step // 2 :: step],
-            segments[:, step // 2 :: step, step // 2 :: step],
-        )
-        return n.contiguous(), (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
+        geometry = self.data_split.geometry
+        n = np.stack([subsample(geometry.normals(v), self.size) for v in views])
+        segments = np.stack([subsample(geometry.segments(v), self.size) for v in views])
+        return torch.from_numpy(n), fold_segments(torch.from_numpy(segments), self.data.regions)
 
     def _deform(
         self,
@@ -230,7 +240,7 @@ class RelitDataset:
         rng, geometry = self._generator(*number, DEFORMATIONS), self.data_split.geometry
         n, segments, depths = n.clone(), segments.clone(), {}
         for i in np.nonzero(rng.random(len(n)) < self.data.deformations)[0]:
-            depth = self._reduce(geometry.depth(views[i])) if self.data.shadows else None
+            depth = subsample(geometry.depth(views[i]), self.size) if self.data.shadows else None
             half_extent = geometry.cameras[views[i]].half_extent
             deformed = deformations.deform(
                 rng, n[i].numpy(), segments[i].numpy(), depth, half_extent
@@ -239,11 +249,6 @@ class RelitDataset:
             if deformed.depth is not None:
                 depths[int(i)] = deformed.depth
         return n, segments, depths
-
-    def _reduce(self, values: np.ndarray) -> np.ndarray:
-        """Return stored values (H, W, …) at the size of pictures."""
-        step = len(values) // self.size
-        return values[step // 2 :: step, step // 2 :: step]
 
     def _pictures(
         self, n: torch.Tensor, segments: torch.Tensor, label: np.ndarray, L: np.ndarray
@@ -268,44 +273,45 @@ class RelitDataset:
             )
         return to_numpy(picture.clamp(0, BRIGHTEST))
 
+    def _add_prints(self, images: np.ndarray, scene: _Scene, number: tuple[int, int]) -> np.ndarray:
+        """Return the pictures, all with a pattern or none; number: (batch, group)."""
+        rng = self._generator(*number, PATTERNS)
+        if not self.printed or rng.random() >= self.printed:
+            return images
+        return patterns.add_prints(
+            rng,
+            images,
+            scene.n,
+            scene.segments,
+            scene.label,
+            lambda label: self._pictures(scene.n, scene.segments, label, scene.light),
+        )
+
     def _add_shadows(
-        self,
-        images: np.ndarray,
-        views: np.ndarray,
-        n: torch.Tensor,
-        segments: torch.Tensor,
-        depths: Mapping[int, np.ndarray],
-        label: np.ndarray,
-        L: np.ndarray,
-        number: tuple[int, int],
+        self, images: np.ndarray, scene: _Scene, number: tuple[int, int]
     ) -> np.ndarray:
-        """Return pictures (B, H, W, 3), a share of them with shadows; number: (batch, group).
-
-        depths  of the pictures whose geometry was deformed, as a distant viewer sees it
-
-        Which ones is drawn from a stream of its own, so that nothing else of a batch changes.
-        """
-        key = (SIDES[self.data_split.side], *number, 1)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
-        geometry, result = self.data_split.geometry, images.copy()
+        """Return the pictures, a share of them with shadows; number: (batch, group)."""
+        rng, geometry = self._generator(*number, SHADOWS), self.data_split.geometry
+        result = images.copy()
         for i in np.nonzero(rng.random(len(images)) < self.data.shadows)[0]:
-            camera = geometry.cameras[views[i]]
-            if i in depths:
+            view = scene.views[i]
+            camera = geometry.cameras[view]
+            if i in scene.depths:  # deformations treat every viewer as a distant one
                 distant = msgspec.structs.replace(camera, fov_deg=None)
-                position, view = shadows.positions(depths[i], distant)
+                position, to_viewer = shadows.positions(scene.depths[i], distant)
             else:
-                position, view = (
-                    self._reduce(each)
-                    for each in shadows.positions(geometry.depth(views[i]), camera)
+                position, to_viewer = (
+                    subsample(each, self.size)
+                    for each in shadows.positions(geometry.depth(view), camera)
                 )
-            factor = shadows.factor(
-                n[i].numpy(),
+            factor = shadows.shadow_factor(
+                scene.n[i].numpy(),
                 position,
-                view,
-                segments[i].numpy(),
+                to_viewer,
+                scene.segments[i].numpy(),
                 images[i],
-                label,
-                L,
+                scene.label,
+                scene.light,
                 geometry.elevation,
             )
             result[i] = np.minimum(images[i] * factor, BRIGHTEST)

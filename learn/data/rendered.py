@@ -16,7 +16,7 @@ from learn.data import augmentation
 from learn.data.batch import ExampleBatch, collate
 from learn.data.data_split import DataSplit
 from learn.data.devices import to_numpy
-from learn.data.geometry import Geometry
+from learn.data.geometry import Geometry, fold_segments, subsample
 from learn.data.records import Records
 from learn.data.relit import BRIGHTEST, SIDES, RelitDataset
 from learn.data.settings import Data
@@ -96,7 +96,7 @@ class RenderedDataset:
         self.data_split, self.rendered_split = data_split, data_split.rendered_split
         self.data, self.size, self.seed, self.batch = data, size, seed, batch
         geometry = self.rendered_split.geometry
-        if geometry.several:
+        if geometry.has_several_cameras:
             raise InputError(
                 geometry.folder,
                 "pictures by one orthographic camera without roll",
@@ -176,22 +176,20 @@ class RenderedDataset:
         geometry = self.rendered_split.geometry
         at = self.rendered_split.view_of[record.geometry_hash]
         n, segments = (
-            torch.from_numpy(self._small(geometry.normals(at))),
-            torch.from_numpy(self._small(geometry.segments(at))),
+            torch.from_numpy(subsample(values, self.size))
+            for values in (geometry.normals(at), geometry.segments(at))
         )
-        return n, (segments - 1).clamp(min=0) % self.data.regions + (segments > 0)
+        return n, fold_segments(segments, self.data.regions)
 
     def _picture(self, record: Record) -> np.ndarray:
-        return np.clip(self._small(self.rendered_split.records.image(record)), 0, BRIGHTEST)
-
-    def _small(self, values: np.ndarray) -> np.ndarray:
-        """Return every n-th pixel, as for geometry: a mean of normals is no surface's normal."""
-        step = len(values) // self.size
-        return np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
+        """Return radiance (H, W, 3) of a record at the size of pictures."""
+        image = subsample(self.rendered_split.records.image(record), self.size)
+        return np.clip(image, 0, BRIGHTEST)
 
     def _relit(
         self, n: torch.Tensor, segments: torch.Tensor, label: np.ndarray, L: np.ndarray
     ) -> np.ndarray:
+        """Return the layer's picture (H, W, 3) in labels (S, 108) under a light (64, 128, 3)."""
         arrays = n[None], torch.from_numpy(label).exp()[None], torch.from_numpy(L)[None]
         with torch.no_grad():
             picture = render(
@@ -228,6 +226,7 @@ def _order(seed: int, side: int, epoch: int, count: int) -> np.ndarray:
 
 
 def _scene(record: Record) -> Hashable:
+    """Return what pictures have in common that show one object in different materials, as a key."""
     return (
         record.shape_hash,
         record.geometry_hash,

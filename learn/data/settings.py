@@ -5,6 +5,7 @@ The types are those of manifests.training_runs, which are passed on here.
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -137,42 +138,12 @@ def convert(values: Any, type_: type[T], where: str | Path, strict: bool = True)
 def require_trainable(run: Run, where: str | Path) -> None:
     """Raise InputError for a run whose values are out of range, or that trains nothing."""
     convert(msgspec.to_builtins(run), Run, where)
-    phases = {f"stages[{i}]": (stage.parts, stage.losses) for i, stage in enumerate(run.stages)}
-    phases[""] = (run.parts, run.losses)
-    for stage, (parts, losses) in phases.items():
-        key = f"{where}: {stage}{'.' * bool(stage)}losses"
-        if run.network == "encoder-decoder":
-            terms, what = list(ENCODER_DECODER_TERMS), "this network"
-        else:
-            terms = [name for name, trained in TRAINED_PARTS.items() if set(trained) & set(parts)]
-            what = " and ".join(dict.fromkeys(parts))
-        if not any(getattr(losses, name) for name in terms):
-            raise InputError(
-                key,
-                f"a weight above 0 of a term that trains {what}",
-                "none",
-                f"one of {', '.join(terms)}",
-            )
-        if any(whole % part for whole, part in zip(LIGHT, losses.layer_light, strict=True)):
-            rule = f"rows and columns that divide {LIGHT[0]} and {LIGHT[1]}"
-            result = " and ".join(map(str, losses.layer_light))
-            raise InputError(f"{key}.layer_light", rule, result, "take 32 and 64, or 16 and 32")
-    shares = [run.data.label_mixtures, run.data.scaled_lobes, run.data.principled]
-    if sum(shares) > 1 + 1e-9:
-        raise InputError(
-            f"{where}: data",
-            "label_mixtures, scaled_lobes and principled of at most 1 together",
-            f"{sum(shares):g}",
-            "lower one of them; the rest are training materials",
+    for i, stage in enumerate(run.stages):
+        _require_trained_parts(
+            run.network, stage.parts, stage.losses, f"{where}: stages[{i}].losses"
         )
-    held_out = (*run.data.validation_lights, *run.data.test_lights)
-    if run.data.all_materials_and_lights and held_out:
-        raise InputError(
-            f"{where}: data",
-            "no held-out lights in a run of all materials and lights",
-            ", ".join(held_out),
-            "leave out validation_lights and test_lights, or all_materials_and_lights",
-        )
+    _require_trained_parts(run.network, run.parts, run.losses, f"{where}: losses")
+    _require_data(run.data, f"{where}: data")
     if run.network in WITH_PRETRAINED_ENCODER and run.size % 32:
         raise InputError(
             f"{where}: size",
@@ -189,4 +160,44 @@ def require_trainable(run: Run, where: str | Path) -> None:
             rule,
             result,
             "make batches of fewer pictures, or smaller pictures",
+        )
+
+
+def _require_trained_parts(network: str, parts: Sequence[str], losses: Losses, where: str) -> None:
+    """Raise InputError for losses that train none of the parts, or a map that does not divide."""
+    if network == "encoder-decoder":
+        terms, what = list(ENCODER_DECODER_TERMS), "this network"
+    else:
+        terms = [name for name, trained in TRAINED_PARTS.items() if set(trained) & set(parts)]
+        what = " and ".join(dict.fromkeys(parts))
+    if not any(getattr(losses, name) for name in terms):
+        raise InputError(
+            where,
+            f"a weight above 0 of a term that trains {what}",
+            "none",
+            f"one of {', '.join(terms)}",
+        )
+    if any(whole % part for whole, part in zip(LIGHT, losses.layer_light, strict=True)):
+        rule = f"rows and columns that divide {LIGHT[0]} and {LIGHT[1]}"
+        result = " and ".join(map(str, losses.layer_light))
+        raise InputError(f"{where}.layer_light", rule, result, "take 32 and 64, or 16 and 32")
+
+
+def _require_data(data: Data, where: str) -> None:
+    """Raise InputError for shares of more than 1 together, or held-out lights that are used."""
+    shares = [data.label_mixtures, data.scaled_lobes, data.principled]
+    if sum(shares) > 1 + 1e-9:
+        raise InputError(
+            where,
+            "label_mixtures, scaled_lobes and principled of at most 1 together",
+            f"{sum(shares):g}",
+            "lower one of them; the rest are training materials",
+        )
+    held_out = (*data.validation_lights, *data.test_lights)
+    if data.all_materials_and_lights and held_out:
+        raise InputError(
+            where,
+            "no held-out lights in a run of all materials and lights",
+            ", ".join(held_out),
+            "leave out validation_lights and test_lights, or all_materials_and_lights",
         )

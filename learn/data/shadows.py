@@ -62,7 +62,7 @@ def positions(depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray
     return position, view_vectors(height, width, fov=fov).astype(np.float32)
 
 
-def factor(
+def shadow_factor(
     n: np.ndarray,
     position: np.ndarray,
     view: np.ndarray,
@@ -82,7 +82,7 @@ def factor(
     L               (height, width, 3) radiance, light frame of a camera at `elevation` radians
     """
     w, solid_angle = _cells()
-    diffuse, power = zip(*(shares(each) for each in label), strict=True)
+    diffuse, power = zip(*(describe_reflection(each) for each in label), strict=True)
     result = np.ones(n.shape, np.float32)
     _kernel()(
         *(np.ascontiguousarray(each, np.float32) for each in (n, position, view)),
@@ -99,7 +99,7 @@ def factor(
     return result
 
 
-def shares(label: np.ndarray) -> tuple[np.ndarray, int]:
+def describe_reflection(label: np.ndarray) -> tuple[np.ndarray, int]:
     """Return what a label (108,) reflects diffusely, and how wide its highlight is.
 
     Returns  f (3,) in 1/sr, the BRDF at 60° from its peak; j, where the highlight falls as the
@@ -160,14 +160,14 @@ def _offsets(side: int) -> np.ndarray:
 
 @functools.cache
 def _kernel() -> Callable[..., None]:
-    """Return `_fill` as machine code."""
+    """Return `_write_factors` as machine code."""
     from numba import njit
 
-    compiled: Any = njit(nogil=True, cache=True)(_fill)
+    compiled: Any = njit(nogil=True, cache=True)(_write_factors)
     return compiled
 
 
-def _fill(  # numba derives the types
+def _write_factors(  # numba derives the types
     n,
     position,
     view,

@@ -69,47 +69,50 @@ def load_data_splits(
     records = Records(folder)
     all_maps = _all_maps(data, records, maps_file)
     maps = without_duplicates(all_maps, (*data.validation_lights, *data.test_lights))
-    held = (
+    held_out = (
         {} if data.all_materials_and_lights else _held_out_maps(data, maps, records.dataset.lights)
     )
-    materials, bad = split_materials(data, records, skip_bad)
-    sides = [_side(view) for view in geometry.views]
-    rendered_splits: dict[str, RenderedSplit] = {}
-    known = {name: (held.get(name, "train"), L) for name, L in maps.items()}
+    side_of_map = {name: (held_out.get(name, "train"), L) for name, L in maps.items()}
     copies = {name: L for name, L in all_maps.items() if name not in maps}
-    side_of_copy = _light_sides(copies, known)
+    side_of_copy = _light_sides(copies, side_of_map)
+    materials, bad = split_materials(data, records, skip_bad)
+    rendered_splits: dict[str, RenderedSplit] = {}
     if pictures is not None or data.source != "relit":
         rendered_splits = _rendered_splits(
-            data, pictures or folder, geometry, known, materials, skip_bad, progress
+            data, pictures or folder, geometry, side_of_map, materials, skip_bad, progress
         )
     result = {}
     for side in SIDES:
-        views = np.array([i for i, s in enumerate(sides) if s == side])
-        if not len(views):
-            raise InputError(
-                folder,
-                f"shapes for {side}",
-                "none",
-                "render more shapes: about one in five is for testing, and of the others one in"
-                f" {VALIDATION_SHAPES} for validation",
-            )
-        names = _lights_of(side, maps, held)
-        labels = {
-            m.name: m.label.reshape(-1).astype(np.float32)
-            for m in materials[side] or materials["train"]
-        }
+        names = _lights_of(side, maps, held_out)
         result[side] = DataSplit(
-            geometry,
-            views,
-            labels,
-            [maps[name] for name in names],
-            side,
-            rendered_splits.get(side),
-            bad,
-            tuple(map_hash(L) for name, L in copies.items() if side_of_copy[name] == side),
-            tuple(names),
+            geometry=geometry,
+            views=_views_of(side, geometry, folder),
+            labels={
+                material.name: material.label.reshape(-1).astype(np.float32)
+                for material in materials[side] or materials["train"]
+            },
+            maps=[maps[name] for name in names],
+            side=side,
+            rendered_split=rendered_splits.get(side),
+            skipped=bad,
+            copies=tuple(map_hash(L) for name, L in copies.items() if side_of_copy[name] == side),
+            map_names=tuple(names),
         )
     return result
+
+
+def _views_of(side: str, geometry: Geometry, folder: str | Path) -> np.ndarray:
+    """Return the indices of a side's views. Raises InputError where it has none."""
+    views = np.array([i for i, view in enumerate(geometry.views) if _side(view) == side])
+    if not len(views):
+        raise InputError(
+            folder,
+            f"shapes for {side}",
+            "none",
+            "render more shapes: about one in five is for testing, and of the others one in"
+            f" {VALIDATION_SHAPES} for validation",
+        )
+    return views
 
 
 def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dict[str, np.ndarray]:
@@ -128,16 +131,16 @@ def _all_maps(data: Data, records: Records, maps_file: str | Path | None) -> dic
     return maps
 
 
-def _lights_of(side: str, maps: Maps, held: Mapping[str, str]) -> list[str]:
+def _lights_of(side: str, maps: Maps, held_out: Mapping[str, str]) -> list[str]:
     """Return the sorted names of the maps that light a side.
 
     Without maps training draws computed light, never a held-out map.
 
-    held  {name: side} as `_held_out_maps` returns it
+    held_out  {name: side} as `_held_out_maps` returns it
     """
-    names = [name for name in maps if held.get(name, "train") == side]
+    names = [name for name in maps if held_out.get(name, "train") == side]
     if not names and side == "validation":
-        names = [name for name in maps if held.get(name) != "test"]
+        names = [name for name in maps if held_out.get(name) != "test"]
     if not names and side != "train":
         names = list(maps)
     return sorted(names)
@@ -287,6 +290,7 @@ def _light_sides(
 
 
 def _side(view: PackedView) -> str:
+    """Return the side of a view's shape: training shapes give some of theirs to validation."""
     if view.side == "test":
         return "test"
     return "validation" if number_from_hash(view.shape, VALIDATION_SHAPES) == 0 else "train"
@@ -309,7 +313,7 @@ def split_materials(
     if data.materials == "built-in":
         known = [(m, m.split) for m in load_catalogue().values()]
     elif records is None:
-        raise ValueError("materials_of: expected the records of a data set, found none")
+        raise ValueError("records: expected those of a data set, found none")
     else:
         known = []
         for name in records.materials:

@@ -29,7 +29,7 @@ from learn.editing.decomposition import Decomposition
 from learn.editing.photograph import CLEAR
 from learn.layer import predictions
 from learn.networks.prediction import require_part
-from learn.refinement.energy import LABEL_RADIUS, count_mirrored, label_weights
+from learn.refinement.energy import LABEL_RADIUS, label_weights, raise_mirror_weights
 from shaders import tone
 
 # rows of the rendered grid: small objects are supersampled; normals have no detail beyond FINEST
@@ -301,7 +301,7 @@ class Compositor:
         weights = label_weights(image, numbers, clipped, max(round(radius), 1))[inside]
         predicted = to_numpy(require_part(self.decomposition.start.label)[0])
         result = np.zeros(inside.shape, np.float32)
-        result[inside] = to_numpy(count_mirrored(weights, numbers[inside], predicted))
+        result[inside] = to_numpy(raise_mirror_weights(weights, numbers[inside], predicted))
         whole = result.repeat(step, 0).repeat(step, 1)[: self.side, : self.side]
         self._unlabelled = np.where(self.regions > 0, whole, 0)
         return self._unlabelled

@@ -122,7 +122,7 @@ def run(
     inputs: list[str | Path] = [path, *masks, *([regions] if regions else []), *parts]
     pages = [interactive.NAME] if with_page else []
     names = edit_files.reserve_names(path, materials, inputs, out, overwrite, pages)
-    network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
+    network, metadata = checkpoint.load_full_network(edit_options.weights, edit_options.device)
     opened = photograph.open_photograph(
         path,
         masks,

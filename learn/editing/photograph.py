@@ -150,12 +150,12 @@ def open_photograph(
             f"--record {record}", "a dataset's folder", f"the picture {path}", "leave --record out"
         )
     if len(masks) <= 1:
-        radiance, coverage, alpha = photographs.read_soft(
+        radiance, coverage, alpha = photographs.read_with_coverage(
             path, masks[0] if masks else None, regions, remedy
         )
         labels: np.ndarray = (coverage >= 0.5).astype(np.uint8)
     else:
-        radiance, _, alpha = photographs.read_soft(path, masks[0])
+        radiance, _, alpha = photographs.read_with_coverage(path, masks[0])
         coverage, labels = region_masks.read_region_masks(masks, radiance.shape[:2])
     if regions is not None:
         whole = photographs.read_labels(regions, radiance.shape[:2])

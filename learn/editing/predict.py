@@ -20,7 +20,7 @@ from learn.editing.exposure import correct_exposure, measure_background, render_
 from learn.figures import montage
 from learn.networks import weights as checkpoint
 from learn.networks.prediction import Prediction
-from learn.training import montage as training_montage
+from learn.training import contact_sheet
 from manifests import files, outputs
 from shaders import tone
 
@@ -88,7 +88,7 @@ def predict_picture(
 
     Regions are one object here: there is one material.
     """
-    network, metadata = checkpoint.load_parts(weights, device)
+    network, metadata = checkpoint.load_full_network(weights, device)
     masks = [] if mask is None else [mask]
     opened = photograph.open_photograph(image, masks, exposure=exposure, fit_mask=fit_mask)
     framed = framing.frame_object(
@@ -110,7 +110,9 @@ def write(out: Path, result: PredictedPicture, weights: Path) -> None:
     framed, parts = result.framed, result.parts
     n = to_numpy((parts.n[0] * result.batch.mask[0]).movedim(0, -1))
     exposure = tone.auto_exposure(framed.radiance, framed.mask)
-    cells = training_montage.parts(result.batch, result.prediction, result.rendering, exposure)
+    cells = contact_sheet.draw_decomposition(
+        result.batch, result.prediction, result.rendering, exposure
+    )
     row = [(CAPTIONS.get(name, name), cell) for name, cell in cells.items()]
     out.mkdir(parents=True, exist_ok=True)
     with files.transaction():

@@ -109,7 +109,7 @@ def run(
     if edit_options.fit_mask and not any(list_masks(path, mask_folder) for path in paths):
         rule, remedy = "a mask besides the pictures' own transparency", "leave it out"
         raise InputError("--fit-mask", rule, "none", remedy)
-    network, metadata = checkpoint.load_parts(edit_options.weights, edit_options.device)
+    network, metadata = checkpoint.load_full_network(edit_options.weights, edit_options.device)
     size = metadata["size"]
     # Unusable pictures are refused before the first is worked on; they are read again when their
     # turn comes, since all of them together would fill the memory.

@@ -56,7 +56,7 @@ def lombardi_like(
         n = batch.n if ours is None else ours.parts(batch).n
         if n is None:
             raise ValueError("Lombardi-like: expected normals, found none")
-        return posterior.prediction(replace(batch, n=n), known)
+        return posterior.predict(replace(batch, n=n), known)
 
     return Layered(
         f"Lombardi-like, {'true normals' if ours is None else 'normals of ' + ours.name}", predict

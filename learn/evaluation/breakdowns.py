@@ -18,7 +18,7 @@ OF_PICTURES = {
     "irradiance": ("irradiance, relative", 3, ("light", "irradiance")),
 }
 
-Families = Mapping[str, str]
+Families = Mapping[str, str]  # {material: its family in the catalogue}
 
 
 def family(names: Sequence[str], known: Families) -> str:
@@ -41,7 +41,7 @@ def groupings(known: Families) -> dict[str, Callable[[dict], str]]:
     }
 
 
-def worst(edits: Rows, pictures: Rows, known: Families) -> Table | None:
+def worst_edits(edits: Rows, pictures: Rows, known: Families) -> Table | None:
     """Return a table of the mean and the worst edit of each family, and its normals."""
     mine = OURS_REFINED if np.isfinite(edits.values(OURS_REFINED, ("l2",))).any() else OURS
     l2, factor = (edits.values(mine, (key,)) for key in ("l2", "l2_one_factor"))
@@ -86,7 +86,7 @@ def worst(edits: Rows, pictures: Rows, known: Families) -> Table | None:
     return table("Each family and its worst edit", note, columns, results)
 
 
-def by_distance(
+def distance_table(
     edits: Rows, pictures: Rows, distances: Mapping[str, Mapping[str, float]]
 ) -> Table | None:
     """Return a table of edits and pictures by their distance to the nearest training item.
@@ -94,45 +94,9 @@ def by_distance(
     distances  {"shapes", "materials", "lights": {name: distance, 0 for an item of training}}
                (learn.evaluation.distances); of materials the input's count
     """
-    before, after = (edits.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
-    figures = {key: pictures.values(OURS, path) for key, (_, _, path) in OF_PICTURES.items()}
-    results: list[TableRow] = []
-    for kind, known in distances.items():
-        groups = _groups(known)
-        of_edits, of_pictures = (
-            {
-                words: np.array([_item(row, kind, known) in names for row in rows.rows], bool)
-                for words, names in groups.items()
-            }
-            for rows in (edits, pictures)
-        )
-        for words, names in groups.items():
-            chosen = of_edits[words]
-            if not chosen.any():
-                continue
-            cells: dict[str, Cell] = {
-                "items": len(names),
-                "distance": float(np.mean([known[name] for name in names])),
-                "edits": int(chosen.sum()),
-                "l2": edits.interval(np.where(chosen, before, np.nan)),
-                "refined": edits.interval(np.where(chosen, after, np.nan)),
-            }
-            both = chosen & np.isfinite(before + after)
-            if both.any():
-                cells["ratio"] = float(after[both].mean() / before[both].mean())
-            for key, values in figures.items():
-                cells[key] = pictures.interval(np.where(of_pictures[words], values, np.nan))
-            results.append({"name": f"{TITLES[kind]}: {words}", "cells": cells})
-        near, far = _ends(groups)
-        if near and far and of_edits[near].any() and of_edits[far].any():
-            ends = (of_edits[near], of_edits[far])
-            cells = {
-                "l2": _difference(edits, before, ends),
-                "refined": _difference(edits, after, ends),
-            }
-            ends = (of_pictures[near], of_pictures[far])
-            cells |= {key: _difference(pictures, each, ends) for key, each in figures.items()}
-            results.append({"name": f"{TITLES[kind]}: {far} − {near}", "cells": cells})
+    results = [
+        row for kind, known in distances.items() for row in _rows_of(kind, known, edits, pictures)
+    ]
     columns = [
         column("items", "items", 0),
         column("distance", "mean distance", 2),
@@ -156,8 +120,51 @@ def by_distance(
     return table("By distance to the nearest training item", note, columns, results)
 
 
-def _ends(groups: Mapping[str, Sequence[str]]) -> tuple[str, str]:
-    """Return the words of the nearest and of the farthest group with items; "" where one is all."""
+def _rows_of(kind: str, known: Mapping[str, float], edits: Rows, pictures: Rows) -> list[TableRow]:
+    """Return the rows of one kind of items: one per group, and the farthest less the nearest."""
+    before, after = (edits.values(name, ("l2",)) for name in (OURS, OURS_REFINED))
+    figures = {key: pictures.values(OURS, path) for key, (_, _, path) in OF_PICTURES.items()}
+    groups = _groups(known)
+    of_edits, of_pictures = (
+        {
+            words: np.array([_item(row, kind, known) in names for row in rows.rows], bool)
+            for words, names in groups.items()
+        }
+        for rows in (edits, pictures)
+    )
+    results: list[TableRow] = []
+    for words, names in groups.items():
+        chosen = of_edits[words]
+        if not chosen.any():
+            continue
+        cells: dict[str, Cell] = {
+            "items": len(names),
+            "distance": float(np.mean([known[name] for name in names])),
+            "edits": int(chosen.sum()),
+            "l2": edits.interval(np.where(chosen, before, np.nan)),
+            "refined": edits.interval(np.where(chosen, after, np.nan)),
+        }
+        both = chosen & np.isfinite(before + after)
+        if both.any():
+            cells["ratio"] = float(after[both].mean() / before[both].mean())
+        for key, values in figures.items():
+            cells[key] = pictures.interval(np.where(of_pictures[words], values, np.nan))
+        results.append({"name": f"{TITLES[kind]}: {words}", "cells": cells})
+    near, far = _nearest_and_farthest(groups)
+    if near and far and of_edits[near].any() and of_edits[far].any():
+        ends = (of_edits[near], of_edits[far])
+        cells = {
+            "l2": _difference(edits, before, ends),
+            "refined": _difference(edits, after, ends),
+        }
+        ends = (of_pictures[near], of_pictures[far])
+        cells |= {key: _difference(pictures, each, ends) for key, each in figures.items()}
+        results.append({"name": f"{TITLES[kind]}: {far} − {near}", "cells": cells})
+    return results
+
+
+def _nearest_and_farthest(groups: Mapping[str, Sequence[str]]) -> tuple[str, str]:
+    """Return the titles of the nearest and the farthest group; "", "" if one has all items."""
     words = [each for each, names in groups.items() if names]
     return (words[0], words[-1]) if len(words) > 1 else ("", "")
 
@@ -183,14 +190,14 @@ def _difference(
 
 
 def _item(row: Mapping, kind: str, known: Mapping[str, float]) -> str:
-    """The shape, the light, or of the input's materials the one farthest from training."""
+    """Return a row's shape or light, or of its input's materials the farthest from training."""
     if kind != "materials":
         return str(row[ITEMS[kind]])
     return max(row["materials"], key=lambda name: known.get(name, 0.0))
 
 
 def _groups(known: Mapping[str, float]) -> dict[str, list[str]]:
-    """{words: names}: items of training, and the others in halves or thirds of equal number."""
+    """Return {title: names}: items of training, and the others in equal halves or thirds."""
     seen = [name for name, distance in known.items() if distance == 0]
     others = sorted((name for name in known if name not in seen), key=known.__getitem__)
     words: tuple[str, ...] = ("nearest third", "middle third", "farthest third")

@@ -43,7 +43,9 @@ Measured = tuple[dict[str, np.ndarray], Sequence[str]]  # {figure: (P,)} and nam
 class Cluster:
     """A Ray cluster, and the files that its workers read; they use the CPU.
 
-    weights   of all networks; lights and pictures are None where there are none
+    address   of the cluster, as ray.init takes it
+    weights   of all networks
+    data      the data set of the split; lights, pictures: as sources.load_data_splits takes them
     """
 
     address: str
@@ -54,8 +56,8 @@ class Cluster:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Networks of one run, and the split on which they are measured.
+class CardEvaluator:
+    """Measures networks of one run on the batches of one split.
 
     constant  learn.training.validation.mean_albedo of the training split
     """
@@ -79,10 +81,10 @@ class Bench:
                 )
         return self._sources[kind][k]
 
-    def predicted(
+    def predict(
         self, network: Any, batch: ExampleBatch, parts: Sequence[str]
     ) -> tuple[ExampleBatch, Prediction]:
-        """Return a batch on the network's device, and the prediction of these parts."""
+        """Return a batch on the network's device, and the network's prediction of these parts."""
         batch = batch.to(devices.device_of(network))
         with torch.no_grad():
             segments = batch.segments if self.run.data.regions > 1 else None
@@ -98,19 +100,19 @@ class Bench:
         """
         own = self.batch(kind, k)
         if kind in PATTERNS:
-            batch, prediction = self.predicted(self.networks[0], own, ("normals",))
+            batch, prediction = self.predict(self.networks[0], own, ("normals",))
             cosine = (require_part(prediction.n) * batch.n).sum(1).clamp(-1, 1)
-            angle = validation.means(cosine.arccos().rad2deg(), batch.segments > 0)
+            angle = validation.masked_means(cosine.arccos().rad2deg(), batch.segments > 0)
             return [({"angle_deg": angle}, batch.names)]
         result: list[Measured] = []
         for network in self.networks:
-            batch, prediction = self.predicted(network, own, self.run.parts)
+            batch, prediction = self.predict(network, own, self.run.parts)
             result.append((validation.measure_batch(prediction, batch, self.constant), batch.names))
         return result
 
 
 def measure_batches(
-    bench: Bench, counts: Mapping[str, int], cluster: Cluster | None = None
+    evaluator: CardEvaluator, counts: Mapping[str, int], cluster: Cluster | None = None
 ) -> dict[str, list[Measured]]:
     """Return {kind: figures of all its batches, by each network}.
 
@@ -121,7 +123,11 @@ def measure_batches(
     """
     pieces = [(kind, k) for kind, count in counts.items() for k in range(count)]
     answers: dict[tuple[str, int], list[Measured]] = {}
-    for number, each in _here(bench, pieces) if cluster is None else _there(cluster, pieces):
+    for number, each in (
+        _measure_here(evaluator, pieces)
+        if cluster is None
+        else _measure_on_cluster(cluster, pieces)
+    ):
         answers[pieces[number]] = each
     return {
         kind: [_join(each) for each in zip(*(answers[kind, k] for k in range(count)), strict=True)]
@@ -130,6 +136,7 @@ def measure_batches(
 
 
 def _join(batches: Sequence[Measured]) -> Measured:
+    """Return the figures of several batches as those of one."""
     values = {
         key: np.concatenate([figures[key] for figures, _ in batches]) for key in batches[0][0]
     }
@@ -139,12 +146,12 @@ def _join(batches: Sequence[Measured]) -> Measured:
 Answers = Generator[tuple[int, list[Measured]], None, None]
 
 
-def _here(bench: Bench, pieces: Sequence[tuple[str, int]]) -> Answers:
+def _measure_here(evaluator: CardEvaluator, pieces: Sequence[tuple[str, int]]) -> Answers:
     for number, piece in enumerate(pieces):
-        yield number, bench.measure(*piece)
+        yield number, evaluator.measure(*piece)
 
 
-def _there(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
+def _measure_on_cluster(cluster: Cluster, pieces: Sequence[tuple[str, int]]) -> Answers:
     settings = {
         "weights": list(cluster.weights),
         "data": cluster.data,
@@ -163,23 +170,27 @@ def on_worker(settings: bytes) -> ray_tasks.Work:
     torch.set_num_threads(1)
     given = msgspec.json.decode(settings)
     weights = [Path(each) for each in given["weights"]]
-    run = run_of(weights[0])
+    loaded = [load_with_run(each) for each in weights]
+    networks, run = [network for network, _, _ in loaded], loaded[0][2]
     data_splits = sources.load_data_splits(
         run.data, given["data"], given["lights"], pictures=given["pictures"]
     )
-    networks = [checkpoint.load_network(each)[0] for each in weights]
-    bench = Bench(networks, run, data_splits["test"], validation.mean_albedo(data_splits["train"]))
+    evaluator = CardEvaluator(
+        networks, run, data_splits["test"], validation.mean_albedo(data_splits["train"])
+    )
 
     def work(piece: bytes) -> bytes:
-        return encode([_pack(each) for each in bench.measure(*msgspec.json.decode(piece))])
+        return encode([_pack(each) for each in evaluator.measure(*msgspec.json.decode(piece))])
 
     return work
 
 
-def run_of(weights: Path) -> Run:
-    """Return the run that made weights. Raises InputError."""
-    metadata = checkpoint.load_network(weights)[1]
-    return decode_run(json.dumps(metadata["run"]).encode(), weights)
+def load_with_run(
+    weights: Path, device: str | torch.device = "cpu"
+) -> tuple[Any, dict[str, Any], Run]:
+    """Return (network, metadata, the run that made it) of a weights file. Raises InputError."""
+    network, metadata = checkpoint.load_network(weights, device)
+    return network, metadata, decode_run(json.dumps(metadata["run"]).encode(), weights)
 
 
 def _pack(measured: Measured) -> list[Any]:

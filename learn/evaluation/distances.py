@@ -35,7 +35,9 @@ ALONE = 90.0
 TURN = 4  # texels: 11°, a fifth of the half-width of irradiance's lobe
 
 
-def of_materials(labels: Mapping[str, np.ndarray], training: np.ndarray | None) -> dict[str, float]:
+def material_distances(
+    labels: Mapping[str, np.ndarray], training: np.ndarray | None
+) -> dict[str, float]:
     """Return {name: distance} of labels (108,); {} without training labels (M, 108)."""
     if training is None:
         return {}
@@ -48,11 +50,13 @@ def of_materials(labels: Mapping[str, np.ndarray], training: np.ndarray | None) 
     }
 
 
-def of_lights(maps: Mapping[str, np.ndarray], training: Sequence[np.ndarray]) -> dict[str, float]:
+def light_distances(
+    maps: Mapping[str, np.ndarray], training: Sequence[np.ndarray]
+) -> dict[str, float]:
     """Return {name: distance} of maps (64, 128, 3); {} without training maps."""
     if not training:
         return {}
-    known = torch.cat([_turn(L) for L in training])
+    known = torch.cat([_irradiance_of_turns(L) for L in training])
     result = {}
     for name, L in maps.items():
         if any(envmap.is_same_source(L, other) for other in training):
@@ -88,7 +92,7 @@ def training_maps(
     ]
 
 
-def of_shapes(
+def shape_distances(
     tested: Mapping[str, Sequence[np.ndarray]],
     training: Mapping[str, np.ndarray],
     same: Collection[str] = (),
@@ -107,7 +111,7 @@ def of_shapes(
     for name, views in tested.items():
         nearest = np.full((len(views), len(training)), np.inf)
         for row, view in zip(nearest, views, strict=True):
-            np.minimum.at(row, owner, angles(view, known))
+            np.minimum.at(row, owner, mean_angles(view, known))
         result[name] = 0.0 if name in same else float(nearest.mean(0).min())
     return result
 
@@ -130,7 +134,7 @@ def raster(n: np.ndarray) -> np.ndarray:
     return np.where(covered[..., None], sums / np.where(covered, length, 1)[..., None], 0)
 
 
-def angles(view: np.ndarray, others: np.ndarray) -> np.ndarray:
+def mean_angles(view: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Return mean angles (V,) in degrees of a raster (GRID, GRID, 3) and others (V, …, 3).
 
     The mean is over the cells that either of the two covers; ALONE where none does.
@@ -182,8 +186,8 @@ def training_shapes(folder: Path | None, seen: Seen | None) -> dict[str, np.ndar
     return {name: np.stack(views) for name, views in result.items()}
 
 
-def _turn(L: np.ndarray) -> torch.Tensor:
-    """Irradiance (T, 3, directions) of a map under all turns, and mirrored."""
+def _irradiance_of_turns(L: np.ndarray) -> torch.Tensor:
+    """Return the irradiance (T, 3, directions) of a map under all turns, and mirrored."""
     L = envmap.unit_mean(L)[0]
     both = (L, L[:, ::-1])
     turns = range(0, L.shape[1], TURN)

@@ -19,8 +19,8 @@ from msgspec import to_builtins
 from learn.data.records import Records
 from learn.data.seen import DIGITS, label_hash, map_hash
 from learn.evaluation import ladder_design, ladder_report, overlap
-from learn.evaluation.ladder_bench import Bench, Line
 from learn.evaluation.ladder_design import RUNGS, Rung, Scene
+from learn.evaluation.ladder_evaluator import LadderEvaluator, Line
 from learn.layer.predictions import MEASURED
 from learn.refinement import RefinementSettings
 from manifests import files, lock, outputs, ray_tasks
@@ -85,7 +85,7 @@ def write_jobs(
     return result
 
 
-def make(options: Options) -> dict:
+def evaluate(options: Options) -> dict:
     """Measure what is missing, write the report and return it. Raises InputError."""
     records, out = Records(options.data), Path(options.out)
     job = ladder_design.preset(options.side)
@@ -93,12 +93,12 @@ def make(options: Options) -> dict:
     scenes = choose_per_group(there, options.scenes)
     to_refine = {scene.id for scene in choose_per_group(scenes, options.refined)}
     with lock.writing(out, patience=0):
-        bench = Bench(records, options.weights, options.device)
-        seen = overlap.sentences(
+        evaluator = LadderEvaluator(records, options.weights, options.device)
+        seen = overlap.report_overlap(
             [options.weights], list_tested(records, scenes), options.data, options.allow_overlap
         )
         outputs.pin_settings(out / "settings.json", settings(options))
-        measure(options, bench, scenes, to_refine)
+        measure(options, evaluator, scenes, to_refine)
         used = {scene.id for scene in scenes}
         lines = [
             line
@@ -163,7 +163,9 @@ def rows_of(out: Path) -> dict[str, dict]:
     return {row["id"]: row for row in outputs.read_lines(Path(out) / "lines.jsonl", Line)}
 
 
-def measure(options: Options, bench: Bench, scenes: Sequence[Scene], to_refine: set[str]) -> None:
+def measure(
+    options: Options, evaluator: LadderEvaluator, scenes: Sequence[Scene], to_refine: set[str]
+) -> None:
     """Measure every scene on every rung that has no line yet, or one without refinement.
 
     to_refine  ids of the scenes that are refined
@@ -181,18 +183,20 @@ def measure(options: Options, bench: Bench, scenes: Sequence[Scene], to_refine: 
         if not finished(scene, rung)
     ]
     with closing(Lines(Path(options.out) / "lines.jsonl")) as lines:
-        measured = _lines(options, bench, todo)
+        measured = _lines(options, evaluator, todo)
         with closing(measured), tqdm(total=len(todo), unit="edit", disable=None) as bar:
             for line in measured:
                 lines.append(line)
                 bar.update()
 
 
-def _lines(options: Options, bench: Bench, todo: Sequence[Piece]) -> Generator[Line, None, None]:
+def _lines(
+    options: Options, evaluator: LadderEvaluator, todo: Sequence[Piece]
+) -> Generator[Line, None, None]:
     """Yield the lines, in the order they are finished."""
     if options.ray is None:
         for piece in todo:
-            yield bench.line(*piece)
+            yield evaluator.measure(*piece)
     elif todo:
         settings = {"data": options.data, "weights": options.weights, "device": options.device}
         maker = f"{__name__}:on_worker"
@@ -204,13 +208,13 @@ def _lines(options: Options, bench: Bench, todo: Sequence[Piece]) -> Generator[L
 def on_worker(settings: bytes) -> ray_tasks.Work:
     """Return what a worker of a Ray cluster does: a Piece as JSON → its Line as JSON.
 
-    settings  of Bench, as JSON
+    settings  of LadderEvaluator, as JSON
     """
     torch.set_num_threads(1)
     given = msgspec.json.decode(settings)
-    bench = Bench(Records(given.pop("data")), **given)
+    evaluator = LadderEvaluator(Records(given.pop("data")), **given)
 
     def work(piece: bytes) -> bytes:
-        return msgspec.json.encode(bench.line(*msgspec.json.decode(piece, type=Piece)))
+        return msgspec.json.encode(evaluator.measure(*msgspec.json.decode(piece, type=Piece)))
 
     return work

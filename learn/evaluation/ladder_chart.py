@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn.evaluation.ladder_design import OUTSIDE_GROUP
-from learn.evaluation.ladder_lines import Figures, groups, of, rungs
+from learn.evaluation.ladder_lines import Figures, groups, rungs, select
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def _draw(
     points = [
         (number + shift, *(interval if isinstance(interval, list) else [interval] * 3))
         for number, rung in enumerate(rungs(lines))
-        if (here := of(lines, rung.name, group))
+        if (here := select(lines, rung.name, group))
         and (interval := Figures(here).interval(get)) is not None
     ]
     x, mean, low, high = np.array(points).T

@@ -57,11 +57,11 @@ def rungs(lines: Sequence[Mapping]) -> list[Rung]:
     return [rung for rung in RUNGS if rung.name in names]
 
 
-def of(lines: Sequence[Mapping], rung: str, group: str) -> list[Mapping]:
+def select(lines: Sequence[Mapping], rung: str, group: str) -> list[Mapping]:
     """Return the lines of a rung and a group."""
     return [line for line in lines if (line["rung"], line["group"]) == (rung, group)]
 
 
 def figure_of(kind: str, key: str) -> Callable[[Mapping], float]:
-    """The figure `key` of a line's "predicted" or "refined"."""
+    """Return a function of a line: the figure `key` of its "predicted" or "refined"."""
     return lambda line: line[kind][key]

@@ -16,8 +16,8 @@ from learn.evaluation.ladder_design import (
     OTHER_ELEVATION_DEG,
     OTHER_FOV_DEG,
 )
-from learn.evaluation.ladder_lines import Figures, figure_of, groups, of, rungs
-from learn.evaluation.page import text_of
+from learn.evaluation.ladder_lines import Figures, figure_of, groups, rungs, select
+from learn.evaluation.page import table_lines, text_of
 from learn.evaluation.table import Cell, Column, Table, TableRow, column, table
 from learn.metrics import bootstrap
 from manifests import files
@@ -104,7 +104,7 @@ def ladder_table(lines: Sequence[Mapping]) -> Table | None:
     rows: list[TableRow] = []
     for group in groups(lines):
         for rung in rungs(lines):
-            if here := of(lines, rung.name, group):
+            if here := select(lines, rung.name, group):
                 rows.append({"name": f"{group}: {rung.name}", "cells": cells(here)})
     other_camera = (
         f" (elevation {OTHER_ELEVATION_DEG:g}°, field of view {OTHER_FOV_DEG:g}°, where the"
@@ -134,7 +134,7 @@ def aligned_table(lines: Sequence[Mapping], kind: str, title: str) -> Table | No
     rows: list[TableRow] = []
     for group in groups(lines):
         for rung in rungs(lines):
-            if here := of(lines, rung.name, group):
+            if here := select(lines, rung.name, group):
                 row = {name: cell for key in ALIGNMENTS for name, cell in _parts(here, kind, key)}
                 rows.append({"name": f"{group}: {rung.name}", "cells": row})
     note = (
@@ -162,17 +162,18 @@ def _parts(lines: Sequence[Mapping], kind: str, key: str) -> list[tuple[str, Cel
 def family_table(lines: Sequence[Mapping]) -> Table | None:
     """Return the mean angle of normals of every family on every rung."""
     names = dict.fromkeys((line["group"], line["family"]) for line in lines)
-    columns: list[Column] = [column("shapes", "shapes", 0), column("facing", "facing the viewer °")]
-    columns = [columns[0], {**columns[1], "digits": 1}]
+    columns: list[Column] = [
+        column("shapes", "shapes", 0),
+        column("facing", "facing the viewer °", 1),
+    ]
     columns += [column(rung.name, rung.name, 1, True) for rung in rungs(lines)]
     rows: list[TableRow] = []
     for group, family in sorted(names, key=lambda pair: (GROUPS.index(pair[0]), pair[1])):
         own = [line for line in lines if (line["group"], line["family"]) == (group, family)]
+        facing = [line["facing_deg"] for line in own if line["rung"] == HEADLINE]
         row: dict[str, Cell] = {
             "shapes": float(len({line["shape"] for line in own})),
-            "facing": float(
-                np.mean([line["facing_deg"] for line in own if line["rung"] == HEADLINE])
-            ),
+            "facing": float(np.mean(facing)) if facing else None,
         }
         for rung in rungs(lines):
             if here := [line for line in own if line["rung"] == rung.name]:
@@ -194,7 +195,7 @@ def refined_table(lines: Sequence[Mapping]) -> Table | None:
     rows: list[TableRow] = []
     for group in groups(refined):
         for rung in rungs(lines):
-            if not (here := of(refined, rung.name, group)):
+            if not (here := select(refined, rung.name, group)):
                 continue
             figures = Figures(here)
             row: dict[str, Cell] = {"scenes": float(len(here))}
@@ -230,10 +231,10 @@ def counts(lines: Sequence[Mapping]) -> dict[str, int]:
 
 
 def headline(lines: Sequence[Mapping]) -> list[str]:
-    """Return one sentence per group on the rung HEADLINE, and one on the direct rung."""
+    """Return one sentence per group on the rung HEADLINE; none where it was not measured."""
     result = []
     for group in groups(lines):
-        if not (here := of(lines, HEADLINE, group)):
+        if not (here := select(lines, HEADLINE, group)):
             continue
         of_rung = cells(here)
         shown = {key: _text(of_rung[key], key) for key in ("normals", "irradiance", "edit")}
@@ -280,13 +281,7 @@ def markdown(report: Mapping) -> str:
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     lines += ["![Normals, light and edits on every rung](chart.png)", ""]
     for each in report["tables"].values():
-        lines += [f"## {each['title']}", "", each["note"], ""]
-        lines.append("| | " + " | ".join(c["label"] for c in each["columns"]) + " |")
-        lines.append("|---" * (len(each["columns"]) + 1) + "|")
-        for row in each["rows"]:
-            texts = [text_of(row["cells"].get(c["key"]), c) for c in each["columns"]]
-            lines.append(f"| {row['name']} | " + " | ".join(texts) + " |")
-        lines.append("")
+        lines += table_lines(each)
     return "\n".join([*lines, "## How it was made", "", *(f"- {s}" for s in origin(about))]) + "\n"
 
 

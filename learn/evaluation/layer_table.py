@@ -2,22 +2,24 @@
 
 import numpy as np
 
+from learn.agreement.summary import LIMIT
 from learn.evaluation.table import Cell, Rows, Table, TableRow, column, table
 
-LIMIT = 1.5  # times the node fit, as learn.agreement judges
 
-
-def layer(rows: Rows) -> Table | None:
+def layer_table(rows: Rows) -> Table | None:
     """Return a table of the layer's edits from true parts, by target material."""
-    by: dict[str, dict[str, dict]] = {}
+    # {target material: {truth: figures}}: edits that share a truth count once
+    by_material: dict[str, dict[str, dict]] = {}
     for row in rows.rows:
-        # edits that share a truth count once
-        by.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row["layer"]
+        by_material.setdefault(" + ".join(dict.fromkeys(row["wanted"])), {})[row["truth"]] = row[
+            "layer"
+        ]
     results: list[TableRow] = [
-        {"name": name, "cells": _layer_cells(list(by[name].values()))} for name in sorted(by)
+        {"name": name, "cells": _layer_cells(list(by_material[name].values()))}
+        for name in sorted(by_material)
     ]
     judged = [name["cells"] for name in results if "within" in name["cells"]]
-    every = _layer_cells([each for truths in by.values() for each in truths.values()])
+    every = _layer_cells([each for truths in by_material.values() for each in truths.values()])
     if judged:
         every |= {
             key: f"{sum(cells[key] == 'yes' for cells in judged)} of {len(judged)}"

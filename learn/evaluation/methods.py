@@ -240,7 +240,7 @@ def layer_alone() -> Layered:
 
 
 @dataclass(frozen=True)
-class Entrants:
+class ComparedMethods:
     """The methods that are compared.
 
     edits     methods that edit: the rows of the table of edits, in order; the last one is the layer
@@ -257,19 +257,20 @@ class Entrants:
 OURS, OURS_REFINED = "ours", "ours, refined"
 
 
-def entrants(
+def list_methods(
     net: torch.nn.Module,
     refine: Refine | None,
     labels: Sequence[np.ndarray],
     baselines: Path | None = None,
     device: str | torch.device = "cpu",
-    refine_lit: Refine | None = None,
-) -> Entrants:
-    """Return the Entrants.
+    refine_with_normals_kept: Refine | None = None,
+) -> ComparedMethods:
+    """Return the ComparedMethods.
 
     net        a network of learn.networks
     refine     None: no method is refined
-    refine_lit refines material and light and keeps normals: for the rows with true normals
+    refine_with_normals_kept
+               refines material and light alone: for the row with true normals
     labels     (M, 108) of training materials, whose mean is a method; none: that row is left out
     baselines  a folder of weights, or None
     device     where the baselines compute
@@ -291,8 +292,8 @@ def entrants(
     rows += [ours, best] if refine else [ours]
     rows.append(AsEdited(best))
     rows.append(with_true_normals(ours))
-    if refine_lit:
-        rows.append(Refined(rows[-1], refine_lit))
+    if refine_with_normals_kept:
+        rows.append(Refined(rows[-1], refine_with_normals_kept))
     if not refine:
         left_out["refined rows"] = "--no-refine was given"
     mean = [MeanMaterial(labels), MeanMaterial(labels, ours)] if len(labels) else []
@@ -303,4 +304,4 @@ def entrants(
         )
     trivial: list[Method] = [Unchanged(), *mean[:1], constant_light(), constant_light(ours)]
     parts = (*mean[1:], facing_viewer())
-    return Entrants((*trivial, *rows, layer_alone()), parts, left_out)
+    return ComparedMethods((*trivial, *rows, layer_alone()), parts, left_out)

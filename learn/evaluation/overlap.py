@@ -22,7 +22,7 @@ SHOWN = 3  # names in a sentence
 REMEDY = "--allow-overlap to go on, which the report then says at its top, or another data set"
 
 
-def of_edits(records: Records, edits: Iterable[EditPair]) -> Tested:
+def shown_by_edits(records: Records, edits: Iterable[EditPair]) -> Tested:
     """Return what edits show: shapes, lights and materials of their pictures, as {hash: name}.
 
     The target's materials count where the pictures are of the test side, since the tables call them
@@ -41,7 +41,7 @@ def of_edits(records: Records, edits: Iterable[EditPair]) -> Tested:
     }
 
 
-def of_split(data_split: DataSplit) -> Tested:
+def shown_by_split(data_split: DataSplit) -> Tested:
     """Return what the relit and rendered pictures of a split show, as {hash: name}."""
     views, rendered = data_split.geometry.views, names_in_pictures(data_split)
     relit = {
@@ -61,7 +61,9 @@ def baseline_files(folder: Path | None) -> list[Path]:
     return [path for path in paths if path.exists()]
 
 
-def sentences(files: Sequence[Path], tested: Tested, data: Path, is_allowed: bool) -> list[str]:
+def report_overlap(
+    files: Sequence[Path], tested: Tested, data: Path, is_allowed: bool
+) -> list[str]:
     """Return what a report must say at its top of its weights and their tests; print it too.
 
     files       of weights and priors

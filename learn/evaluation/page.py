@@ -52,24 +52,29 @@ def markdown(report: Mapping) -> str:
         lines += [f"**{sentence}**", ""]
     lines += [*(f"- {sentence}" for sentence in report["headline"]), ""]
     for each in report["tables"].values():
-        lines += [f"## {each['title']}", "", each["note"], ""]
-        lines += [
-            "| | " + " | ".join(c["label"] for c in each["columns"]) + " |",
-            "|---" * (len(each["columns"]) + 1) + "|",
-        ]
-        for row in each["rows"]:
-            lines.append(
-                f"| {row['name']} | "
-                + " | ".join(text_of(row["cells"].get(c["key"]), c) for c in each["columns"])
-                + " |"
-            )
-        lines.append("")
+        lines += table_lines(each)
     return (
         "\n".join(
             [*lines, "## How it was made", "", *(f"- {item}" for item in origin(report["about"]))]
         )
         + "\n"
     )
+
+
+def table_lines(each: Table) -> list[str]:
+    """Return a table as lines of Markdown, with its title and note."""
+    lines = [
+        f"## {each['title']}",
+        "",
+        each["note"],
+        "",
+        "| | " + " | ".join(c["label"] for c in each["columns"]) + " |",
+        "|---" * (len(each["columns"]) + 1) + "|",
+    ]
+    for row in each["rows"]:
+        texts = [text_of(row["cells"].get(c["key"]), c) for c in each["columns"]]
+        lines.append(f"| {row['name']} | " + " | ".join(texts) + " |")
+    return [*lines, ""]
 
 
 def origin(about: Mapping) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 from learn.evaluation.table import Cell, Rows, Table, TableRow, column, table
 
 
-def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
+def refinement_table(rows: Rows, edits: Rows | None = None) -> Table | None:
     """Return a table of refinement's effect on its initialisations, by method and all together.
 
     edits  of the same pictures, of which those that refinement made worse are counted
@@ -21,35 +21,9 @@ def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
     groups = {name: [name] for name in refined} | (
         {"all initialisations": refined} if len(refined) > 1 else {}
     )
-    results: list[TableRow] = []
-    for title, names in groups.items():
-        get = partial(_gather, rows, names)
-        before, after, seconds, finite = (
-            get(("refinement", key)) for key in ("before", "after", "seconds", "finite")
-        )
-        started = np.concatenate(
-            [rows.values(name.removesuffix(", refined"), ("rendered_all", "l2")) for name in names]
-        )
-        ended = get(("rendered_all", "l2"))
-        done = np.isfinite(before)
-        cells: dict[str, Cell] = {
-            "starts": int(done.sum()),
-            "above": int((after[done] > before[done]).sum()),
-            "not_finite": int((finite[done] != 1).sum()),
-            "energy": float(np.median(before[done])),
-            "energy_after": float(np.median(after[done])),
-            "l2": float(np.nanmedian(started)),
-            "l2_after": float(np.nanmedian(ended)),
-            "drop": float(1 - np.nanmedian(ended) / np.nanmedian(started)),
-            "worse_l2": int((ended > started).sum()),
-            "seconds": float(np.median(seconds[done])),
-            "slowest": float(seconds[done].max()),
-        }
-        if edits is not None:
-            plain = [name.removesuffix(", refined") for name in names]
-            a, b = (_gather(edits, each, ("l2",)) for each in (plain, names))
-            cells |= {"worse_edits": int((b > a).sum()), "edits": int(np.isfinite(a + b).sum())}
-        results.append({"name": title, "cells": cells})
+    results: list[TableRow] = [
+        {"name": title, "cells": _cells(rows, names, edits)} for title, names in groups.items()
+    ]
     columns = [
         column("starts", "initialisations", 0),
         column("above", "ended above it", 0),
@@ -75,5 +49,37 @@ def refinement(rows: Rows, edits: Rows | None = None) -> Table | None:
     )
 
 
+def _cells(rows: Rows, names: Sequence[str], edits: Rows | None) -> dict[str, Cell]:
+    """Return the cells of the refinements of some methods, which have their refined names."""
+    get = partial(_gather, rows, names)
+    before, after, seconds, finite = (
+        get(("refinement", key)) for key in ("before", "after", "seconds", "finite")
+    )
+    plain = [name.removesuffix(", refined") for name in names]
+    l2_before, l2_after = (_gather(rows, each, ("rendered_all", "l2")) for each in (plain, names))
+    done = np.isfinite(before)
+    cells: dict[str, Cell] = {
+        "starts": int(done.sum()),
+        "above": int((after[done] > before[done]).sum()),
+        "not_finite": int((finite[done] != 1).sum()),
+        "energy": float(np.median(before[done])),
+        "energy_after": float(np.median(after[done])),
+        "l2": float(np.nanmedian(l2_before)),
+        "l2_after": float(np.nanmedian(l2_after)),
+        "drop": float(1 - np.nanmedian(l2_after) / np.nanmedian(l2_before)),
+        "worse_l2": int((l2_after > l2_before).sum()),
+        "seconds": float(np.median(seconds[done])),
+        "slowest": float(seconds[done].max()),
+    }
+    if edits is not None:
+        of_plain, of_refined = (_gather(edits, each, ("l2",)) for each in (plain, names))
+        cells |= {
+            "worse_edits": int((of_refined > of_plain).sum()),
+            "edits": int(np.isfinite(of_plain + of_refined).sum()),
+        }
+    return cells
+
+
 def _gather(rows: Rows, names: Iterable[str], path: Sequence[str]) -> np.ndarray:
+    """Return one figure of several methods, one after the other; NaN where a row has none."""
     return np.concatenate([rows.values(name, path) for name in names])

@@ -10,7 +10,7 @@ import msgspec
 
 from learn.data.records import Records
 from learn.evaluation import page, tables
-from learn.evaluation.methods import OURS, OURS_REFINED, Entrants
+from learn.evaluation.methods import OURS, OURS_REFINED, ComparedMethods
 from learn.evaluation.table import Cell, Table
 from learn.metrics.pictures import Perceptual
 from manifests import files
@@ -86,7 +86,7 @@ def write(
     edits: Sequence[dict],
     shown: Iterable[str],
     about: dict,
-    entrants: Entrants,
+    methods: ComparedMethods,
     families: Mapping[str, str],
     distances: Mapping[str, Mapping[str, float]],
 ) -> dict:
@@ -97,7 +97,7 @@ def write(
     families         {name: family} of the dataset's materials
     distances        to the nearest training items (learn.evaluation.distances)
     """
-    result = tables.all_of(pictures, edits, families, distances)
+    result = tables.make_tables(pictures, edits, families, distances)
     commits = sorted({row.get("commit", "none") for row in (*pictures, *edits)})
     report = {
         "about": about | {"edits": len(edits), "pictures": len(pictures), "lines": commits},
@@ -105,7 +105,7 @@ def write(
         "distances": distances,
         "tables": result,
     }
-    names = [method.name for method in entrants.edits]
+    names = [method.name for method in methods.edits]
     by_id = {row["id"]: row for row in edits}
     gallery = [(by_id[id_], out / "gallery" / f"{id_}.png") for id_ in shown if id_ in by_id]
     texts = {
@@ -190,8 +190,8 @@ def _sentence_on_intervals(results: Mapping[str, Table], mine: str) -> str:
     return f"By 95 % intervals of the difference on the same edits, “{mine}” is {judged}."
 
 
-def line(report: Mapping) -> str:
-    """Return one line for the terminal."""
+def summary_line(report: Mapping) -> str:
+    """Return the report's first sentence for the terminal; without one, the number of edits."""
     return (
         report["headline"][0] if report["headline"] else number_of(report["about"]["edits"], "edit")
     )

@@ -1,7 +1,8 @@
 """`learn evaluate`: edits are drawn and measured by several processes, then reported.
 
 OUT/settings.json   what the figures depend on; a folder made with other settings is refused
-OUT/pictures.jsonl  one line per source picture: its parts by every method (learn.evaluation.bench)
+OUT/pictures.jsonl  one line per source picture: its parts by every method
+                    (learn.evaluation.edit_evaluator)
 OUT/edits.jsonl     one line per edit, written as soon as it is measured
 OUT/gallery/        a PNG of each of the first edits
 OUT/report.json, report.md, index.html
@@ -24,7 +25,7 @@ from learn.data.pairs import EditPair
 from learn.data.records import Records
 from learn.data.seen import DIGITS
 from learn.evaluation import distances, overlap, report, rows
-from learn.evaluation.bench import Bench
+from learn.evaluation.edit_evaluator import EditEvaluator
 from learn.layer.predictions import MEASURED
 from learn.networks import weights as checkpoint
 from learn.refinement import RefinementSettings
@@ -85,7 +86,7 @@ class Options:
     ray: str | None = None
 
 
-def make(options: Options) -> dict:
+def evaluate(options: Options) -> dict:
     """Measure the edits that are missing, write the report and return it. Raises InputError."""
     records = Records(options.data)
     used = [record for record in records.records if record.split == "test"] or records.records
@@ -105,22 +106,24 @@ def make(options: Options) -> dict:
     out = Path(options.out)
     with lock.writing(out, patience=0):
         # here first, so that unusable weights are reported before any process starts
-        bench = Bench(**arguments(options))
-        seen = overlap.sentences(
+        evaluator = EditEvaluator(**evaluator_arguments(options))
+        seen = overlap.report_overlap(
             [options.weights, *overlap.baseline_files(options.baselines)],
-            overlap.of_edits(records, chosen),
+            overlap.shown_by_edits(records, chosen),
             options.data,
             options.allow_overlap,
         )
-        nearest = nearest_training_items(options, records, chosen, bench)
+        nearest = nearest_training_items(options, records, chosen, evaluator)
         outputs.pin_settings(out / "settings.json", settings(options))
-        work_through(options, units(out, chosen, options.gallery, bench.repeats), bench)
+        measure(options, list_work(out, chosen, options.gallery, evaluator.repeats), evaluator)
         pictures, edits = (
             [row for id_, row in rows_of(out / name).items() if id_ in requested]
             for name, requested in ids_of(chosen).items()
         )
         families = {entry.name: entry.family for entry in records.materials.values()}
-        about = report.about(options, records, used, bench.entrants.left_out, bench.perceptual)
+        about = report.about(
+            options, records, used, evaluator.methods.left_out, evaluator.perceptual
+        )
         about["seen"] = seen
         return report.write(
             out,
@@ -128,29 +131,29 @@ def make(options: Options) -> dict:
             edits,
             [edit.id for edit in chosen[: options.gallery]],
             about,
-            bench.entrants,
+            evaluator.methods,
             families,
             nearest,
         )
 
 
 def nearest_training_items(
-    options: Options, records: Records, chosen: Sequence[EditPair], bench: Bench
+    options: Options, records: Records, chosen: Sequence[EditPair], evaluator: EditEvaluator
 ) -> dict[str, dict[str, float]]:
     """Return {"shapes", "materials", "lights": {name: distance}} of the edits' inputs."""
     materials = sorted({name for edit in chosen for name in edit.source.materials})
     lights = sorted({edit.source.light for edit in chosen})
     seen = checkpoint.seen_by(options.weights)
-    maps = distances.training_maps(options.lights, bench.metadata, seen)
+    maps = distances.training_maps(options.lights, evaluator.metadata, seen)
     shapes = distances.training_shapes(options.geometry, seen)
     shown = [edit.source for edit in chosen] if shapes else []
     known = set(seen.shapes) if seen is not None else set()
     same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
     labels = {name: records.label(name) for name in materials}
     return {
-        "shapes": distances.of_shapes(distances.rasters(records, shown), shapes, same),
-        "materials": distances.of_materials(labels, bench.training_labels),
-        "lights": distances.of_lights({name: records.light(name) for name in lights}, maps),
+        "shapes": distances.shape_distances(distances.rasters(records, shown), shapes, same),
+        "materials": distances.material_distances(labels, evaluator.training_labels),
+        "lights": distances.light_distances({name: records.light(name) for name in lights}, maps),
     }
 
 
@@ -162,8 +165,8 @@ def ids_of(chosen: Sequence[EditPair]) -> dict[str, set[str]]:
     }
 
 
-def arguments(options: Options) -> dict:
-    """Return the arguments of Bench in every process."""
+def evaluator_arguments(options: Options) -> dict:
+    """Return the arguments of EditEvaluator in every process."""
     return {
         "data": options.data,
         "weights": options.weights,
@@ -206,10 +209,10 @@ def settings(options: Options) -> dict:
     )
 
 
-def units(
+def list_work(
     out: Path, chosen: Sequence[EditPair], gallery: int, repeats: dict[tuple, list[Record]]
 ) -> list[Unit]:
-    """Return the work that is still to do, one unit per source picture.
+    """Return the units of work that are still to do, one per source picture.
 
     An edit is measured again if it is to be shown and its picture is missing, or if its truth has
     more seeds than before; of two lines the later one counts.
@@ -234,20 +237,20 @@ def units(
     work: list[Unit] = []
     for source, edits in grouped.items():
         todo = [edit for edit in edits if not finished(edit)]
-        whole = source not in pictures
-        if todo or whole:
+        is_missing = source not in pictures
+        if todo or is_missing:
             folder = str(out / "gallery") if any(edit.id in shown for edit in todo) else None
-            work.append((edits[0], todo, whole, folder))
+            work.append((edits[0], todo, is_missing, folder))
     return work
 
 
-def work_through(options: Options, todo: Sequence[Unit], bench: Bench) -> None:
+def measure(options: Options, todo: Sequence[Unit], evaluator: EditEvaluator) -> None:
     """Measure the units, and append their lines as they are finished."""
     lines = {name: Lines(Path(options.out) / name) for name in ("pictures.jsonl", "edits.jsonl")}
     total = sum(len(edits) for _, edits, _, _ in todo)
     try:
         with tqdm(total=total, desc="edits", unit="edit", smoothing=0.1) as bar:
-            for picture, edits in results(options, todo, bench):
+            for picture, edits in results(options, todo, evaluator):
                 for edit in edits:
                     lines["edits.jsonl"].append(edit)
                 if picture is not None:
@@ -259,7 +262,7 @@ def work_through(options: Options, todo: Sequence[Unit], bench: Bench) -> None:
 
 
 def results(
-    options: Options, todo: Sequence[Unit], bench: Bench
+    options: Options, todo: Sequence[Unit], evaluator: EditEvaluator
 ) -> Iterator[tuple[dict | None, list[dict]]]:
     """Yield (row of the picture or None, rows of its edits), in the order they are finished."""
     if options.ray is not None:
@@ -268,12 +271,12 @@ def results(
     processes = max(1, min(options.processes, len(todo)))
     if processes == 1:
         for unit in todo:
-            yield bench.work(*unit)
+            yield evaluator.measure_picture(*unit)
         return
     threads = max(1, subprocesses.processors() // processes)
     # a fork of a process with running threads may hang
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, context, _begin, (arguments(options), threads))
+    pool = ProcessPoolExecutor(processes, context, _begin, (evaluator_arguments(options), threads))
     remedy = "run the same command again with fewer --processes: what was done stays"
     for _, finished in subprocesses.results_of(pool, _work, todo, "evaluation", remedy):
         yield finished
@@ -291,7 +294,7 @@ def _results_of_cluster(
     ]
     maker = f"{__name__}:on_worker"
     with contextlib.closing(
-        ray_tasks.results(options.ray or "auto", maker, arguments(options), pieces)
+        ray_tasks.results(options.ray or "auto", maker, evaluator_arguments(options), pieces)
     ) as answers:
         for _, answer in answers:
             yield msgspec.json.decode(answer, type=tuple[dict | None, list[dict]])
@@ -300,29 +303,29 @@ def _results_of_cluster(
 def on_worker(settings: bytes) -> ray_tasks.Work:
     """Return what a worker of a Ray cluster does: a Unit as JSON → its rows as JSON.
 
-    settings  of Bench, as JSON
+    settings  of EditEvaluator, as JSON
     """
     torch.set_num_threads(1)
-    bench = Bench(**msgspec.json.decode(settings))
+    evaluator = EditEvaluator(**msgspec.json.decode(settings))
 
     def work(piece: bytes) -> bytes:
-        return encode(bench.work(*msgspec.json.decode(piece, type=Unit)))
+        return encode(evaluator.measure_picture(*msgspec.json.decode(piece, type=Unit)))
 
     return work
 
 
-_bench: Bench  # of a worker process
+_evaluator: EditEvaluator  # of a worker process
 
 
 def _begin(options: dict, threads: int) -> None:
-    global _bench
+    global _evaluator
     subprocesses.end_with_parent()
     torch.set_num_threads(threads)
-    _bench = Bench(**options)
+    _evaluator = EditEvaluator(**options)
 
 
 def _work(unit: Unit) -> tuple[dict | None, list[dict]]:
-    return _bench.work(*unit)
+    return _evaluator.measure_picture(*unit)
 
 
 def rows_of(path: Path) -> dict[str, dict]:

@@ -92,6 +92,30 @@ MAIN_NOTE = (
     "Mean display L2 over the mask. After one factor: were the edit's brightness forgiven; after"
     " three: its colour too. Metals: edits into a material of the family “metal”."
 )
+MATERIAL_NOTE = (
+    "The method's material, with true normals and light, rendered again and compared with the"
+    " picture (the paper's Table 1)."
+)
+NORMALS_NOTE = (
+    "The method's normals, with true material and light, rendered again (the paper's Table 2)."
+)
+LIGHT_NOTE = "The method's light, with true normals and material, rendered again."
+RERENDERED_NOTE = (
+    "All three parts of the method. Light given: were the light not predicted but true."
+)
+DISPLAYED_NOTE = (
+    "Each at its own exposure: the edit's own 99th percentile of luminance is brought to 1, as"
+    " the truth's is. The other figures are under the truth's exposure, as L2 is."
+)
+PROBES_NOTE = (
+    "The method's light on a diffuse, a matte silver and a mirror sphere, in linear radiance of"
+    " maps of unit mean (learn.metrics.light_probes). Scale-invariant: after the one factor"
+    " that makes the RMSE least. Angular: between the colours of a pixel."
+)
+GIVEN_NOTE = (
+    "Light given, normals given: the same edits were that part not predicted but true. It shows"
+    " where the error comes from."
+)
 
 
 def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Table | None:
@@ -116,7 +140,7 @@ def by_method(rows: Rows, title: str, note: str, groups: Sequence[Group]) -> Tab
 def edits_by_method(rows: Rows, known: Families) -> Table | None:
     """Return the main table: L2 of edits, aligned, as a median, and with metals by themselves.
 
-    known  as `gains` has them
+    known  as `gains_table` has them
     """
     result = by_method(rows, "Edits against their truth", MAIN_NOTE, [((), ALIGNED, "")])
     if result is None:
@@ -147,7 +171,7 @@ def is_borrowed(row: TableRow, rows: Iterable[TableRow]) -> bool:
     )
 
 
-def differences(rows: Rows) -> Table | None:
+def difference_table(rows: Rows) -> Table | None:
     """Return a table of L2 differences on the same edits: ours, refined or not, minus the others.
 
     A difference is called better or worse if its interval excludes 0.
@@ -186,7 +210,7 @@ def _verdict(difference: list[float] | None, enough: bool) -> str:
     return "better" if difference[2] < 0 else "worse"
 
 
-def gains(rows: Rows, known: Families) -> Table | None:
+def gains_table(rows: Rows, known: Families) -> Table | None:
     """Return a table of what refinement takes off the edits' mean, median and geometric mean.
 
     It has rows of all edits, and by light, by shape and by the family of the target material.
@@ -223,7 +247,7 @@ def gains(rows: Rows, known: Families) -> Table | None:
     return table("What refinement takes off edits", note, columns, results)
 
 
-def all_of(
+def make_tables(
     pictures: Sequence[dict],
     edits: Sequence[dict],
     families: Families,
@@ -231,68 +255,48 @@ def all_of(
 ) -> dict[str, Table]:
     """Return {key: table} of rows of pictures.jsonl and edits.jsonl, without empty tables.
 
-    families   as `gains` has them
-    distances  as learn.evaluation.breakdowns.by_distance has them
+    families   as `gains_table` has them
+    distances  as learn.evaluation.breakdowns.distance_table has them
     """
     P, E = Rows(pictures, "materials"), Rows(edits, "wanted")
-    material_alone = (
-        "The method's material, with true normals and light, rendered again and compared with the"
-        " picture (the paper's Table 1)."
-    )
-    normals_alone = (
-        "The method's normals, with true material and light, rendered again (the paper's Table 2)."
-    )
-    light_alone = "The method's light, with true normals and material, rendered again."
-    again = "All three parts of the method. Light given: were the light not predicted but true."
-    displayed = (
-        "Each at its own exposure: the edit's own 99th percentile of luminance is brought to 1, as"
-        " the truth's is. The other figures are under the truth's exposure, as L2 is."
-    )
-    probes = (
-        "The method's light on a diffuse, a matte silver and a mirror sphere, in linear radiance of"
-        " maps of unit mean (learn.metrics.light_probes). Scale-invariant: after the one factor"
-        " that makes the RMSE least. Angular: between the colours of a pixel."
-    )
-    given = (
-        "Light given, normals given: the same edits were that part not predicted but true. It shows"
-        " where the error comes from."
-    )
     result = {
         "edits": edits_by_method(E, families),
-        "differences": differences(E),
-        "gains": gains(E, families),
-        "worst": breakdowns.worst(E, P, families),
-        "distance": breakdowns.by_distance(E, P, distances),
+        "differences": difference_table(E),
+        "gains": gains_table(E, families),
+        "worst": breakdowns.worst_edits(E, P, families),
+        "distance": breakdowns.distance_table(E, P, distances),
         "displayed": by_method(
-            E, "The same edits by other measures", displayed, [((), DISPLAYED, "")]
+            E, "The same edits by other measures", DISPLAYED_NOTE, [((), DISPLAYED, "")]
         ),
-        "given": by_method(E, "Edits with one part given", given, [((), ALIGNED[:1] + GIVEN, "")]),
-        "refinement": refinement_table.refinement(P, E),
+        "given": by_method(
+            E, "Edits with one part given", GIVEN_NOTE, [((), ALIGNED[:1] + GIVEN, "")]
+        ),
+        "refinement": refinement_table.refinement_table(P, E),
         "rerendered": by_method(
             P,
             "Pictures rendered again",
-            again,
+            RERENDERED_NOTE,
             [(("rendered_all",), PICTURE, ""), (("rendered_all_true_light",), LIT, "_lit")],
         ),
         "material": by_method(
             P,
             "Material",
-            material_alone,
+            MATERIAL_NOTE,
             [(("material",), MATERIAL, ""), (("rendered_material",), SHORT, "_rendered")],
         ),
         "normals": by_method(
             P,
             "Normals",
-            normals_alone,
+            NORMALS_NOTE,
             [(("normals",), NORMALS, ""), (("rendered_normals",), SHORT, "_rendered")],
         ),
         "light": by_method(
             P,
             "Light",
-            light_alone,
+            LIGHT_NOTE,
             [(("light",), LIGHT, ""), (("rendered_light",), SHORT, "_rendered")],
         ),
-        "probes": by_method(P, "Light on three spheres", probes, [(("light",), PROBES, "")]),
-        "layer": layer_table.layer(E),
+        "probes": by_method(P, "Light on three spheres", PROBES_NOTE, [(("light",), PROBES, "")]),
+        "layer": layer_table.layer_table(E),
     }
     return {key: value for key, value in result.items() if value is not None}

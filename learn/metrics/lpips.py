@@ -24,7 +24,7 @@ LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), 
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
-def of_file(path: str | Path | None) -> Perceptual | None:
+def load(path: str | Path | None) -> Perceptual | None:
     """Return LPIPS as a function of two pictures, with the weights of a file; None for no file.
 
     The pictures are display values (H, W, 3) in [0, 255]; equal ones have a distance of 0.

@@ -61,7 +61,7 @@ class Ranges:
         return code / REACH * self.half + self.centre
 
 
-def light_of(code: torch.Tensor) -> torch.Tensor:
+def decode_light(code: torch.Tensor) -> torch.Tensor:
     """Return L of log(1 + L), clamped to the range of half floats."""
     return torch.expm1(code.clamp(0, LARGEST_LOG_LIGHT))
 

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn.networks.coding import Ranges, compress, light_of, picture_code, unit_mean
+from learn.networks.coding import Ranges, compress, decode_light, picture_code, unit_mean
 from learn.networks.light_maps import MapConvolution, enlarge, map_convolution
 from learn.networks.prediction import Coded, Prediction, region_masks, require_part
 
@@ -167,7 +167,9 @@ class Compact(Coded):
             )
         label = None if code is None else self.ranges.label(code)
         light = (
-            None if light_code is None else unit_mean(light_of(light_code), self.row_solid_angle)
+            None
+            if light_code is None
+            else unit_mean(decode_light(light_code), self.row_solid_angle)
         )
         return Prediction(predicted if "normals" in parts else None, code, label, light_code, light)
 

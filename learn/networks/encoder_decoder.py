@@ -24,7 +24,7 @@ from torch.nn import functional as F
 from learn.networks.coding import BRIGHTNESS, Ranges, picture_code
 from learn.networks.compact import convolution
 from learn.networks.prediction import Coded
-from learn.networks.separate import WIDTHS, Encoder, read_off
+from learn.networks.separate import WIDTHS, Encoder, make_head
 
 FEATURES = 64  # of f_m
 HIDDEN = 128
@@ -57,7 +57,7 @@ class EncoderDecoder(Coded):
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.encode = Encoder()
-        self.read = read_off(FEATURES)
+        self.read = make_head(FEATURES)
         self.regress = nn.Sequential(
             nn.ReLU(), nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 108)
         )

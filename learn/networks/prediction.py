@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from learn.networks.coding import Ranges, light_of, picture_code, unit_mean
+from learn.networks.coding import Ranges, decode_light, picture_code, unit_mean
 from shaders.envmap import row_solid_angles
 
 
@@ -115,7 +115,7 @@ class ThreeNetworks(Coded):
             label = self.ranges.label(code)
         if "light" in parts:
             light_code = F.softplus(self._light(x).float())
-            light = unit_mean(light_of(light_code), self.row_solid_angle)
+            light = unit_mean(decode_light(light_code), self.row_solid_angle)
         return Prediction(normals, code, label, light_code, light)
 
     def _normals(self, x: torch.Tensor) -> torch.Tensor:

@@ -62,7 +62,7 @@ class Decoder(nn.Module):
         return F.pixel_shuffle(self.last(x), 2).float()
 
 
-def read_off(outputs: int) -> nn.Sequential:
+def make_head(outputs: int) -> nn.Sequential:
     """Return layers from the deepest features to `outputs` numbers.
 
     One more halving, CELLS² cells, two fully connected layers with dropout.
@@ -86,8 +86,8 @@ class Separate(ThreeNetworks):
     def __init__(self, ranges: Ranges):
         super().__init__(ranges)
         self.normals = nn.ModuleList([Encoder(), Decoder()])
-        self.material = nn.ModuleList([Encoder(WIDTHS[1:], 4), read_off(108)])
-        self.light = nn.ModuleList([Encoder(WIDTHS[1:], 4), read_off(LIGHT_WIDTHS[0] * 32)])
+        self.material = nn.ModuleList([Encoder(WIDTHS[1:], 4), make_head(108)])
+        self.light = nn.ModuleList([Encoder(WIDTHS[1:], 4), make_head(LIGHT_WIDTHS[0] * 32)])
         self.widen = nn.ModuleList(convolution(a, b) for a, b in pairwise(LIGHT_WIDTHS))
         self.last = nn.Conv2d(LIGHT_WIDTHS[-1], 12, 3, 1, 1)
 

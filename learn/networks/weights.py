@@ -61,8 +61,13 @@ DAMAGED = (
 Natural = Annotated[int, msgspec.Meta(ge=0, le=10**15)]
 
 
-class About(msgspec.Struct, frozen=True):
-    """Metadata of weights. size: of pictures; step: the number of steps that the run had made."""
+class WeightsMetadata(msgspec.Struct, frozen=True):
+    """Metadata of weights that are read from them.
+
+    network  one of NETWORKS
+    size     height and width of pictures
+    step     number of steps that the run had made; None: not known
+    """
 
     network: NetworkName
     size: Size
@@ -148,7 +153,7 @@ def load_network(
                     str(metadata.get(key, "none"))[:60],
                     "use weights that `learn train` wrote",
                 )
-        about = convert(metadata, About, f"{path}: metadata", strict=False)
+        about = convert(metadata, WeightsMetadata, f"{path}: metadata", strict=False)
         run = read_run_settings(metadata, path)
         network = NETWORKS[about.network](Ranges(torch.zeros(108), torch.ones(108)))
         require_network(stored, network)
@@ -159,7 +164,7 @@ def load_network(
     return network.to(device).eval(), metadata | {"size": about.size, "run": run, "ranges": ranges}
 
 
-def load_parts(
+def load_full_network(
     path: str | Path, device: torch.device | str = "cpu"
 ) -> tuple[Coded, dict[str, Any]]:
     """Return as `load_network`, for a network that predicts normals, material and light.
@@ -297,7 +302,7 @@ def fill_heads(network: Coded, stored: tensor_file.Stored) -> None:
 
 
 @contextlib.contextmanager
-def remedy(text: str) -> Iterator[None]:
+def with_remedy(text: str) -> Iterator[None]:
     """Give every InputError of the block this remedy, for a reader cannot know a file's purpose."""
     try:
         yield

@@ -37,6 +37,7 @@ FIELDS = {"material": "label", "light": "light", "normals": "n"}
 MOST_EVALUATIONS = 2  # per iteration: a line search that needs more is stopped
 NOWHERE = 1e30  # energy of what is not finite or cannot be rendered: a line search turns back
 
+# {property: the map from its vector to its value}
 Coordinates = dict[str, MaterialCoordinates | LightCoordinates | NormalCoordinates]
 Vectors = dict[str, np.ndarray]  # {property: (Z,) float64}
 Watch = Callable[[int, int], None]  # (evaluations so far, about how many there will be)
@@ -45,12 +46,12 @@ Watch = Callable[[int, int], None]  # (evaluations so far, about how many there 
 class Step(NamedTuple):
     """One descent at a level.
 
-    turn        number of its round; that in all properties at once comes after the rounds
+    round       number of its round; that in all properties at once comes after the rounds
     properties  that move
     iterations  of L-BFGS, at most
     """
 
-    turn: int
+    round: int
     properties: tuple[str, ...]
     iterations: int
 
@@ -102,8 +103,8 @@ def refine(
     inside = (batch.segments > 0) & (batch.mask[:, 0] > 0)
     directions = principal_directions(labels)
     predicted = State(prediction.label, prediction.light, prediction.n, {})
-    maps = coordinates(predicted, inside, settings, directions)
-    current = starting_state(maps)
+    coordinates = make_coordinates(predicted, inside, settings, directions)
+    current = starting_state(coordinates)
     if not current.is_renderable:
         raise ValueError(
             "refine: expected finite normals and light, and a label whose exp is finite and above"
@@ -115,13 +116,13 @@ def refine(
     counted = None if watch is None else _make_counter(watch, settings)
     for number in range(settings.outer_iterations):
         if number:  # about the result of the one before
-            maps = coordinates(current, inside, settings, directions)
-            own = Energy(batch, starting_state(maps), settings)
-            state, _, steps = run_outer_iteration(own, maps, None, counted)
+            coordinates = make_coordinates(current, inside, settings, directions)
+            own = Energy(batch, starting_state(coordinates), settings)
+            state, _, steps = run_outer_iteration(own, coordinates, None, counted)
             state = replace(state, z={"material": current.z["material"] + state.z["material"]})
             terms = energy.terms_of_all_pixels(state)
         else:
-            state, terms, steps = run_outer_iteration(energy, maps, before, counted)
+            state, terms, steps = run_outer_iteration(energy, coordinates, before, counted)
         if not terms["total"] < before["total"]:
             break
         current, after = state, terms
@@ -142,45 +143,49 @@ def _make_counter(watch: Watch, settings: RefinementSettings) -> Callable[[], No
 
 def run_outer_iteration(
     energy: Energy,
-    maps: Coordinates,
+    coordinates: Coordinates,
     before: dict[str, float] | None = None,
     before_evaluation: Callable[[], None] | None = None,
 ) -> tuple[State, dict[str, float], list[dict[str, Any]]]:
     """Return the State after all levels, its terms over all pixels, and a line for each step.
 
-    energy  about the start of `maps`
+    energy  about the start of `coordinates`
     before  its terms over all pixels at the start; None: not known
     """
     settings = energy.settings
-    z = {name: to_numpy(m.predicted).flatten() for name, m in maps.items()}
-    best = energy.terms_of_all_pixels(starting_state(maps)) if before is None else before
+    z = {name: to_numpy(m.predicted).flatten() for name, m in coordinates.items()}
+    best = energy.terms_of_all_pixels(starting_state(coordinates)) if before is None else before
     history = []
     for number, level in enumerate(settings.levels):
         where = energy.pixels(level.pixels)
         for step in steps_of(level, settings.order):
-            moved = z | minimise(energy, maps, z, step, level, where, before_evaluation)
-            terms = energy.terms_of_all_pixels(state_of(maps, moved))
+            moved = z | minimise_step(energy, coordinates, z, step, level, where, before_evaluation)
+            terms = energy.terms_of_all_pixels(state_of(coordinates, moved))
             accepted = math.isfinite(terms["total"]) and terms["total"] < best["total"]
             if accepted:
                 z, best = moved, terms
             line = {
                 "level": number,
-                "round": step.turn,
+                "round": step.round,
                 "property": "+".join(step.properties),
                 "accepted": accepted,
                 "total": terms["total"],
             }
             history.append(line)
-    return state_of(maps, z), best, history
+    return state_of(coordinates, z), best, history
 
 
-def coordinates(
+def make_coordinates(
     start: State,
     inside: torch.Tensor,
     settings: RefinementSettings,
     directions: np.ndarray | None = None,
 ) -> Coordinates:
-    """Return {property: map from z} about a State, of which z is not read."""
+    """Return the coordinates about a State, of which z is not read.
+
+    inside      (1, H, W) bool: the pixels of the object
+    directions  as of MaterialCoordinates
+    """
     return {
         "material": MaterialCoordinates(start.label, directions),
         "light": LightCoordinates(start.light, settings.degree),
@@ -191,19 +196,19 @@ def coordinates(
 def steps_of(level: Level, order: Sequence[str]) -> list[Step]:
     """Return the steps of a level, in turn."""
     steps = [
-        Step(turn, (name,), level.iterations) for turn in range(level.rounds) for name in order
+        Step(number, (name,), level.iterations) for number in range(level.rounds) for name in order
     ]
     joint = Step(level.rounds, tuple(order), level.joint_iterations)
     return [*steps, joint] if level.joint_iterations and order else [*steps]
 
 
-def starting_state(maps: Coordinates) -> State:
+def starting_state(coordinates: Coordinates) -> State:
     """Return the State of the coordinates' start."""
-    return state_of(maps, {name: m.predicted for name, m in maps.items()})
+    return state_of(coordinates, {name: m.predicted for name, m in coordinates.items()})
 
 
 def state_of(
-    maps: Coordinates,
+    coordinates: Coordinates,
     z: dict[str, np.ndarray] | dict[str, torch.Tensor],
     known: State | None = None,
 ) -> State:
@@ -213,17 +218,19 @@ def state_of(
     """
     moved = {
         name: torch.as_tensor(z[name]).to(m.predicted.device).reshape(m.shape)
-        for name, m in maps.items()
+        for name, m in coordinates.items()
         if name in z
     }
-    fields: dict[str, Any] = {FIELDS[name]: maps[name](value) for name, value in moved.items()}
+    fields: dict[str, Any] = {
+        FIELDS[name]: coordinates[name](value) for name, value in moved.items()
+    }
     fields["z"] = ({} if known is None else known.z) | moved
     return State(**fields) if known is None else replace(known, **fields)
 
 
-def minimise(
+def minimise_step(
     energy: Energy,
-    maps: Coordinates,
+    coordinates: Coordinates,
     z: Vectors,
     step: Step,
     level: Level,
@@ -240,10 +247,10 @@ def minimise(
     """
     names, iterations = step.properties, step.iterations
     sizes = [len(z[name]) for name in names]
-    unmoved = state_of(maps, z)
+    unmoved = state_of(coordinates, z)
     device = unmoved.n.device
 
-    def parts(x: np.ndarray) -> Vectors:
+    def split(x: np.ndarray) -> Vectors:
         return dict(zip(names, np.split(x, np.cumsum(sizes)[:-1]), strict=True))
 
     def value_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -251,9 +258,9 @@ def minimise(
             before_evaluation()
         moved = {
             name: torch.from_numpy(v.copy()).to(device).requires_grad_()
-            for name, v in parts(x).items()
+            for name, v in split(x).items()
         }
-        state = state_of(maps, moved, unmoved)
+        state = state_of(coordinates, moved, unmoved)
         if not state.is_renderable:
             return NOWHERE, np.zeros_like(x)
         value = energy.total(energy.terms(state, where, level.light, level.method, level.tolerance))
@@ -264,7 +271,7 @@ def minimise(
         return value.item(), gradient.astype(np.float64)
 
     x = np.concatenate([z[name] for name in names])
-    return parts(run_lbfgs(value_and_gradient, x, iterations, energy.settings.most_trials))
+    return split(run_lbfgs(value_and_gradient, x, iterations, energy.settings.most_trials))
 
 
 class _StuckError(Exception):

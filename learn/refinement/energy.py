@@ -80,14 +80,15 @@ class State:
 
 
 def misfit(
-    mine: torch.Tensor, its: torch.Tensor, clipped: torch.Tensor | None = None
+    rendered: torch.Tensor, seen: torch.Tensor, clipped: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Return (mine − its)² of pictures of one shape, one-sided where `its` is clipped.
+    """Return (rendered − seen)² of pictures of one shape, one-sided where `seen` is clipped.
 
-    clipped  shares in [0, 1] of the same shape: that share of the cost counts only where `mine` is
-             darker, because a clipped value says "at least this bright"; None: nothing is clipped
+    clipped  shares in [0, 1] of the same shape: that share of the cost counts only where `rendered`
+             is darker, because a clipped value says "at least this bright"; None: nothing is
+             clipped
     """
-    difference = mine - its
+    difference = rendered - seen
     if clipped is None:
         return difference**2
     return (1 - clipped) * difference**2 + clipped * difference.clamp(max=0) ** 2
@@ -150,7 +151,7 @@ def _largest_near(values: torch.Tensor, radius: int) -> torch.Tensor:
     return torch.from_numpy(largest).to(values.device)
 
 
-def count_mirrored(
+def raise_mirror_weights(
     weights: torch.Tensor, segments: torch.Tensor, labels: np.ndarray
 ) -> torch.Tensor:
     """Return weights (P,), raised towards 1 where the material is mirror-like.
@@ -250,7 +251,7 @@ class Energy:
             picture = batch.image[0].movedim(0, -1) * exposure
             labels = label_weights(picture, self.segments[0] * inside, whole, LABEL_RADIUS)
             weights = torch.minimum(weights, labels[inside])
-            self.weights = count_mirrored(weights, regions, to_numpy(start.label[0].detach()))
+            self.weights = raise_mirror_weights(weights, regions, to_numpy(start.label[0].detach()))
         self._compared: tuple[torch.Tensor, Compared] | None = None
         self.log_light = torch.log1p(start.light)
         self.log_ratio = (FAINT + start.light).log()

@@ -10,8 +10,7 @@ class Level:
     """One level of the descent, which goes from coarse to fine.
 
     pixels      number of the object's pixels, evenly spread, at which the picture is compared; 0:
-                all. A few hundred leave the normals between them undetermined: with 600, edits of
-                eight development pictures are at 924, with all pixels at 741 (study.json)
+                all. A few hundred leave the normals between them undetermined, and edits are worse
     light       (height, width) of the light map in the sum, reduced from the refined one by solid
                 angle
     method      of learn.layer.render

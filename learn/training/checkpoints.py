@@ -62,7 +62,7 @@ def restore(
     is.
     """
     with (
-        weights.remedy(weights.DAMAGED),
+        weights.with_remedy(weights.DAMAGED),
         tensor_file.open_tensor_file(path, "a checkpoint") as stored,
     ):
         progress = weights.progress_of(stored)
@@ -76,7 +76,7 @@ def restore(
     if not is_ours:
         hint = "give another --out, or the settings in run.json there"
         raise InputError(path, "a checkpoint of this run", "one of other settings", hint)
-    total = schedule.steps(run)
+    total = schedule.total_steps(run)
     if progress.step > total:
         rule = f"a checkpoint of at most {total} steps"
         raise InputError(path, rule, f"one of {progress.step}", weights.DAMAGED)

@@ -44,12 +44,12 @@ class Journal:
             for name, value in record.get("validation", {}).items():
                 self.events.add_scalar(f"validation/{name}", value, record["step"])
 
-    def show(self, step: int, picture: np.ndarray) -> None:
-        """Log a contact sheet (H, W, 3) uint8."""
+    def add_contact_sheet(self, step: int, picture: np.ndarray) -> None:
+        """Log a contact sheet (H, W, 3) uint8 as a TensorBoard event, if there are events."""
         if self.events:
             self.events.add_image("sheet", picture, step, dataformats="HWC")
 
-    def made(
+    def write_made(
         self,
         by: Mapping[str, Any],
         sizes: Mapping[str, Mapping[str, int]],

@@ -28,17 +28,17 @@ from learn.networks.coding import Ranges
 from learn.networks.prediction import Coded
 from learn.training import (
     checkpoints,
+    contact_sheet,
     losses,
-    montage,
     processes,
     repetition,
     revival,
     schedule,
     validation,
 )
-from learn.training.beginning import begin
 from learn.training.buffers import StoredBuffers
 from learn.training.clock import Clock
+from learn.training.initialisation import initialise
 from learn.training.journal import Journal
 from manifests.errors import InputError
 from manifests.files import require_place_for_file, write_bytes
@@ -88,10 +88,10 @@ class Training:
         labels = torch.from_numpy(np.stack(list(data_splits["train"].labels.values())))
         self.network = self._new_network(Ranges.of(labels))
         self.average = _copies(self.network)
-        self.optimiser = schedule.optimiser(self.network, run.schedule)
+        self.optimiser = schedule.make_optimiser(self.network, run.schedule)
         self.step, self.skipped = 0, 0
         self.clock = Clock(run.schedule, self.world > 1, self.device)
-        self.features = self._features()
+        self.features = self._load_features()
         self.seen = seen_in_splits(
             [data_splits[side] for side in ("train", "validation")], self._source_of_examples()
         )
@@ -103,7 +103,7 @@ class Training:
             self.clock.used, self.clock.passed = progress.used, progress.passed
             self.seen = self.seen.join(before)
         else:
-            self.seen = begin(self.network, run, self.seen)
+            self.seen = initialise(self.network, run, self.seen)
             if run.revive:
                 self._revive()
             self.average = _copies(self.network)
@@ -126,13 +126,13 @@ class Training:
             write_bytes(
                 self.out / "run.json", msgspec.json.format(msgspec.json.encode(run), indent=1)
             )
-        total = schedule.steps(run)
+        total = schedule.total_steps(run)
         bar = tqdm(
             total=total, initial=self.step, unit="step", desc=run.name, disable=self.rank > 0
         )
         for batch in self._batches() if not self._is_done() else ():
             with self.clock.step():
-                record = self._one_step(batch)
+                record = self._make_step(batch)
             self.step += 1
             bar.update()
             bar.set_postfix_str(
@@ -154,7 +154,7 @@ class Training:
                 else time.monotonic() - last > EVERY_SECONDS
             )
             if self.rank == 0 and (done or due):
-                self._save()
+                self._save_checkpoint()
                 last = time.monotonic()
             if done:
                 break
@@ -207,16 +207,16 @@ class Training:
         # mypy knows no `to` with a memory format alone
         return network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def _features(self) -> features.Features | None:
+    def _load_features(self) -> features.Features | None:
         """Load the features of the first phase whose losses use features, if there is one."""
         for phase in schedule.phases(self.run):
-            if losses.by_features(phase.losses):
+            if losses.uses_features(phase.losses):
                 loaded = features.load(phase.losses.features, phase.losses.features_sha256)
                 return loaded.to(self.device)
         return None
 
     def _is_done(self) -> bool:
-        return self.step >= schedule.steps(self.run) or self.clock.share() >= 1
+        return self.step >= schedule.total_steps(self.run) or self.clock.share() >= 1
 
     def _source_of_examples(self) -> str:
         """Return "relit", "pictures" or "mix"."""
@@ -234,18 +234,18 @@ class Training:
 
     def _batches(self) -> Iterator[ExampleBatch]:
         """Yield the batch of each step that is left, on the run's device."""
-        order = range(self.step, schedule.steps(self.run))
+        order = range(self.step, schedule.total_steps(self.run))
         source = self._source()
 
-        def made(numbers: Sequence[int]) -> Iterator[ExampleBatch]:
+        def load(numbers: Sequence[int]) -> Iterator[ExampleBatch]:
             on_cuda = self.device.type == "cuda"
-            for batch in processes.batches(source, numbers, self.workers, pin_memory=on_cuda):
+            for batch in processes.load_batches(source, numbers, self.workers, pin_memory=on_cuda):
                 yield batch.to(self.device, non_blocking=True)
 
         # the versions are made on the device, to which each batch is copied once
-        return repetition.batches(order, repetition.versions(self.run.data), made)
+        return repetition.repeat_batches(order, repetition.versions_of(self.run.data), load)
 
-    def _one_step(self, batch: ExampleBatch) -> dict[str, Any]:
+    def _make_step(self, batch: ExampleBatch) -> dict[str, Any]:
         """Make one step; return its figures."""
         phase = schedule.phase_at(self.run, self.step)
         self._set_learning_rate(phase)
@@ -287,7 +287,7 @@ class Training:
             "backward": time.process_time() - after_losses,
         }
         milliseconds = {f"{name}_ms": round(1e3 * seconds, 1) for name, seconds in times.items()}
-        return record | validation.saturation(prediction) | milliseconds
+        return record | validation.measure_saturation(prediction) | milliseconds
 
     def _terms(
         self, prediction: Any, batch: ExampleBatch, loss_weights: Losses, rng: torch.Generator
@@ -356,11 +356,11 @@ class Training:
             figures |= dead.figures()
             source = make_batch_source(data_split, self.run, self.run.schedule.batch, 1)
             batch = source[0].to(self.device)
-            contact_sheet = montage.write(
+            picture = contact_sheet.write(
                 self._sheet_path(), batch, self._predict_finite(network, batch)
             )
             if self.journal:
-                self.journal.show(self.step - 1, contact_sheet)
+                self.journal.add_contact_sheet(self.step - 1, picture)
         self._save_weights()
         return figures
 
@@ -386,7 +386,7 @@ class Training:
             self.seen,
         )
 
-    def _save(self) -> None:
+    def _save_checkpoint(self) -> None:
         progress = {
             "step": self.step,
             "skipped": self.skipped,

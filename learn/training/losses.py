@@ -25,7 +25,7 @@ pixels from above.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -36,14 +36,20 @@ from learn.metrics.radiometry import log_albedo, log_rendered
 from learn.networks.coding import Ranges, compress
 from learn.networks.features import Features, difference
 from learn.networks.prediction import Prediction, require_part
-from learn.training.rerendering import at_pixels, object_mask, pick, sample_pixels, whole
+from learn.training.rerendering import (
+    gather_pixels,
+    object_mask,
+    render_frames,
+    render_pixels,
+    sample_pixels,
+)
 
 # texels of half the sharpest lobe's width; with four times as many this is the costliest term
 RENDERED_LIGHT = (32, 64)
 BRIGHTEST_SEEN = 1.2  # of a compressed picture, for features, which were trained on values up to 1
 
 
-Terms = dict[str, torch.Tensor]
+Terms = dict[str, torch.Tensor]  # {name in learn.data.settings.Losses: scalar}, without weights
 
 
 def terms(
@@ -69,18 +75,18 @@ def terms(
         result |= material_terms(prediction, batch, losses, ranges)
     if prediction.light is not None:
         result |= light_terms(prediction, batch, losses)
-    if through_layer(losses):
+    if uses_layer(losses):
         result |= layer_terms(prediction, batch, losses, rng, features)
     return result
 
 
-def through_layer(losses: Losses) -> bool:
+def uses_layer(losses: Losses) -> bool:
     """Return whether any term is of a picture that the layer renders."""
-    return bool(losses.image or losses.target or by_features(losses))
+    return bool(losses.image or losses.target or uses_features(losses))
 
 
-def by_features(losses: Losses) -> bool:
-    """Return whether any term compares by features."""
+def uses_features(losses: Losses) -> bool:
+    """Return whether any term compares pictures by features of a trained network."""
     return bool(losses.image_features or losses.target_features)
 
 
@@ -128,12 +134,22 @@ def light_terms(
     result = {}
     lights = require_part(prediction.light), batch.light
     if losses.light_log:
-        mine, its = (torch.log1p(scaled(light)) for light in lights)
-        result["light_log"] = ((mine - its) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
+        log, true_log = (torch.log1p(scaled(light)) for light in lights)
+        result["light_log"] = ((log - true_log) ** 2 * solid_angles(batch.light)).sum((2, 3)).mean()
     if losses.light_rendered:
-        mine, its = (log_rendered(reduce_maps(scaled(light), RENDERED_LIGHT)) for light in lights)
-        result["light_rendered"] = ((mine - its) ** 2).mean()
+        log, true_log = (
+            log_rendered(reduce_maps(scaled(light), RENDERED_LIGHT)) for light in lights
+        )
+        result["light_rendered"] = ((log - true_log) ** 2).mean()
     return result
+
+
+class _Scene(NamedTuple):
+    """What the layer renders: n (B, 3, H, W), label (B, S, 108), light (B, 3, Hl, Wl)."""
+
+    n: torch.Tensor
+    label: torch.Tensor
+    light: torch.Tensor
 
 
 def layer_terms(
@@ -155,75 +171,88 @@ def layer_terms(
     )
     label = batch.label if prediction.label is None else prediction.label
     n = batch.n if prediction.n is None else prediction.n
-    result = {}
-    parts = (
+    result: Terms = {}
+    for name, of_prediction, of_truth, rendered in (
         ("image", label, batch.label, batch.picture),
         ("target", batch.target_label, batch.target_label, batch.target),
-    )
-    for name, mine, its, rendered in parts:
-        of_pixels, of_features = getattr(losses, name), getattr(losses, f"{name}_features")
-        if of_features or (of_pixels and losses.rendered == "all"):
-            with torch.no_grad():
-                truth = (
-                    whole(batch.n, its, true_light, batch, method=losses.layer_method)
-                    if rendered is None
-                    else rendered * object_mask(batch)
-                )
-            seen = whole(n, mine, light, batch, losses.gradient_bound, losses.layer_method)
-            mine_c, its_c = compress(seen), compress(truth)
-            if of_pixels:
-                pixels = object_mask(batch).sum().clamp(min=1)
-                result[name] = ((mine_c - its_c) ** 2).sum() / (3 * pixels)
-            if of_features:
-                result[f"{name}_features"] = compared_by(
-                    features, mine_c, its_c, object_mask(batch) > 0
-                )
-        elif of_pixels:
-            where, count = sample_pixels(batch, losses.pixels, rng)
-            if rendered is None:
-                with torch.no_grad():
-                    truth = at_pixels(
-                        batch.n,
-                        batch.segments,
-                        its,
-                        true_light,
-                        where,
-                        batch.elevation,
-                        method=losses.layer_method,
-                    )
-            else:
-                truth = pick(rendered, where)
-            seen = at_pixels(
-                n,
-                batch.segments,
-                mine,
-                light,
-                where,
-                batch.elevation,
-                losses.gradient_bound,
-                losses.layer_method,
-            )
-            lit = (where >= 0)[..., None]
-            result[name] = ((compress(seen) - compress(truth)) ** 2 * lit).sum() / max(3 * count, 3)
+    ):
+        predicted = _Scene(n, of_prediction, light)
+        true = _Scene(batch.n, of_truth, true_light)
+        by_pixels, by_features = getattr(losses, name), getattr(losses, f"{name}_features")
+        if by_features or (by_pixels and losses.rendered == "all"):
+            result |= _terms_of_frames(name, predicted, true, rendered, batch, losses, features)
+        elif by_pixels:
+            result[name] = _term_of_pixels(predicted, true, rendered, batch, losses, rng)
     return result
 
 
-def compared_by(
-    features: Features | None, mine: torch.Tensor, its: torch.Tensor, inside: torch.Tensor
-) -> torch.Tensor:
-    """Return the difference of two compressed pictures (B, 3, H, W) by features.
+def _terms_of_frames(
+    name: str,
+    predicted: _Scene,
+    true: _Scene,
+    rendered: torch.Tensor | None,
+    batch: ExampleBatch,
+    losses: Losses,
+    features: Features | None,
+) -> Terms:
+    """Return the terms `name` and `name`_features, as far as they have a weight, of all pixels.
 
-    inside (B, 1, H, W) bool covers the object, outside of which the pictures are black.
+    rendered  (B, 3, H, W) the true pictures; None: what the layer makes of `true`
+    """
+    inside = object_mask(batch)
+    with torch.no_grad():
+        truth = (
+            render_frames(*true, batch, method=losses.layer_method)
+            if rendered is None
+            else rendered * inside
+        )
+    picture = render_frames(*predicted, batch, losses.gradient_bound, losses.layer_method)
+    picture, truth = compress(picture), compress(truth)
+    result: Terms = {}
+    if getattr(losses, name):
+        result[name] = ((picture - truth) ** 2).sum() / (3 * inside.sum().clamp(min=1))
+    if getattr(losses, f"{name}_features"):
+        result[f"{name}_features"] = feature_difference(features, picture, truth, inside > 0)
+    return result
+
+
+def _term_of_pixels(
+    predicted: _Scene,
+    true: _Scene,
+    rendered: torch.Tensor | None,
+    batch: ExampleBatch,
+    losses: Losses,
+    rng: torch.Generator,
+) -> torch.Tensor:
+    """Return the term of pixels that `rng` samples; rendered as of `_terms_of_frames`."""
+    where, count = sample_pixels(batch, losses.pixels, rng)
+    if rendered is None:
+        with torch.no_grad():
+            truth = render_pixels(*true, batch, where, method=losses.layer_method)
+    else:
+        truth = gather_pixels(rendered, where)
+    picture = render_pixels(*predicted, batch, where, losses.gradient_bound, losses.layer_method)
+    sampled = (where >= 0)[..., None]
+    return ((compress(picture) - compress(truth)) ** 2 * sampled).sum() / max(3 * count, 3)
+
+
+def feature_difference(
+    features: Features | None, picture: torch.Tensor, truth: torch.Tensor, inside: torch.Tensor
+) -> torch.Tensor:
+    """Return the difference of the features of compressed pictures and true ones (B, 3, H, W).
+
+    features  ValueError if there are none
+    inside    (B, 1, H, W) bool covers the object, outside of which the pictures are black
     """
     if features is None:
         raise ValueError("features: expected those that the run's losses name, found none")
-    mine, its = (
+    picture, truth = (
         torch.stack(cut_boxes(pictures.clamp(max=BRIGHTEST_SEEN), inside))
-        for pictures in (mine, its)
+        for pictures in (picture, truth)
     )
     with torch.no_grad():
-        truth = features(its)
-    return difference(features(mine), truth)
+        of_truth = features(truth)
+    return difference(features(picture), of_truth)
 
 
 def cut_boxes(pictures: torch.Tensor, inside: torch.Tensor, margin: int = 4) -> list[torch.Tensor]:

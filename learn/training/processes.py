@@ -14,7 +14,7 @@ from manifests import lock
 from manifests.errors import InputError
 
 PATIENCE = 2.0  # seconds that a killed run may take to be gone
-_LOCKS: list[int] = []  # descriptors of the folders that this process holds
+_LOCKS: list[int] = []  # descriptors of the folders that this process has locked
 
 
 class BatchSource(Protocol):
@@ -24,11 +24,11 @@ class BatchSource(Protocol):
 
 
 @contextlib.contextmanager
-def only_writer(out: str | Path) -> Iterator[None]:
-    """Hold the folder of a run, for a second run would write each line of the log twice.
+def lock_run_folder(out: str | Path) -> Iterator[None]:
+    """Lock the folder of a run for a block: a second run there would write each line twice.
 
-    Of several processes of one run (torchrun) the first holds it. Raises InputError if another run
-    holds the folder.
+    Of several processes of one run (torchrun) the first locks it. Raises InputError if another run
+    has locked the folder.
     """
     if int(os.environ.get("RANK", 0)):
         yield
@@ -42,12 +42,13 @@ def only_writer(out: str | Path) -> Iterator[None]:
                 _LOCKS.remove(descriptor)
 
 
-def batches(
+def load_batches(
     source: BatchSource, order: Sequence[int], workers: int, pin_memory: bool
 ) -> Iterator[ExampleBatch]:
     """Yield the batches of a source in the given order, made by `workers` processes.
 
-    workers  0: made in this process
+    workers     number of processes; 0: this one makes them
+    pin_memory  whether batches are in page-locked memory, for copies to a GPU
     Raises   InputError: a batch that cannot be made, a worker that was killed
     """
     if not workers:
@@ -58,11 +59,11 @@ def batches(
         batch_size=None,
         sampler=order,
         num_workers=workers,
-        worker_init_fn=begin_worker,
+        worker_init_fn=start_worker,
         prefetch_factor=2,
         pin_memory=pin_memory,
     )
-    yield from receive(loader)
+    yield from receive_batches(loader)
 
 
 class ErrorsAsValues(torch.utils.data.Dataset):
@@ -82,7 +83,7 @@ class ErrorsAsValues(torch.utils.data.Dataset):
             return error
 
 
-def receive(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch]:
+def receive_batches(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch]:
     """Yield the batches of a DataLoader over ErrorsAsValues.
 
     Raises the errors among them, and InputError where one of its workers was killed.
@@ -104,8 +105,8 @@ def receive(loader: Iterable[ExampleBatch | Exception]) -> Iterator[ExampleBatch
         ) from None
 
 
-def begin_worker(_: int) -> None:
-    """Begin a worker: one thread, and no hold on the run's folder once the run itself has ended."""
+def start_worker(_: int) -> None:
+    """Prepare a worker: one thread, and no lock on the run's folder that would outlive the run."""
     torch.set_num_threads(1)
     for descriptor in _LOCKS:
         os.close(descriptor)

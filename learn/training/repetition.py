@@ -1,4 +1,4 @@
-"""Show each batch several times, each time as another scene: less relighting per step.
+"""Shows each batch several times, each time as another scene, so that less is relit per step.
 
 Relighting a batch costs about as much processor time as a step of the network. A batch can be
 shown again mirrored left to right, and with its colour channels exchanged cyclically: such scenes
@@ -24,13 +24,13 @@ class Version:
     def __init__(self, is_mirrored: bool, channels: int):
         self.is_mirrored, self.channels = is_mirrored, channels
 
-    def of(self, batch: ExampleBatch) -> ExampleBatch:
+    def apply(self, batch: ExampleBatch) -> ExampleBatch:
         """Return the batch in this version."""
         batch = mirror(batch) if self.is_mirrored else batch
-        return recolor(batch, self.channels) if self.channels else batch
+        return exchange_channels(batch, self.channels) if self.channels else batch
 
 
-def versions(data: Data) -> list[Version]:
+def versions_of(data: Data) -> list[Version]:
     """Return the versions in which a run shows each batch, the batch itself first."""
     sides = (False, True) if data.mirrored else (False,)
     return [Version(side, channels) for channels in range(1 + data.recolored) for side in sides]
@@ -46,28 +46,32 @@ def shown_at(step: int, count: int) -> tuple[int, int]:
     return (earlier if earlier >= 0 else number), version
 
 
-def numbers(steps: Iterable[int], count: int) -> list[int]:
-    """Return the numbers of the batches that these steps need, each once, in order of first use."""
+def needed_batches(steps: Iterable[int], count: int) -> list[int]:
+    """Return the numbers of the batches that these steps need, each once, in order of first use.
+
+    count  number of versions in which each batch is shown
+    """
     return list(dict.fromkeys(shown_at(step, count)[0] for step in steps))
 
 
-def batches(
+def repeat_batches(
     steps: range,
-    chosen: Sequence[Version],
-    made: Callable[[Sequence[int]], Iterator[ExampleBatch]],
+    versions: Sequence[Version],
+    load: Callable[[Sequence[int]], Iterator[ExampleBatch]],
 ) -> Iterator[ExampleBatch]:
-    """Yield the batch of each step, in one of the chosen versions.
+    """Yield the batch of each step, in the version that `shown_at` says.
 
-    made  yields the batches of a sequence of numbers, in its order
+    versions  in which each batch is shown
+    load      yields the batches of a sequence of numbers, in its order
     """
-    count = len(chosen)
-    needed = numbers(steps, count)
+    count = len(versions)
+    needed = needed_batches(steps, count)
     kept: dict[int, ExampleBatch] = {}
-    for number, batch in zip(needed, made(needed), strict=True):
+    for number, batch in zip(needed, load(needed), strict=True):
         kept[number] = batch
         while steps and (shown := shown_at(steps[0], count))[0] in kept:
             oldest, steps = steps[0] // count - DELAY * (count - 1), steps[1:]
-            yield chosen[shown[1]].of(kept[shown[0]])
+            yield versions[shown[1]].apply(kept[shown[0]])
             for old in [each for each in kept if each < oldest]:
                 del kept[old]
 
@@ -93,7 +97,7 @@ def mirror(batch: ExampleBatch) -> ExampleBatch:
     )
 
 
-def recolor(batch: ExampleBatch, places: int) -> ExampleBatch:
+def exchange_channels(batch: ExampleBatch, places: int) -> ExampleBatch:
     """Return a batch whose colour channels are moved cyclically, in pictures, labels and light."""
     pictures = {
         name: picture.roll(places, 1)

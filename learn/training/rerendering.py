@@ -17,7 +17,7 @@ def object_mask(batch: ExampleBatch) -> torch.Tensor:
     return ((batch.segments > 0) & (batch.mask[:, 0] > 0))[:, None].float()
 
 
-def whole(
+def render_frames(
     n: torch.Tensor,
     label: torch.Tensor,
     light: torch.Tensor,
@@ -25,9 +25,10 @@ def whole(
     gradient_bound: float = 0.0,
     method: LayerMethod = "auto",
 ) -> torch.Tensor:
-    """Return radiance (B, 3, H, W) at all pixels of the mask, 0 outside.
+    """Return radiance (B, 3, H, W) at all pixels of `object_mask`, 0 outside.
 
-    n (B, 3, H, W), label (B, S, 108), light (B, 3, h, w)
+    n (B, 3, H, W), label (B, S, 108), light (B, 3, Hl, Wl)
+    batch           whose mask, segments and elevation are used
     gradient_bound  as of `bound_gradient`, for all pixels together
     method          as losses.layer_method: "auto" is FRAME_LOSS, "quadrature" INTEGRAL_LOSS
     """
@@ -69,25 +70,25 @@ def sample_pixels(
     return index.masked_fill(~seen, -1), int(seen.sum())
 
 
-def at_pixels(
+def render_pixels(
     n: torch.Tensor,
-    segments: torch.Tensor,
     label: torch.Tensor,
     light: torch.Tensor,
+    batch: ExampleBatch,
     where: torch.Tensor,
-    elevation: float,
     gradient_bound: float = 0.0,
     method: LayerMethod = "auto",
 ) -> torch.Tensor:
     """Return radiance (B, P, 3) at flat indices `where` (B, P), 0 where they are −1.
 
-    n (B, 3, H, W), segments (B, H, W), label (B, S, 108), light (B, 3, h, w)
+    n (B, 3, H, W), label (B, S, 108), light (B, 3, Hl, Wl)
+    batch           whose segments and elevation are used
     gradient_bound  as of `bound_gradient`, for all pixels together
     method          as losses.layer_method: "auto" is PIXEL_LOSS, "quadrature" INTEGRAL_LOSS
     """
-    region = segments.flatten(1).gather(1, where.clamp(min=0))
+    region = batch.segments.flatten(1).gather(1, where.clamp(min=0))
     mask = where >= 0
-    normals = torch.where(mask[..., None], pick(n, where), n.new_tensor([0.0, 0.0, 1.0]))
+    normals = torch.where(mask[..., None], gather_pixels(n, where), n.new_tensor([0.0, 0.0, 1.0]))
     if normals.requires_grad:
         normals.register_hook(bound_gradient(gradient_bound / mask.sum().clamp(min=1)))
     picture = predictions.radiance(
@@ -96,23 +97,22 @@ def at_pixels(
         light,
         region.clamp(min=1)[:, None],
         mask[:, None],
-        elevation,
+        batch.elevation,
         predictions.PIXEL_LOSS if method == "auto" else predictions.INTEGRAL_LOSS,
     )
     return picture[:, 0]
 
 
-def pick(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
+def gather_pixels(values: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
     """Return (B, P, 3) of values (B, 3, H, W) at flat indices (B, P); undefined at −1."""
     return values.flatten(2).gather(2, where.clamp(min=0)[:, None].expand(-1, 3, -1)).movedim(1, -1)
 
 
 def bound_gradient(gradient_bound: float | torch.Tensor) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return a hook that shortens each pixel's gradient to at most `gradient_bound`.
+    """Return a hook that shortens each pixel's gradient (…, 3) to at most `gradient_bound`.
 
     A glossy material's picture changes abruptly once a normal is off by more than a lobe's width,
-    and its gradient is then of no use: without a bound it drives normals away from the truth (18.0°
-    → 21.6° in a first trial on 64² pictures).
+    and its gradient is then of no use: without a bound it drives normals away from the truth.
     """
 
     def hook(gradient: torch.Tensor) -> torch.Tensor:

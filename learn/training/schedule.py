@@ -36,7 +36,7 @@ def phases(run: Run) -> list[Phase]:
     return [*result, Phase(first, run.schedule.steps, run.parts, run.losses)]
 
 
-def steps(run: Run) -> int:
+def total_steps(run: Run) -> int:
     """Return the number of steps of all phases together."""
     return sum(phase.steps for phase in phases(run))
 
@@ -56,7 +56,7 @@ def learning_rate(run: Run, phase: Phase, step: int, done: float) -> tuple[float
     return share * run.schedule.learning_rate, beta
 
 
-def optimiser(network: torch.nn.Module, schedule: Schedule) -> torch.optim.Optimizer:
+def make_optimiser(network: torch.nn.Module, schedule: Schedule) -> torch.optim.Optimizer:
     """Return Adam or AdamW, whose learning rates `set_learning_rate` sets before each step.
 
     On a GPU one launch updates many weights.

@@ -41,7 +41,12 @@ def validate(
     seed: int = 20,
     device: torch.device | str = "cpu",
 ) -> dict[str, float]:
-    """Return means over the first batches of a split. predict works on the device."""
+    """Return {figure: mean} of the module's figures over the first batches of a split.
+
+    predict  of batches on `device`
+    batches  number of them
+    seed     of the batches, whose pictures do not depend on the run's seed
+    """
     source, constant = (
         make_batch_source(data_split, run, run.schedule.batch, seed),
         mean_albedo(data_split),
@@ -58,7 +63,7 @@ def is_finite(prediction: Any) -> bool:
     return all(bool(part.detach().isfinite().all()) for part in prediction if part is not None)
 
 
-def saturation(prediction: Prediction) -> dict[str, float]:
+def measure_saturation(prediction: Prediction) -> dict[str, float]:
     """Return shares of outputs that have stopped learning: codes saturated in tanh, dark texels."""
     result = {}
     if prediction.code is not None:
@@ -94,14 +99,14 @@ def measure_batch(
     if prediction.n is not None:
         cosine = (n * batch.n).sum(1).clamp(-1, 1)
         inside = batch.segments > 0
-        result["cosine"] = means(cosine, inside)
-        result["angle_deg"] = means(cosine.arccos().rad2deg(), inside)
+        result["cosine"] = masked_means(cosine, inside)
+        result["angle_deg"] = masked_means(cosine.arccos().rad2deg(), inside)
     constant = torch.ones_like(batch.light)
     if prediction.light is not None:
         for name, value in (("irradiance", light), ("constant_irradiance", constant)):
             result[name] = to_numpy(irradiance_error(value, batch.light).double())
     if prediction.label is not None:
-        result |= albedos(prediction.label, batch, constant_albedo)
+        result |= albedo_errors(prediction.label, batch, constant_albedo)
         result["image_l2"] = compare_renderings(
             n, prediction.label, light, batch.label, batch, batch.picture
         )
@@ -115,7 +120,7 @@ def measure_batch(
     return result
 
 
-def albedos(
+def albedo_errors(
     label: torch.Tensor, batch: ExampleBatch, constant: torch.Tensor | None = None
 ) -> dict[str, np.ndarray]:
     """Return {name: (B,)} of the errors of albedo, and of the control where there is one.
@@ -213,6 +218,6 @@ def render_batch(
     return to_numpy(predictions.picture(n, label, light, batch.segments, batch.elevation, policy))
 
 
-def means(values: torch.Tensor, inside: torch.Tensor) -> np.ndarray:
+def masked_means(values: torch.Tensor, inside: torch.Tensor) -> np.ndarray:
     """Return means (B,) of values (B, H, W) over the pixels inside (B, H, W)."""
     return to_numpy(((values * inside).sum((1, 2)) / inside.sum((1, 2))).double())

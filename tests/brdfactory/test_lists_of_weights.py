@@ -4,7 +4,7 @@ import runpy
 
 import pytest
 
-from learn.networks import own_weights
+from learn.networks import built_in_weights
 
 weights = pytest.importorskip("learn.networks.weights", reason="torch is not installed")
 
@@ -15,7 +15,7 @@ def script(root):
 
 
 def test_shapes_materials_and_lights_are_those_of_the_file(script):
-    stored = weights.seen_by(own_weights.FOLDER / "joint-compact.safetensors")
+    stored = weights.seen_by(built_in_weights.FOLDER / "joint-compact.safetensors")
     # the whole job takes minutes: two chairs of training, and two that were held out
     names = ("chair:0", "chair:41", "chair:29", "chair:40")
     made = script["lists"](names)
@@ -27,8 +27,8 @@ def test_shapes_materials_and_lights_are_those_of_the_file(script):
 
 
 def test_weights_that_began_with_these_hold_their_lists_too(script):
-    first = weights.seen_by(own_weights.FOLDER / "joint-compact.safetensors")
+    first = weights.seen_by(built_in_weights.FOLDER / "joint-compact.safetensors")
     for name, lists in script["lists_of_all"](first).items():
-        assert weights.seen_by(own_weights.FOLDER / f"{name}.safetensors") == lists
+        assert weights.seen_by(built_in_weights.FOLDER / f"{name}.safetensors") == lists
         for kind in ("shapes", "materials", "lights"):
             assert set(getattr(first, kind)) <= set(getattr(lists, kind))

@@ -308,7 +308,7 @@ def test_weights_that_were_trained_again_are_read_again(pictures, tmp_path, monk
     folder, _ = pictures
     read = []
     monkeypatch.setattr(
-        editing.checkpoint, "load_parts", lambda *given: (read.append(given), {"size": 64})
+        editing.checkpoint, "load_full_network", lambda *given: (read.append(given), {"size": 64})
     )
     monkeypatch.setattr(editing.decomposing, "decompose", lambda *given, shape: given)
     monkeypatch.setattr(editing, "Decomposition", lambda *given: given)

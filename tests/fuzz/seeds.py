@@ -295,14 +295,14 @@ def _training(folder):
     (folder / "pictures.json").write_text(
         json.dumps(RUN | {"data": RUN["data"] | {"source": "pictures"}}, indent=1)
     )
-    save = loop.Training._save
+    save = loop.Training._save_checkpoint
 
     def watched(self):
         save(self)
         if self.step == 1:
             shutil.copytree(self.out, folder / "trained")
 
-    loop.Training._save = watched
+    loop.Training._save_checkpoint = watched
     words = [
         "train",
         str(folder / "run.json"),

@@ -231,12 +231,12 @@ def used(name, path):
         return tuple(features.load(path)(torch.rand(1, 3, 32, 32)))
     if name == "lpips":
         picture = 255 * np.random.default_rng(0).random((64, 64, 3))
-        return (torch.tensor(lpips.of_file(path)(picture, picture[::-1].copy())),)
+        return (torch.tensor(lpips.load(path)(picture, picture[::-1].copy())),)
     if name == "encoder-decoder":
         return methods.load("Baseline 1", path).net(
             torch.rand(1, 3, 32, 32), torch.ones(1, 1, 32, 32), torch.zeros(1, 1, 108)
         )[:4]
-    network, metadata = weights.load_parts(path)
+    network, metadata = weights.load_full_network(path)
     size = metadata["size"]
     if not (isinstance(size, int) and 32 <= size <= 1024):
         raise AssertionError(f"a size of {size!r} was accepted")

@@ -51,7 +51,7 @@ def main() -> None:
 
     imports = time.process_time() - start
     program.prepare()
-    (parts, _), loading = timed(lambda: weights.load_parts(EDITING_WEIGHTS))
+    (parts, _), loading = timed(lambda: weights.load_full_network(EDITING_WEIGHTS))
     opened, reading = timed(lambda: photograph.open_photograph(str(options.photo), [options.mask]))
     print(
         f"{'imports':24}{imports:7.2f}\n{'weights':24}{loading:7.2f}\n{'reading':24}{reading:7.2f}"

@@ -37,12 +37,12 @@ def main() -> None:
     parser.add_argument("root", type=Path)
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
-    network, metadata = weights.load_parts(EDITING_WEIGHTS, "cpu")
+    network, metadata = weights.load_full_network(EDITING_WEIGHTS, "cpu")
     inside = (spheres.sphere_normals(drawing.SPHERE) != 0).any(-1)
     report: dict[str, dict[str, float]] = {}
     rows = []
     for name, (path, mask, _) in sources(arguments.root).items():
-        _, exact, _ = photographs.read_soft(path, mask)
+        _, exact, _ = photographs.read_with_coverage(path, mask)
         shown, differences = {}, {}
         for damage in MASKS:
             for choice, fit_mask in FIT.items():

@@ -211,7 +211,7 @@ def main(arguments):
     if arguments.download:
         arguments.root.mkdir(parents=True, exist_ok=True)
         download(arguments.root)
-    network, metadata = weights.load_parts(arguments.weights, "cpu")
+    network, metadata = weights.load_full_network(arguments.weights, "cpu")
     settings = None if arguments.no_refine else PHOTOGRAPHS
     digest = hashlib.sha256(arguments.weights.read_bytes()).hexdigest()
     about = {

@@ -103,7 +103,7 @@ def tables(rows, made, weights_name):
 def main(arguments):
     """Write the report and the sheet into the folder OUT."""
     torch.set_num_threads(1)
-    network, metadata = weights.load_parts(arguments.weights, "cpu")
+    network, metadata = weights.load_full_network(arguments.weights, "cpu")
     known = sources(arguments.root)
     if unknown := [name for name in arguments.names if name not in known]:
         sys.exit(f"expected names of {', '.join(known)}, found {', '.join(unknown)}")

@@ -30,7 +30,7 @@ from learn.commands import options
 from learn.data import photographs, picture_decoding
 from learn.editing import DETAIL, decomposition, mirror_correction, photograph, reflectance_store
 from learn.editing.compositor import Compositor
-from learn.networks import own_weights
+from learn.networks import built_in_weights
 from learn.primitives import PRIMITIVES
 from learn.selection import overlay
 from learn.selection.display import display_of
@@ -415,7 +415,7 @@ def test_brightness_changes_what_is_rendered_and_nothing_else() -> None:
         np.testing.assert_array_equal(one[others], two[others])
     untouched = Edit((Painted(), Painted()), brightness_stops=2.0)
     np.testing.assert_array_equal(viewer.view(untouched), viewer.before())
-    command = edit_file.command_line(darker, "a.png", [], True, True, own_weights.EDITING)
+    command = edit_file.command_line(darker, "a.png", [], True, True, built_in_weights.EDITING)
     assert "--brightness -1 --material green-fabric+keep" in command
 
 
@@ -437,7 +437,7 @@ def test_the_photographs_own_shading_is_kept_as_far_as_the_user_says() -> None:
     lit = [replace(edit, light=choices.light_of(choices.OWN_LIGHT, 90.0)) for edit in edits[::2]]
     np.testing.assert_array_equal(*(viewer.full(edit)[0] for edit in lit))
     for edit, words in zip(edits, ("--detail 0 ", "", "--detail 1 "), strict=True):
-        command = edit_file.command_line(edit, "a.png", [], True, True, own_weights.EDITING)
+        command = edit_file.command_line(edit, "a.png", [], True, True, built_in_weights.EDITING)
         assert words in command and ("--detail" in command) == bool(words)
     assert "own shading 0%" in none.caption and "shading" not in edits[1].caption
 
@@ -509,7 +509,7 @@ def test_a_map_without_a_name_is_refused(tmp_path: Path) -> None:
 
 def test_the_command_is_the_simplest_that_repeats_the_edit() -> None:
     plain = Edit((Painted(chosen("brass")), Painted()))
-    default = own_weights.EDITING
+    default = built_in_weights.EDITING
     text = edit_file.command_line(plain, "my cup.png", ["regions.png"], False, True, default)
     assert text == (
         "brdfactory edit 'my cup.png' --regions regions.png --no-refine --material brass+keep"

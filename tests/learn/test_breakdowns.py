@@ -56,12 +56,12 @@ def test_the_main_table_sets_metals_apart_and_has_medians(edits):
 
 
 def test_edits_that_refinement_made_worse_are_counted(edits):
-    assert cells(tables.gains(edits, FAMILIES))["all edits"]["worse"] == 2
-    assert cells(tables.gains(edits, FAMILIES))["shape: car"]["worse"] == 1
+    assert cells(tables.gains_table(edits, FAMILIES))["all edits"]["worse"] == 2
+    assert cells(tables.gains_table(edits, FAMILIES))["shape: car"]["worse"] == 1
 
 
 def test_the_worst_edit_of_each_family_is_named(edits):
-    result = cells(breakdowns.worst(edits, Rows([], "materials"), FAMILIES))
+    result = cells(breakdowns.worst_edits(edits, Rows([], "materials"), FAMILIES))
     assert result["into: metal"]["worst"] == 90 and result["into: fabric"]["worst"] == 310
     assert result["shape: chair"]["which"] == "wax → felt, b, hall"
     assert result["shape: car"]["l2"][0] == pytest.approx(185)
@@ -69,13 +69,13 @@ def test_the_worst_edit_of_each_family_is_named(edits):
 
 def test_edits_are_grouped_by_the_distance_of_their_input(edits):
     known = {"lights": {"city": 0.0, "hall": 0.4}, "materials": {"wax": 0.9, "clay": 0.2}}
-    result = cells(breakdowns.by_distance(edits, NO_PICTURES, known))
+    result = cells(breakdowns.distance_table(edits, NO_PICTURES, known))
     assert result["light: of training"]["edits"] == 3
     assert result["light: of training"]["refined"][0] == pytest.approx(190 / 3)
     assert result["light: not of training"]["distance"] == 0.4
     assert result["input material: nearer half"]["edits"] == 4
     assert result["input material: farther half"]["l2"][0] == pytest.approx(275)
-    assert breakdowns.by_distance(edits, NO_PICTURES, {"lights": {}, "materials": {}}) is None
+    assert breakdowns.distance_table(edits, NO_PICTURES, {"lights": {}, "materials": {}}) is None
 
 
 def test_the_rows_of_shapes_have_normals_and_the_difference_of_their_ends(edits):
@@ -89,7 +89,7 @@ def test_the_rows_of_shapes_have_normals_and_the_difference_of_their_ends(edits)
         for shape, degrees in (("a", 10), ("a", 14), ("b", 20), ("c", 30))
     ]
     known = {"shapes": {"a": 0.0, "b": 20.0, "c": 40.0}}
-    table = breakdowns.by_distance(edits, Rows(pictures, "materials"), known)
+    table = breakdowns.distance_table(edits, Rows(pictures, "materials"), known)
     result = cells(table)
     assert result["shape: of training"]["normals"][0] == 12
     assert result["shape: farther half"]["normals"] == [30, 30, 30]
@@ -109,30 +109,32 @@ def dome(centre=0.0, side=64):
 
 def test_the_same_view_is_no_distance_and_a_turned_one_is_its_angle():
     view = distances.raster(dome())
-    assert distances.angles(view, view[None])[0] == pytest.approx(0, abs=1e-3)
+    assert distances.mean_angles(view, view[None])[0] == pytest.approx(0, abs=1e-3)
     turn = np.radians(20)
     about_y = np.array(
         [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
     )
     # a direction at the angle a to the axis moves by less than the turn
     turned = distances.raster(dome() @ about_y.T)
-    (angle,) = distances.angles(view, turned[None])
+    (angle,) = distances.mean_angles(view, turned[None])
     assert 12 < angle < 20
-    assert distances.angles(view, np.zeros((1, *view.shape)))[0] == distances.ALONE
-    assert distances.angles(np.zeros_like(view), np.zeros((1, *view.shape)))[0] == distances.ALONE
+    assert distances.mean_angles(view, np.zeros((1, *view.shape)))[0] == distances.ALONE
+    assert (
+        distances.mean_angles(np.zeros_like(view), np.zeros((1, *view.shape)))[0] == distances.ALONE
+    )
 
 
 def test_the_nearest_shape_is_nearest_over_all_views_and_not_by_another_for_each():
     a, b = (distances.raster(dome(centre)) for centre in (-0.3, 0.3))
     middle = distances.raster(dome())
     training = {"left": np.stack([a]), "right": np.stack([b]), "both": np.stack([middle, middle])}
-    one = distances.of_shapes({"x": [a]}, training)
+    one = distances.shape_distances({"x": [a]}, training)
     assert one["x"] == pytest.approx(0, abs=1e-3)
-    two = distances.of_shapes({"x": [a, b]}, training)["x"]
-    each = distances.angles(a, np.stack([a, b, middle]))
+    two = distances.shape_distances({"x": [a, b]}, training)["x"]
+    each = distances.mean_angles(a, np.stack([a, b, middle]))
     assert two == pytest.approx(min(each[1] / 2, each[2]), abs=0.1)
-    assert distances.of_shapes({"x": [a, b]}, training, {"x"}) == {"x": 0.0}
-    assert distances.of_shapes({"x": [a]}, {}) == {}
+    assert distances.shape_distances({"x": [a, b]}, training, {"x"}) == {"x": 0.0}
+    assert distances.shape_distances({"x": [a]}, {}) == {}
 
 
 def test_training_shapes_are_those_that_the_weights_saw(tmp_path, rng):
@@ -152,7 +154,7 @@ def test_training_shapes_are_those_that_the_weights_saw(tmp_path, rng):
     assert distances.training_shapes(None, lists) == {}
     records = Records(tmp_path)
     tested = distances.rasters(records, records.records)
-    assert distances.of_shapes(tested, known)["sphere"] >= 0
+    assert distances.shape_distances(tested, known)["sphere"] >= 0
 
 
 def test_a_turned_training_map_is_of_training_and_others_are_farther_the_less_alike(rng):
@@ -164,10 +166,10 @@ def test_a_turned_training_map_is_of_training_and_others_are_farther_the_less_al
 
     noise = rng.random((64, 128, 3))
     maps = {"turned": envmap.roll(lamp(0.3), 37), "near": lamp(0.5), "far": lamp(-0.9)}
-    result = distances.of_lights(maps, [lamp(0.3), noise])
+    result = distances.light_distances(maps, [lamp(0.3), noise])
     assert result["turned"] == 0
     assert 0 < result["near"] < result["far"]
-    assert distances.of_lights(maps, []) == {}
+    assert distances.light_distances(maps, []) == {}
 
 
 def test_measured_maps_that_weights_saw_and_did_not_validate_on_are_training_maps(tmp_path):
@@ -189,6 +191,6 @@ def test_measured_maps_that_weights_saw_and_did_not_validate_on_are_training_map
 def test_a_training_label_has_no_distance(rng):
     label = np.log(rng.random(108) + 0.1)
     training = np.stack([label, label + 0.5])
-    result = distances.of_materials({"same": label, "other": label + 0.2}, training)
+    result = distances.material_distances({"same": label, "other": label + 0.2}, training)
     assert result["same"] == 0 and result["other"] > 0
-    assert distances.of_materials({"same": label}, None) == {}
+    assert distances.material_distances({"same": label}, None) == {}

@@ -283,9 +283,9 @@ def test_a_checkpoint_of_one_device_goes_on_on_another(data_splits, tmp_path, de
         run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=first
     )
     next_batch = half._batches()
-    half._one_step(next(next_batch).to(first))
+    half._make_step(next(next_batch).to(first))
     half.step = 1
-    half._save()
+    half._save_checkpoint()
     resumed = Training(
         run(), data_splits, tmp_path, sheet_every=0, checkpoint_every=1, workers=0, device=second
     )
@@ -297,7 +297,7 @@ def test_a_checkpoint_of_one_device_goes_on_on_another(data_splits, tmp_path, de
 
 
 def test_weights_give_the_same_network_on_every_device_and_ranges_on_the_cpu(weights, device):
-    network, metadata = checkpoint.load_parts(weights, device)
+    network, metadata = checkpoint.load_full_network(weights, device)
     assert (
         {tensor.device for tensor in network.state_dict().values()}
         == {device}
@@ -335,8 +335,10 @@ def opened(size):
 def test_a_prediction_is_made_on_the_networks_device(weights, device):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
-    batch, there = decomposition.predict_framed(framed, checkpoint.load_parts(weights, device)[0])
-    _, here = decomposition.predict_framed(framed, checkpoint.load_parts(weights)[0])
+    batch, there = decomposition.predict_framed(
+        framed, checkpoint.load_full_network(weights, device)[0]
+    )
+    _, here = decomposition.predict_framed(framed, checkpoint.load_full_network(weights)[0])
     assert {batch.image.device, there.n.device, there.label.device, there.light.device} == {device}
     for name in ("n", "label", "light"):  # the same operators on the same numbers
         torch.testing.assert_close(
@@ -354,7 +356,7 @@ def test_an_edit_is_refined_and_rendered_on_the_networks_device(weights, device,
     level = Level(pixels=40, light=(8, 16), method="exact", rounds=1, iterations=1)
     settings = RefinementSettings(levels=(level,), outer_iterations=1)
     result = decomposition.decompose(
-        opened(SIZE), checkpoint.load_parts(weights, device)[0], SIZE, settings
+        opened(SIZE), checkpoint.load_full_network(weights, device)[0], SIZE, settings
     )
     assert {
         tensor.device for tensor in (result.parts.n, result.parts.label, result.parts.light)
@@ -481,7 +483,7 @@ def test_a_prediction_on_cuda_is_that_of_the_cpu(what, weights):
     picture, _, _, _, inside = ball(SIZE)
     framed = Framed(picture[0].numpy(), inside[0].numpy(), (0, 0, SIZE), 1.0)
     (_, there), (_, here) = (
-        decomposition.predict_framed(framed, checkpoint.load_parts(weights, name)[0])
+        decomposition.predict_framed(framed, checkpoint.load_full_network(weights, name)[0])
         for name in ("cuda", "cpu")
     )
     assert there.n.is_cuda

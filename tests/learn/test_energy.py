@@ -22,9 +22,9 @@ from learn.refinement.energy import (
     FAINT,
     LABEL_RADIUS,
     Energy,
-    count_mirrored,
     explained_weights,
     label_weights,
+    raise_mirror_weights,
 )
 from learn.refinement.settings import NAMED, PHOTOGRAPHS, Level
 from manifests.materials import load_catalogue
@@ -249,7 +249,9 @@ def test_what_a_material_mirrors_counts_whole_whatever_its_colour():
     matte, mirror = np.zeros((3, 3, 2, 6)), np.zeros((3, 3, 2, 6))
     matte[:, :, 1], mirror[:, :, 1] = math.log(0.5), math.log(3000)
     labels = np.stack([matte.reshape(108), mirror.reshape(108)]).astype(np.float32)
-    weights = count_mirrored(torch.tensor([0.2, 0.2, 1.0]), torch.tensor([1, 2, 1]), labels).numpy()
+    weights = raise_mirror_weights(
+        torch.tensor([0.2, 0.2, 1.0]), torch.tensor([1, 2, 1]), labels
+    ).numpy()
     assert 0.2 <= weights[0] < 0.3 and weights[1] > 0.95 and weights[2] == 1
 
 

@@ -15,7 +15,7 @@ import torch
 from learn.__main__ import COMMANDS
 from learn.data import pairs
 from learn.data.records import Records
-from learn.evaluation import bench, methods, page, run
+from learn.evaluation import edit_evaluator, methods, page, run
 from learn.layer import render
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
@@ -74,7 +74,7 @@ def few_pixels(monkeypatch):
     """Label and nodes are the same matte surface here: few pixels show it, and 8,192 texels at each
     take their time.
     """
-    monkeypatch.setattr(bench, "FIT_PIXELS", 8)
+    monkeypatch.setattr(edit_evaluator, "FIT_PIXELS", 8)
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_there_are_as_many_processes_as_cpus_that_this_process_may_use(
 ):
     monkeypatch.setattr("os.cpu_count", lambda: 64)
     monkeypatch.setattr(subprocesses, "processors", lambda: 6)
-    monkeypatch.setattr(run, "make", lambda options: stop_at(options.processes))
+    monkeypatch.setattr(run, "evaluate", lambda options: stop_at(options.processes))
     words = ["evaluate", "--data", options.data, "--weights", options.weights, "--out", options.out]
     assert cli.main("learn", "", ("evaluate",), list(map(str, words))) == 1
     assert "found 6 (" in capsys.readouterr().err
@@ -106,7 +106,7 @@ def test_processes_share_the_cpus_that_this_process_may_use(options, monkeypatch
         lambda processes, context, begin, arguments: stop_at((processes, arguments[1])),
     )
     with pytest.raises(InputError, match=r"found \(2, 3\)"):
-        run.make(replace(options, processes=2))
+        run.evaluate(replace(options, processes=2))
 
 
 def test_pairs_differ_in_nothing_but_the_material(data):
@@ -188,7 +188,7 @@ def told_the_truth(net):
 
 def test_truth_in_the_tables_say_so(options, monkeypatch):
     monkeypatch.setattr(methods, "make_predictor", told_the_truth)
-    tables = run.make(options)["tables"]
+    tables = run.evaluate(options)["tables"]
     edits = {row["name"]: row["cells"] for row in tables["edits"]["rows"]}
     displayed = {row["name"]: row["cells"] for row in tables["displayed"]["rows"]}
     assert edits["ours"]["l2"][0] < HALF_FLOATS and displayed["ours"]["ssim"][0] > 0.999
@@ -220,7 +220,7 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
     """With the truth but for its light, giving the light takes all error off and giving the normals
     none.
     """
-    work = bench.Bench(data, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edit = pairs.choose_edits(work.records.records, 1, 0)[0]
     batch, label = (
         pairs.make_source_batch(work.records, edit),
@@ -230,8 +230,8 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
         "wrong light", lambda b: Prediction(b.n.clone(), None, None, None, b.light * 0.5)
     )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
-    l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
-    result = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    l2 = edit_evaluator.metrics.display_l2(wrong.edit(batch, label), truth, mask)
+    result = edit_evaluator.measure_with_truth(wrong, batch, label, truth, mask, l2)
     assert (
         l2 > 20
         and result["l2_true_light"] < HALF_FLOATS
@@ -240,7 +240,7 @@ def test_a_false_light_is_told_from_false_normals(data, weights):
 
 
 def test_false_normals_are_told_from_a_false_light(data, weights):
-    work = bench.Bench(data, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edits = pairs.choose_edits(work.records.records, 12, 0)
     # the brightest shows the error best
     edit = max(edits, key=lambda each: float(work.records.image(each.truth).mean()))
@@ -255,8 +255,8 @@ def test_false_normals_are_told_from_a_false_light(data, weights):
         ),
     )
     truth, mask = work.records.image(edit.truth), (batch.segments[0] > 0).numpy()
-    l2 = bench.metrics.display_l2(wrong.edit(batch, label), truth, mask)
-    result = bench.with_truth(wrong, batch, label, truth, mask, l2)
+    l2 = edit_evaluator.metrics.display_l2(wrong.edit(batch, label), truth, mask)
+    result = edit_evaluator.measure_with_truth(wrong, batch, label, truth, mask, l2)
     # light is even
     assert (
         l2 > 2
@@ -266,7 +266,7 @@ def test_false_normals_are_told_from_a_false_light(data, weights):
 
 
 def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weights, monkeypatch):
-    work = bench.Bench(data, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edit = pairs.choose_edits(work.records.records, 1, 0)[0]
     mask = (pairs.make_source_batch(work.records, edit).segments[0] > 0).numpy()[..., None]
     image = Records.image
@@ -275,17 +275,17 @@ def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weigh
     )
     batch = pairs.make_source_batch(work.records, edit)
     assert (batch.image[0].movedim(0, -1).numpy() * ~mask).max() == 0
-    _, (row,) = work.work(edit, [edit], False)
+    _, (row,) = work.measure_picture(edit, [edit], False)
     assert row["methods"]["the layer alone"]["l2_frame"] < HALF_FLOATS
 
 
 def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, weights):
-    work = bench.Bench(data, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edit = pairs.choose_edits(work.records.records, 1, 0)[0]
     batch, truth = pairs.make_source_batch(work.records, edit), work.records.image(edit.truth)
     mask = (batch.segments[0] > 0).numpy()
     rim = mask & (batch.n[0, 2] < 0.5).numpy()
-    result = work._layer(edit, np.where(rim[..., None], 0, truth), mask)
+    result = work._measure_layer(edit, np.where(rim[..., None], 0, truth), mask)
     assert result["l2"] > 100
     assert result["l2_inner"] < HALF_FLOATS
 
@@ -294,8 +294,8 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
     """The label reflects 0.4, nodes and Cycles 0.36: all of the difference is the fit's, but for a
     twentieth that Cycles is brighter.
     """
-    monkeypatch.setattr(bench, "FIT_PIXELS", 64)
-    work = bench.Bench(data, weights, refine=False)
+    monkeypatch.setattr(edit_evaluator, "FIT_PIXELS", 64)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     (record,) = [r for r in work.records.records if r.materials == ("middle",)][:1]
     sample, rng = work.records.load(record), np.random.default_rng(2)
     inner, mixtures = sample.n.numpy()[..., 2] > 0.4, [Mixture.lambert([0.36] * 3)]
@@ -307,11 +307,13 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
             [nodes * (1 + 0.05 * rng.standard_normal(nodes.shape)) for _ in range(2)]
         )
         result.append(
-            bench.against_nodes(sample, pictures, sample.image.numpy(), inner, mixtures, exposure)
+            edit_evaluator.against_nodes(
+                sample, pictures, sample.image.numpy(), inner, mixtures, exposure
+            )
         )
     true, other = result
     plain = [
-        bench.squared_difference(
+        edit_evaluator.squared_difference(
             tone.display(sample.image.numpy(), exposure), tone.display(x, exposure)
         )[inner].mean()
         for x in pictures
@@ -330,20 +332,20 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
 def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        bench,
+        edit_evaluator,
         "against_nodes",
         lambda sample, *_: asked.append(sample.record.id) or {"net_inner": 1.0},
     )
-    work = bench.Bench(data, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edits = [edit for group in pairs.edits_between(work.records.records).values() for edit in group]
-    rows = [row for edit in edits for row in work.work(edit, [edit], False)[1]]
+    rows = [row for edit in edits for row in work.measure_picture(edit, [edit], False)[1]]
     assert len(edits) == 12 and len(asked) == len(set(asked)) == 6
     assert all(row["layer"]["net_inner"] == 1 and row["layer"]["seeds"] == 2 for row in rows)
 
 
 def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(options):
-    run.make(options)
-    report = run.make(replace(options, edits=1))
+    run.evaluate(options)
+    report = run.evaluate(replace(options, edits=1))
     assert report["tables"]["layer"]["rows"][-1]["cells"]["truths"] == 1
 
 
@@ -379,7 +381,7 @@ def both_sides(tmp_path):
 
 
 def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options):
-    run.make(replace(options, data=both_sides(6), edits=100))
+    run.evaluate(replace(options, data=both_sides(6), edits=100))
     edits = outputs.read_lines(options.out / "edits.jsonl")
     assert len(edits) == 12  # of 24
     assert {row["split"] for row in edits} == {"test"}
@@ -393,21 +395,21 @@ def without_seconds(rows):
 
 
 def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, tmp_path):
-    calls, work = [], bench.Bench.work
+    calls, work = [], edit_evaluator.EditEvaluator.measure_picture
     monkeypatch.setattr(
-        bench.Bench,
-        "work",
+        edit_evaluator.EditEvaluator,
+        "measure_picture",
         lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
     )
-    whole = run.make(options)
+    whole = run.evaluate(options)
     made = [edit.id for edits in calls for edit in edits]
     assert len(made) == len(set(made)) == 4
     out = tmp_path / "torn"
-    run.make(replace(options, out=out, edits=3))
+    run.evaluate(replace(options, out=out, edits=3))
     with open(out / "edits.jsonl", "r+b") as file:
         file.truncate(file.seek(0, 2) - 20)  # as a kill leaves it
     calls.clear()
-    again = run.make(replace(options, out=out))
+    again = run.evaluate(replace(options, out=out))
     # the torn one and the new one
     assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])
     for name in ("edits.jsonl", "pictures.jsonl"):
@@ -416,20 +418,20 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
         )
     assert again["tables"]["edits"] == whole["tables"]["edits"]
     calls.clear()
-    run.make(replace(options, out=out))
+    run.evaluate(replace(options, out=out))
     assert not calls
 
 
 def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(options, monkeypatch):
-    calls, work = [], bench.Bench.work
-    report = run.make(replace(options, gallery=0))
+    calls, work = [], edit_evaluator.EditEvaluator.measure_picture
+    report = run.evaluate(replace(options, gallery=0))
     assert not (options.out / "gallery").exists()
     monkeypatch.setattr(
-        bench.Bench,
-        "work",
+        edit_evaluator.EditEvaluator,
+        "measure_picture",
         lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
     )
-    again = run.make(replace(options, gallery=1))
+    again = run.evaluate(replace(options, gallery=1))
     drawn = [path.stem for path in (options.out / "gallery").iterdir()]
     assert [edit.id for edits in calls for edit in edits] == drawn and len(drawn) == 1
     assert again["tables"]["edits"] == report["tables"]["edits"]
@@ -446,12 +448,12 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
         alike.setdefault((pairs.scene_key(record), record.materials), record)
     seeds = list(alike.values())
     lines.write_bytes(b"".join(msgspec.json.encode(r) + b"\n" for r in seeds))
-    run.make(replace(options, data=folder))
+    run.evaluate(replace(options, data=folder))
     assert {
         row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()
     } == {None}
     lines.write_bytes(whole)
-    run.make(replace(options, data=folder))
+    run.evaluate(replace(options, data=folder))
     assert {
         row["layer"].get("seeds") for row in run.rows_of(options.out / "edits.jsonl").values()
     } == {2}
@@ -460,22 +462,22 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
 
 def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
     with pytest.raises(InputError, match=r"weights in a \.safetensors file"):
-        run.make(replace(options, weights=tmp_path / "typo.safetensors"))
-    run.make(options)
+        run.evaluate(replace(options, weights=tmp_path / "typo.safetensors"))
+    run.evaluate(options)
 
 
 def test_a_test_side_without_edits_is_told_as_such(both_sides, options):
     with pytest.raises(InputError, match=r"pictures of the test side .* none among its 1 of 7"):
-        run.make(replace(options, data=both_sides(1)))
+        run.evaluate(replace(options, data=both_sides(1)))
 
 
 def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
     with pytest.raises(InputError, match="--baselines"):
-        run.make(replace(options, baselines=tmp_path / "typo"))
+        run.evaluate(replace(options, baselines=tmp_path / "typo"))
 
 
 def test_one_shape_and_material_decide_nothing(options):
-    report = run.make(replace(options, edits=1))
+    report = run.evaluate(replace(options, edits=1))
     assert {row["cells"]["verdict"] for row in report["tables"]["differences"]["rows"]} == {
         "undecided: two shapes and two materials are needed"
     }
@@ -495,12 +497,12 @@ def test_the_best_of_a_column_was_given_no_truth():
 
 
 def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatch):
-    run.make(replace(options, edits=1))
+    run.evaluate(replace(options, edits=1))
     with pytest.raises(InputError, match="other seed"):
-        run.make(replace(options, edits=1, seed=1))
+        run.evaluate(replace(options, edits=1, seed=1))
     monkeypatch.setattr(run, "MEASURED", run.MEASURED._replace(tolerance=0.5))
     with pytest.raises(InputError, match="other tolerance"):
-        run.make(options)
+        run.evaluate(options)
 
 
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
@@ -545,8 +547,8 @@ def test_an_evaluation_refines_by_the_method_that_is_named(options, monkeypatch)
 
     monkeypatch.setattr("learn.refinement.refine", refined)
     named = replace(options, refine=True, refinement_method="quadrature", processes=1)
-    measuring = bench.Bench(**run.arguments(named))
-    for method in measuring.entrants.edits:
+    measuring = edit_evaluator.EditEvaluator(**run.evaluator_arguments(named))
+    for method in measuring.methods.edits:
         if isinstance(method, methods.Refined):
             with pytest.raises(InputError):
                 method._work(None, None)
@@ -559,7 +561,7 @@ def test_an_evaluation_refines_by_the_method_that_is_named(options, monkeypatch)
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):
     (tmp_path / "none").mkdir()
-    report = run.make(replace(options, baselines=tmp_path / "none"))
+    report = run.evaluate(replace(options, baselines=tmp_path / "none"))
     assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(report["about"]["missing"])
     assert not any(
         "Baseline" in row["name"] or "refined" in row["name"]
@@ -571,7 +573,7 @@ def test_what_is_missing_is_left_out_by_name(options, tmp_path):
 
 
 def test_the_page_stands_alone(options):
-    run.make(options)
+    run.evaluate(options)
     text = (options.out / "index.html").read_text()
     assert len(re.findall("<figure>", text)) == options.gallery and "src='data:image/png" in text
     assert not re.search(r"(src|href)=['\"](?!data:)", text)
@@ -586,7 +588,7 @@ def test_weights_of_another_size_are_refused(data, options, weights, tmp_path):
     network = Compact(Ranges(torch.zeros(108), torch.ones(108)))
     save_weights(tmp_path / "other.safetensors", network, network.state_dict(), "{}", 64)
     with pytest.raises(InputError, match="64 × 64 pixels, as the weights were trained"):
-        run.make(replace(options, weights=tmp_path / "other.safetensors"))
+        run.evaluate(replace(options, weights=tmp_path / "other.safetensors"))
 
 
 @pytest.fixture
@@ -635,16 +637,16 @@ def two_regions(data, tmp_path):
 
 
 def test_each_region_gets_its_own_material(two_regions, weights):
-    work = bench.Bench(two_regions, weights, refine=False)
+    work = edit_evaluator.EditEvaluator(two_regions, weights, refine=False)
     edits = pairs.choose_edits(work.records.records, 6, 0)
-    assert len(edits) == 6 and all(edit.several for edit in edits)
+    assert len(edits) == 6 and all(edit.per_segment for edit in edits)
     for edit in edits:
         assert (
             pairs.make_source_batch(work.records, edit).label.shape
             == (1, 2, 108)
             == (1, *pairs.target_label(work.records, edit).shape)
         )
-        _, (row,) = work.work(edit, [edit], False)
+        _, (row,) = work.measure_picture(edit, [edit], False)
         assert (
             row["methods"]["the layer alone"]["l2"]
             < HALF_FLOATS

@@ -16,7 +16,7 @@ import learn.refinement
 from learn.commands import evaluate
 from learn.data import pairs
 from learn.data.records import Records
-from learn.evaluation import bench, gallery, methods, page, report, run
+from learn.evaluation import edit_evaluator, gallery, methods, page, report, run
 from learn.evaluation.methods import OURS, OURS_REFINED
 from learn.metrics import pictures as metrics
 from learn.networks.coding import Ranges
@@ -128,7 +128,7 @@ def finished(data, weights, others, tmp_path_factory):
         patch.setattr(learn.refinement, "refine", noted)
         torch.set_num_threads(1)  # as in the tests, which compare to the last bit
         try:
-            run.make(options)
+            run.evaluate(options)
         finally:
             torch.set_num_threads(threads)
     (picture,), (edit,) = (
@@ -216,7 +216,9 @@ def test_a_refinement_with_one_value_that_is_not_finite_is_told_as_such(part, va
         torch.ones(1, 3, 2, 2), None, torch.ones(1, 1, 108), None, torch.ones(1, 3, 64, 128)
     )
     getattr(p, part).flatten()[-1] = value
-    message = bench.refinement(RefinementResult(p, {"total": 2.0}, {"total": 1.0}, [], 3.0))
+    message = edit_evaluator.summarise_refinement(
+        RefinementResult(p, {"total": 2.0}, {"total": 1.0}, [], 3.0)
+    )
     assert message == {"before": 2.0, "after": 1.0, "seconds": 3.0, "finite": False}
 
 
@@ -244,7 +246,7 @@ def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, we
     # by bytes, not by name
     assert run.settings(replace(finished.options, weights=same)) == run.settings(finished.options)
     with pytest.raises(InputError, match="other weights"):
-        run.make(
+        run.evaluate(
             replace(
                 finished.options, weights=untrained(Compact, tmp_path / "weights.safetensors", 6)
             )
@@ -253,15 +255,15 @@ def test_figures_of_other_weights_or_baselines_are_not_gone_on_with(finished, we
     untrained(Separate, tmp_path / "fewer" / "baseline-2.safetensors", 5)
     for baselines in (tmp_path / "fewer", None):
         with pytest.raises(InputError, match="other baselines"):
-            run.make(replace(finished.options, baselines=baselines))
+            run.evaluate(replace(finished.options, baselines=baselines))
 
 
 def test_two_processes_find_what_one_finds(options, monkeypatch, tmp_path):
     # a thread each, as here: figures are compared to the last bit
     monkeypatch.setattr(run.subprocesses, "processors", lambda: 2)
     alone, together = (
-        run.make(options),
-        run.make(replace(options, out=tmp_path / "two", processes=2)),
+        run.evaluate(options),
+        run.evaluate(replace(options, out=tmp_path / "two", processes=2)),
     )
     assert len(alone["tables"]["edits"]["rows"]) == 8
     assert together["tables"] == alone["tables"]
@@ -308,7 +310,7 @@ def test_the_mean_material_is_of_the_data_sets_own_unless_the_built_in_ones_are_
 
 
 def test_without_materials_for_training_the_mean_material_is_left_out_and_the_reason_told():
-    result = methods.entrants(None, None, [])
+    result = methods.list_methods(None, None, [])
     assert not any(
         isinstance(each, methods.MeanMaterial) for each in (*result.edits, *result.parts)
     )
@@ -430,7 +432,7 @@ def test_a_sheet_shows_each_edit_and_its_error_beneath(tmp_path):
 def test_an_evaluation_refines_unless_told_otherwise(monkeypatch):
     asked = []
     monkeypatch.setattr(
-        run, "make", lambda options: asked.append(options) or {"headline": ["done"]}
+        run, "evaluate", lambda options: asked.append(options) or {"headline": ["done"]}
     )
     parser = argparse.ArgumentParser()
     evaluate.register(parser.add_subparsers())

@@ -166,7 +166,7 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path
         SIZE,
         7,
     )
-    results = model_card.make(
+    results = model_card.write_card(
         tmp_path / "w.safetensors",
         data_splits,
         tmp_path,
@@ -193,6 +193,17 @@ def test_a_card_measures_relit_and_rendered_pictures_apart(data_splits, tmp_path
     assert (tmp_path / "sheet-cycles.jpg").exists()
 
 
+def test_a_figure_that_no_picture_shows_is_left_out_of_a_card():
+    names = ("car:0 view 0 red", "chair:0 view 0 blue")
+    first, second = (
+        ({"albedo_1": np.array([0.1, value]), "albedo_2": np.full(2, np.nan)}, names)
+        for value in (0.2, 0.4)
+    )
+    part = model_card._summarise("", [first, second])
+    assert part["figures"].keys() == part["figures_seeds"].keys() == {"albedo_1"}
+    assert part["figures_seeds"]["albedo_1"]["each"] == pytest.approx([0.15, 0.25])
+
+
 def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_splits, tmp_path):
     paths = [tmp_path / f"w{seed}.safetensors" for seed in (1, 2, 3)]
     runs = [Run(name="tiny", size=SIZE, data=Data(sharing=2), seed=seed) for seed in (1, 2, 2)]
@@ -202,7 +213,9 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
         checkpoint.save_weights(
             path, network, network.state_dict(), msgspec.json.encode(run).decode(), SIZE, 7
         )
-    results = model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:2])
+    results = model_card.write_card(
+        paths[0], data_splits, tmp_path, batches=1, other_seeds=paths[1:2]
+    )
     report = json.loads((tmp_path / "card.json").read_text())
     assert report["seeds"] == [[1, "7"], [2, "7"]]
     for name, of in report["figures_seeds"].items():
@@ -219,13 +232,13 @@ def test_a_card_of_several_seeds_has_all_of_them_on_the_same_pictures(data_split
     )
     assert "seed 2, 7 steps" in (tmp_path / "card.md").read_text()
     with pytest.raises(InputError, match="seed 2 twice"):
-        model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[1:])
+        model_card.write_card(paths[0], data_splits, tmp_path, batches=1, other_seeds=paths[1:])
     other = msgspec.structs.replace(runs[1], schedule=Schedule(steps=3))
     checkpoint.save_weights(
         paths[2], network, network.state_dict(), msgspec.json.encode(other).decode(), SIZE, 7
     )
     with pytest.raises(InputError, match="other settings"):
-        model_card.make(paths[0], data_splits, tmp_path, batches=1, seeds=paths[2:])
+        model_card.write_card(paths[0], data_splits, tmp_path, batches=1, other_seeds=paths[2:])
 
 
 def test_step_times_cover_every_part_and_add_up(data_splits, tmp_path):

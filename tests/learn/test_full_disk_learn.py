@@ -10,7 +10,7 @@ import json
 import pytest
 
 from learn.editing import drawing
-from learn.evaluation import bench
+from learn.evaluation import edit_evaluator
 from learn.layer import predictions
 from tests.support import command_inputs
 from tests.support.full_disk_case import check, check_read_only
@@ -42,7 +42,7 @@ def room(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Nothing here looks at how right the pictures are: they are what is written."""
-    monkeypatch.setattr(bench, "FIT_PIXELS", 8)
+    monkeypatch.setattr(edit_evaluator, "FIT_PIXELS", 8)
     monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
     monkeypatch.setattr(drawing, "SPHERE", 16)
     monkeypatch.setattr(drawing, "TILE", 16)

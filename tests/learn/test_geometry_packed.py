@@ -76,18 +76,18 @@ def test_normals_in_perspective_are_those_of_each_pixels_ray(tmp_path, rng):
     cosine = (n * view).sum(-1)[inside]
     np.testing.assert_allclose(geometry.normals(0)[inside][:, 2], cosine, atol=1e-2)
     assert np.abs(cosine - n[inside][:, 2]).max() > 0.1
-    assert geometry.several
+    assert geometry.has_several_cameras
 
 
 def test_several_cameras_are_given_the_preset_elevation(store):
     """The light is then given in the frame below the camera by that angle."""
-    assert not Geometry(store.folder, progress=False).several
+    assert not Geometry(store.folder, progress=False).has_several_cameras
     record = next(store.records())
     camera = structs.replace(record.camera, elevation_deg=50.0, roll_deg=5.0)
     other = structs.replace(record, camera=camera)
     append(store, synthetic.view_of(store, other, viewpoint=3))
     geometry = Geometry(store.folder, progress=False)
-    assert len(geometry) == 2 and geometry.several
+    assert len(geometry) == 2 and geometry.has_several_cameras
     assert geometry.elevation == pytest.approx(np.radians(20.0))
 
 

@@ -155,7 +155,7 @@ def test_weights_that_were_saved_predict_the_same(tmp_path):
     )
     path = tmp_path / "weights.safetensors"
     weights.save_weights(path, network, network.state_dict(), "{}", SIZE)
-    loaded = weights.load_parts(path)[0]
+    loaded = weights.load_full_network(path)[0]
     image, mask = picture()
     with torch.no_grad():
         ours, theirs = network(image, mask), loaded(image, mask)

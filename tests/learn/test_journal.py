@@ -22,7 +22,7 @@ STAGED = Run(
 
 
 def test_stages_come_first_and_the_runs_own_parts_last():
-    assert schedule.steps(STAGED) == 35
+    assert schedule.total_steps(STAGED) == 35
     parts = [schedule.phase_at(STAGED, step).parts for step in (0, 9, 10, 14, 15, 34)]
     assert (
         parts == [("normals",)] * 2 + [("material",)] * 2 + [("normals", "material", "light")] * 2
@@ -97,7 +97,7 @@ def test_a_run_from_before_sources_and_stages_means_what_it_meant(tmp_path):
         0.0,
         0.0,
     )
-    assert schedule.steps(run) == 2400
+    assert schedule.total_steps(run) == 2400
 
 
 def test_a_resumed_log_drops_steps_that_are_made_again_and_a_torn_line(tmp_path):

@@ -163,8 +163,8 @@ def test_shadows_of_deformed_pictures_are_computed_from_the_deformed_depth(data_
         shown.append((n, position, view, segments))
         return factor(n, position, view, segments, *others)
 
-    factor = shadows.factor
-    monkeypatch.setattr(shadows, "factor", recorded)
+    factor = shadows.shadow_factor
+    monkeypatch.setattr(shadows, "shadow_factor", recorded)
     geometry = Geometry(data_split.geometry.folder, progress=False, depth=True)
     of_train = DataSplit(geometry, data_split.views, data_split.labels, data_split.maps, "train")
     RelitDataset(of_train, with_keys(deformations=1.0, shadows=1.0), 4, SIZE, 5)[0]
@@ -198,7 +198,7 @@ def test_weights_of_inks_add_up_to_at_most_one_and_leave_base(pattern, data_spli
     segments = torch.from_numpy(data_split.geometry.segments(0))[None]
     points, mask = patterns.surface_points(n, segments)[0], segments[0].numpy() > 0
     for seed in range(12):
-        weights = patterns.cover(np.random.default_rng(seed), points, n[0].numpy(), mask)
+        weights = patterns.draw_pattern(np.random.default_rng(seed), points, n[0].numpy(), mask)
         assert weights.min() >= 0
         assert weights.sum(0).max() <= 1 + 1e-5
         assert not weights[:, ~mask].any()
@@ -223,5 +223,5 @@ def test_inks_that_cover_nearly_everything_are_thinned(data_split, monkeypatch):
     segments = torch.from_numpy(data_split.geometry.segments(0))[None]
     points, mask = patterns.surface_points(n, segments)[0], segments[0].numpy() > 0
     for seed in range(4):
-        weights = patterns.cover(np.random.default_rng(seed), points, n[0].numpy(), mask)
+        weights = patterns.draw_pattern(np.random.default_rng(seed), points, n[0].numpy(), mask)
         assert weights.sum(0)[mask].mean() <= 1 - patterns.LEAST_BASE + 1e-4

@@ -16,8 +16,8 @@ from learn.commands import evaluate_ladder
 from learn.data.records import Records
 from learn.evaluation import (
     ladder,
-    ladder_bench,
     ladder_design,
+    ladder_evaluator,
     ladder_lines,
     ladder_pictures,
     ladder_report,
@@ -286,7 +286,7 @@ def test_alignment_is_free_of_exposure():
 
 
 def test_a_run_and_its_continuation(options, monkeypatch):
-    report = ladder.make(options)
+    report = ladder.evaluate(options)
     lines = ladder.rows_of(options.out)
     assert len(lines) == 2 * len(RUNGS)
     # Cycles is the layer here, so that true parts give the truth
@@ -311,13 +311,13 @@ def test_a_run_and_its_continuation(options, monkeypatch):
     def never(*_):
         raise AssertionError("measured twice")
 
-    monkeypatch.setattr(ladder_bench.Bench, "line", never)
-    assert ladder.make(options)["tables"] == report["tables"]
+    monkeypatch.setattr(ladder_evaluator.LadderEvaluator, "measure", never)
+    assert ladder.evaluate(options)["tables"] == report["tables"]
 
 
 def test_lines_of_before_have_no_row_of_alignments(options):
     """Their other tables are made all the same."""
-    ladder.make(options)
+    ladder.evaluate(options)
     lines = list(ladder.rows_of(options.out).values())
     for line in lines:
         line["predicted"]["edit_l2_three_factors"] = None
@@ -327,7 +327,7 @@ def test_lines_of_before_have_no_row_of_alignments(options):
 
 def test_some_rungs_are_measured_without_pictures_of_the_others(options, data, job, small):
     assert tuple(rung.name for rung in RUNGS) == evaluate_ladder.RUNGS
-    report = ladder.make(replace(options, rungs=("8-bit", "square")))
+    report = ladder.evaluate(replace(options, rungs=("8-bit", "square")))
     lines = ladder.rows_of(options.out).values()
     assert [line["rung"] for line in lines] == 2 * ["square", "8-bit"]
     assert len(report["tables"]["ladder"]["rows"]) == 4
@@ -338,14 +338,21 @@ def test_some_rungs_are_measured_without_pictures_of_the_others(options, data, j
         ladder_design.scenes(some, job)
 
 
+def test_a_report_without_the_headline_rung_says_nothing_of_it(options):
+    report = ladder.evaluate(replace(options, rungs=("square",)))
+    columns = [column["key"] for column in report["tables"]["families"]["columns"]]
+    assert columns == ["shapes", "square"]
+    assert report["headline"] == []
+
+
 def test_more_refined_scenes_are_added(options, monkeypatch):
-    ladder.make(options)
+    ladder.evaluate(options)
 
     def unrefined(batch, prediction, labels):
         return SimpleNamespace(prediction=prediction)
 
-    monkeypatch.setattr(ladder_bench, "refine", unrefined)
-    report = ladder.make(replace(options, refined=1))
+    monkeypatch.setattr(ladder_evaluator, "refine", unrefined)
+    report = ladder.evaluate(replace(options, refined=1))
     lines = ladder.rows_of(options.out).values()
     assert all(line["refined"] == line["predicted"] for line in lines)
     rows = report["tables"]["refinement"]["rows"]
@@ -357,7 +364,7 @@ def test_more_refined_scenes_are_added(options, monkeypatch):
 def test_a_side_of_two_rungs_is_measured_and_charted_on_them(options, monkeypatch):
     names = ("direct", "8-bit")
     monkeypatch.setitem(ladder_design.RUNGS_OF, "ladder-small", names)
-    report = ladder.make(options)
+    report = ladder.evaluate(options)
     assert {line["rung"] for line in ladder.rows_of(options.out).values()} == set(names)
     rows = report["tables"]["ladder"]["rows"]
     assert [row["name"] for row in rows] == [
@@ -367,12 +374,12 @@ def test_a_side_of_two_rungs_is_measured_and_charted_on_them(options, monkeypatc
 
 
 def test_other_settings_are_refused(options, monkeypatch):
-    ladder.make(options)
+    ladder.evaluate(options)
     monkeypatch.setattr(
         ladder, "RefinementSettings", lambda: RefinementSettings(outer_iterations=7)
     )
     with pytest.raises(InputError, match="other refine"):
-        ladder.make(options)
+        ladder.evaluate(options)
 
 
 def test_targets_count_as_tested(data, job, small):
@@ -438,7 +445,7 @@ def test_a_cluster_measures_the_same_lines_and_continues_them(options, monkeypat
     """Its first worker, and the first that has the third line in hand, are lost."""
     monkeypatch.setitem(ladder_design.RUNGS_OF, "ladder-small", ("direct", "8-bit"))
     lines = {"here": replace(options, out=tmp_path / "here"), "there": replace(options, ray="auto")}
-    ladder.make(lines["here"])
+    ladder.evaluate(lines["here"])
     given = []
 
     def lost(piece):
@@ -446,11 +453,11 @@ def test_a_cluster_measures_the_same_lines_and_continues_them(options, monkeypat
         return piece in (None, 2) and given.count(piece) == 1
 
     fake_ray.installed(monkeypatch, lost)
-    ladder.make(lines["there"])
+    ladder.evaluate(lines["there"])
     path = options.out / "lines.jsonl"
     kept = path.read_bytes()
     assert ladder.rows_of(options.out) == ladder.rows_of(tmp_path / "here")
     assert kept.count(b"\n") == len(ladder.rows_of(options.out)) == 4
     path.write_bytes(kept[: kept.index(b"\n") + 20])
-    ladder.make(lines["there"])
+    ladder.evaluate(lines["there"])
     assert sorted(path.read_bytes().splitlines()) == sorted(kept.splitlines())

@@ -99,10 +99,9 @@ def pictures_of(batch, truth, method):
     where = inside.nonzero()[None, :, 1]
     parts = [x.clone().requires_grad_() for x in (batch.n, truth.label, truth.light)]
     n, label, light = parts
-    sampled = rerendering.at_pixels(
-        n, batch.segments, label, light, where, ELEVATION, 1e9, method=method
-    )[0]
-    whole = rerendering.whole(n, label, light, batch, 1e9, method)[0].flatten(1)[:, where[0]].T
+    sampled = rerendering.render_pixels(n, label, light, batch, where, 1e9, method)[0]
+    frame = rerendering.render_frames(n, label, light, batch, 1e9, method)[0]
+    whole = frame.flatten(1)[:, where[0]].T
     gradients = torch.autograd.grad(sampled.mean() + whole.mean(), parts)
     return sampled.detach(), whole.detach(), gradients
 

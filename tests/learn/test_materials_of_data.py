@@ -88,13 +88,13 @@ def test_a_data_set_of_three_metals_trains_on_exactly_these_three_metals(
     metals, entries, tmp_path, monkeypatch
 ):
     shown = set()
-    one_step = loop.Training._one_step
+    one_step = loop.Training._make_step
 
     def watched(self, batch):
         shown.update(name.split(" ")[-1] for name in batch.names)
         return one_step(self, batch)
 
-    monkeypatch.setattr(loop.Training, "_one_step", watched)
+    monkeypatch.setattr(loop.Training, "_make_step", watched)
     (tmp_path / "run.json").write_text(json.dumps(RUN))
     words = [
         "train",
@@ -256,7 +256,7 @@ def test_two_region_chairs_hold_out_the_lights_that_joint_compact_held_out():
     """Otherwise evaluations would refuse what the preset makes of these weights."""
     run = settings.read_run("two-region-chairs-compact")
     assert run.data.regions == 2
-    metadata = weights.load_parts(TABLE_WEIGHTS)[1]
+    metadata = weights.load_full_network(TABLE_WEIGHTS)[1]
     before = settings.decode_run(json.dumps(metadata["run"]).encode(), "joint-compact")
     for name in ("validation_lights", "test_lights"):
         held_out = {light.removeprefix("blender_") for light in getattr(before.data, name)}

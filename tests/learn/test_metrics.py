@@ -300,4 +300,4 @@ def test_weights_without_a_layer_are_refused(tmp_path, rng):
     del tensors["lin3.weight"]
     save(tmp_path / "lpips.safetensors", tensors, {})
     with pytest.raises(InputError, match=r"no lin3\.weight"):
-        perceptual.of_file(tmp_path / "lpips.safetensors")
+        perceptual.load(tmp_path / "lpips.safetensors")

@@ -17,7 +17,7 @@ import torch
 
 from learn.__main__ import COMMANDS as LEARN
 from learn.data.settings import Data, Run
-from learn.evaluation import bench, card_batches
+from learn.evaluation import card_batches, edit_evaluator
 from learn.experiments import on_ray, runner
 from learn.experiments.__main__ import COMMANDS as EXPERIMENTS
 from learn.networks.coding import Ranges
@@ -68,7 +68,7 @@ def room(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     """What has no part in what is tested here is left out."""
-    monkeypatch.setattr(bench, "FIT_PIXELS", 8)
+    monkeypatch.setattr(edit_evaluator, "FIT_PIXELS", 8)
 
 
 def command(name, room, out, *more):

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image, features
 
 from brdfactory import editing
-from learn.data import colour_numbers, photographs, picture_decoding
+from learn.data import cicp, photographs, picture_decoding
 from learn.editing import photograph
 from manifests import exr
 from manifests.errors import InputError
@@ -206,7 +206,7 @@ def test_display_p3_that_a_header_names_is_converted(tmp_path, write):
     ],
 )
 def test_files_that_end_before_their_numbers_have_none(data):
-    assert colour_numbers.read_numbers(io.BytesIO(data)) is None
+    assert cicp.read_cicp(io.BytesIO(data)) is None
 
 
 def test_a_profile_that_ends_within_its_numbers_is_read_without_them(tmp_path):

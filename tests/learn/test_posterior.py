@@ -131,6 +131,6 @@ def test_priors_are_fitted_without_the_lights_that_other_weights_held_out(
     monkeypatch.setattr(
         making.sources, "load_data_splits", lambda data, *_: asked.append(data) or {"train": train}
     )
-    making.make("lombardi", None, options)
+    making.train_baseline("lombardi", None, options)
     assert asked == [Data(validation_lights=("sky",), test_lights=("room",))]
     assert priors.load(options.out / making.FILE_OF["lombardi"]).directions.shape[1] == 108

@@ -88,7 +88,7 @@ def test_each_batch_is_shown_once_in_each_version_the_later_ones_later(count):
         later = [number for step, number in of_version if step >= count * delay * version]
         assert later == list(range(200 - delay * version))  # none twice, none left out
         assert all(first[number] < step for step, number in of_version)
-    assert repetition.numbers(steps, count) == list(range(200))
+    assert repetition.needed_batches(steps, count) == list(range(200))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_run_that_continues_is_shown_the_same_batches(first, data):
         def __init__(self, version):
             self.version = version
 
-        def of(self, number):
+        def apply(self, number):
             return number, self.version
 
     made_so_far = []
@@ -110,20 +110,20 @@ def test_a_run_that_continues_is_shown_the_same_batches(first, data):
             made_so_far.append(number)
             yield number
 
-    count = len(repetition.versions(data))
+    count = len(repetition.versions_of(data))
     assert count == (1 + data.mirrored) * (1 + data.recolored)
     steps = range(first, 240)
-    seen = list(repetition.batches(steps, [Named(v) for v in range(count)], made))
+    seen = list(repetition.repeat_batches(steps, [Named(v) for v in range(count)], made))
     assert seen == [repetition.shown_at(step, count) for step in steps]
     assert len(made_so_far) == len(set(made_so_far))
 
 
 def test_recoloured_pictures_are_those_of_the_recoloured_scene(data_splits):
     batch = RelitDataset(data_splits["train"], DATA, 2, SIZE, 5)[0]
-    seen = repetition.recolor(batch, 1)
+    seen = repetition.exchange_channels(batch, 1)
     assert error_of(seen) < DATA.tolerance
     assert torch.equal(seen.image[:, 1], batch.image[:, 0])
-    again = repetition.recolor(repetition.recolor(seen, 1), 1)
+    again = repetition.exchange_channels(repetition.exchange_channels(seen, 1), 1)
     for name in ("image", "light", "label", "target_label", "n"):
         assert torch.equal(getattr(again, name), getattr(batch, name)), name
 

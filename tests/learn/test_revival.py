@@ -81,7 +81,7 @@ def test_a_second_time_nothing_is_dead(pictures):
 def test_fully_connected_layers_have_a_share_of_the_learning_rate(style):
     network = head()
     settings = Schedule(style=style, fully_connected=0.25)
-    optimiser = schedule.optimiser(network, settings)
+    optimiser = schedule.make_optimiser(network, settings)
     schedule.set_learning_rate(optimiser, 0.04, 0.5)
     rates = {
         id(parameter): group["lr"]
@@ -92,5 +92,5 @@ def test_fully_connected_layers_have_a_share_of_the_learning_rate(style):
     for name, parameter in network.named_parameters():
         assert rates[id(parameter)] == (0.04 if name.startswith("beside") else 0.01)
     assert all(group["betas"][0] == 0.5 for group in optimiser.param_groups)
-    alone = schedule.optimiser(network, msgspec.structs.replace(settings, fully_connected=1.0))
+    alone = schedule.make_optimiser(network, msgspec.structs.replace(settings, fully_connected=1.0))
     assert len(alone.param_groups) == 1

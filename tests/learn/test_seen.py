@@ -14,7 +14,7 @@ from learn.data.records import Records
 from learn.data.seen import DIGITS, Seen, label_hash, map_hash
 from learn.data.settings import Data
 from learn.evaluation import overlap
-from learn.networks import own_weights, tensor_file, weights
+from learn.networks import built_in_weights, tensor_file, weights
 from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.seen_lists import write_lists
@@ -328,7 +328,7 @@ def test_lists_are_not_written_into_what_is_no_weights(tmp_path):
     ],
 )
 def test_the_committed_weights_say_all_that_they_saw(name, digest, shapes, tmp_path):
-    path = own_weights.FOLDER / f"{name}.safetensors"
+    path = built_in_weights.FOLDER / f"{name}.safetensors"
     with tensor_file.open_tensor_file(path) as stored:
         tensors = {each: stored.tensor(each) for each in stored.shapes}
     assert weights.digest_of(tensors)[:16] == digest  # of the tensors that training left
@@ -339,7 +339,7 @@ def test_the_committed_weights_say_all_that_they_saw(name, digest, shapes, tmp_p
     lights = {map_hash(L): each for each, L in measured_lights.load_all().items()}
     tested = {"shapes": chairs, "materials": {}, "lights": lights}
     with pytest.raises(InputError, match=rf"{name}.* found 1 of 2 shapes \(chair:41\), 20 of 26"):
-        overlap.sentences([path], tested, tmp_path, False)
+        overlap.report_overlap([path], tested, tmp_path, False)
     held_out = {each: light for each, light in lights.items() if each not in lists.lights}
     blender = {"blender_city", "blender_interior"}
     others = {"pmndrs_sunset", "pmndrs_lab", "drei_forest_slope", "drei_studio_small_03"}
@@ -358,7 +358,8 @@ def test_a_target_material_counts_where_the_pictures_are_of_the_test_side(store)
         return SimpleNamespace(source=source, truth=truth)
 
     tested = {
-        split: overlap.of_edits(records, [edit(split)])["materials"] for split in ("test", "train")
+        split: overlap.shown_by_edits(records, [edit(split)])["materials"]
+        for split in ("test", "train")
     }
     assert set(tested["test"].values()) == {"dark", "grey"}
     assert set(tested["train"].values()) == {"dark"}
@@ -387,4 +388,4 @@ def test_an_overlap_of_a_baseline_is_refused_too(store, trained, old, tmp_path):
     tested = {"shapes": {}, "materials": {label_hash(records.label("dark")): "dark"}, "lights": {}}
     files = [old, *overlap.baseline_files(tmp_path)]
     with pytest.raises(InputError, match=r"baseline-1.safetensors never saw, found 1 of 1 mat"):
-        overlap.sentences(files, tested, tmp_path, False)
+        overlap.report_overlap(files, tested, tmp_path, False)

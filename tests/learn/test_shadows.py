@@ -21,7 +21,7 @@ def matte_label(albedo):
 
 def factor_of(n, depth, mask, radiance, label):
     position, view = shadows.positions(depth, Camera(size=mask.shape))
-    return shadows.factor(
+    return shadows.shadow_factor(
         n, position, view, mask.astype(np.int64), radiance, label[None], LIGHT, 0.3
     )
 
@@ -79,3 +79,20 @@ def test_shadows_change_the_pictures_of_a_batch_and_nothing_else(tmp_path):
     )
     assert torch.equal(shaded.image, again.image) and torch.equal(plain.light, shaded.light)
     assert torch.equal(plain.n, shaded.n) and not torch.equal(plain.image, shaded.image)
+
+
+def test_which_pictures_have_shadows_does_not_depend_on_their_material(tmp_path):
+    """A stream of its own decides of each picture, also where the first of a group is concerned."""
+    rng = np.random.default_rng(1)
+    synthetic.write_dataset(tmp_path, [synthetic.matte()], rng, size=32, category="sphere")
+    geometry = Geometry(tmp_path, progress=False, depth=True)
+    split = DataSplit(geometry, np.arange(1), {"m": matte_label(0.4)}, [LIGHT], "train")
+    keys = {"sharing": 1, "photograph": False, "scaled_lobes": 0.5}
+    plain, shaded = (
+        RelitDataset(split, Data(**keys, shadows=share), 1, 32, 3) for share in (0.0, 0.5)
+    )
+    pairs = [(plain[k], shaded[k]) for k in range(20)]
+    cases = {
+        ("scaled(" in one.names[0], torch.equal(one.image, other.image)) for one, other in pairs
+    }
+    assert len(cases) == 4

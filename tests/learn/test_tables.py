@@ -43,7 +43,7 @@ def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
         "mixed": mixed,
         "other mixed": other,
     }
-    result = cells(tables.differences(rows(known)))
+    result = cells(tables.difference_table(rows(known)))
     assert result[f"{OURS} − worse"]["verdict"] == "better"
     assert result[f"{OURS} − worse"]["ratio"] == pytest.approx([0.5] * 3)
     assert result[f"{OURS} − worse"]["won"] == 1
@@ -58,7 +58,7 @@ def test_a_difference_is_decided_by_its_interval_and_not_by_its_mean():
 
 def test_a_difference_is_of_the_edits_that_both_made():
     result = cells(
-        tables.differences(
+        tables.difference_table(
             rows({OURS: [10, 10, 10, 10, 10, 10], "half": [20, None, 20, None, 20, 500]})
         )
     )
@@ -67,7 +67,7 @@ def test_a_difference_is_of_the_edits_that_both_made():
 
 
 def test_ours_is_compared_with_ours_refined_once():
-    result = cells(tables.differences(rows({OURS: [10] * 6, OURS_REFINED: [5] * 6})))
+    result = cells(tables.difference_table(rows({OURS: [10] * 6, OURS_REFINED: [5] * 6})))
     assert list(result) == [f"{OURS_REFINED} − {OURS}"]
 
 
@@ -79,7 +79,7 @@ def test_what_refinement_takes_off_is_told_by_light_shape_and_family():
             "category": "chair",
             "wanted": ["brass" if row["wanted"] == ["brass"] else "pink-felt"],
         }
-    result = cells(tables.gains(of, FAMILIES))
+    result = cells(tables.gains_table(of, FAMILIES))
     assert list(result) == [
         "all edits",
         "light: city",
@@ -111,14 +111,14 @@ def test_regions_of_several_families_are_one_row():
     of.rows[5]["wanted"] = ["mine"]
     result = {
         name: row["edits"]
-        for name, row in cells(tables.gains(of, FAMILIES)).items()
+        for name, row in cells(tables.gains_table(of, FAMILIES)).items()
         if name.startswith("into")
     }
     assert result == {"into: metal": 3, "into: several families": 2, "into: of no known family": 1}
 
 
 def test_without_refined_edits_there_is_no_such_table():
-    assert tables.gains(rows({OURS: [10] * 6}), FAMILIES) is None
+    assert tables.gains_table(rows({OURS: [10] * 6}), FAMILIES) is None
 
 
 def refined(before, after, started, ended, seconds, finite=True):
@@ -147,7 +147,7 @@ def test_refinements_that_end_above_their_start_or_are_not_finite_are_counted():
         refined(1.0, 1.01, 300.0, 310.0, 3.0),
         refined(2.0, 2.0, 200.0, 100.0, 9.0, finite=False),
     ]
-    (row,) = refinement_table.refinement(tables.Rows(result, "materials"))["rows"]
+    (row,) = refinement_table.refinement_table(tables.Rows(result, "materials"))["rows"]
     report = row["cells"]
     assert (report["starts"], report["above"], report["not_finite"], report["worse_l2"]) == (
         3,
@@ -170,7 +170,7 @@ def test_starts_of_several_methods_are_counted_together():
         name.replace(OURS, "Baseline 2"): figures for name, figures in second["methods"].items()
     }
     result = cells(
-        refinement_table.refinement(
+        refinement_table.refinement_table(
             tables.Rows([first | {"methods": first["methods"] | other}], "materials")
         )
     )
@@ -208,7 +208,7 @@ def test_the_layer_is_judged_where_noise_is_known_against_one_and_a_half_times_t
         edit("c", "clay", None, None),
         edit("d", "wax", 0.1, 1.0),
     ]
-    report = cells(layer_table.layer(tables.Rows(result, "wanted")))
+    report = cells(layer_table.layer_table(tables.Rows(result, "wanted")))
     assert (report["brass"]["within"], report["brass"]["within_here"]) == ("yes", "no")
     assert (report["felt"]["within"], report["felt"]["within_here"]) == ("no", "yes")
     assert "within" not in report["clay"] and "within_here" not in report["clay"]
@@ -228,7 +228,7 @@ def test_edits_that_share_a_truth_judge_the_layer_once():
         edit("a", "brass", 1.0, 1.0, truth="x"),
         edit("b", "brass", 4.0, 1.0, truth="y"),
     ]
-    report = cells(layer_table.layer(tables.Rows(thrice, "wanted")))["brass"]
+    report = cells(layer_table.layer_table(tables.Rows(thrice, "wanted")))["brass"]
     assert (report["truths"], report["judged"]) == (2, 2)
     assert report["net_inner"] == pytest.approx(2.5)
     assert report["net_error"] == pytest.approx(0.3 / np.sqrt(2))

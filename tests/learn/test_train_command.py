@@ -21,7 +21,7 @@ import torch
 from learn.training import clock, loop
 from manifests.cli import main
 
-step = loop.Training._one_step
+step = loop.Training._make_step
 
 def watched(self, batch):
     record = step(self, batch)
@@ -32,7 +32,7 @@ def watched(self, batch):
         file.write(json.dumps({"samples": samples, "weights": weights}) + "\\n")
     return record
 
-loop.Training._one_step = watched
+loop.Training._make_step = watched
 if os.environ.get("UNEQUAL_CLOCKS"):  # a step takes each process longer than the one before it
     readings = (0.1 * k * (1 + int(os.environ["RANK"])) for k in itertools.count())
     unequal = SimpleNamespace(process_time=lambda: next(readings), monotonic=time.monotonic)

@@ -213,7 +213,7 @@ def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
     store, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(processes, "PATIENCE", 0.0)
-    with processes.only_writer(tmp_path / "out"):
+    with processes.lock_run_folder(tmp_path / "out"):
         before = sorted(os.listdir(tmp_path / "out"))
         assert train(store, tmp_path / "out") == 1
         assert "a folder that no other run writes to" in line(capsys)
@@ -223,11 +223,11 @@ def test_a_second_run_into_a_folder_is_refused_and_writes_nothing(
 
 def test_the_processes_that_relight_let_the_folder_go(tmp_path):
     """A run that was killed leaves them behind for a moment; nothing waits for them."""
-    with processes.only_writer(tmp_path):
+    with processes.lock_run_folder(tmp_path):
         child = os.fork()
         if not child:
             try:
-                processes.begin_worker(0)
+                processes.start_worker(0)
                 os.fstat(processes._LOCKS[0])
             except OSError:  # closed
                 os._exit(7)
@@ -250,13 +250,13 @@ def half_way(data_splits, tmp_path):
     training = Training(
         run(), data_splits, tmp_path / "out", sheet_every=0, checkpoint_every=1, workers=0
     )
-    save = training._save
+    save = training._save_checkpoint
 
     def stop():
         save()
         raise KeyboardInterrupt
 
-    training._save = stop
+    training._save_checkpoint = stop
     with pytest.raises(KeyboardInterrupt):
         training.train()
     return tmp_path / "out"
@@ -357,7 +357,7 @@ def test_a_step_that_is_not_finite_leaves_the_running_statistics_too(data_splits
     batch = training._source()[0]
     before = {name: tensor.clone() for name, tensor in training.network.state_dict().items()}
     batch.image[0, 0, SIZE // 2, SIZE // 2] = torch.nan
-    record = training._one_step(batch)
+    record = training._make_step(batch)
     assert not math.isfinite(record["loss"]) and training.skipped == 1
     for name, tensor in training.network.state_dict().items():
         assert torch.equal(tensor, before[name]), name
@@ -411,7 +411,7 @@ def test_an_error_of_a_process_that_relights_is_raised_as_it_was(error):
     loader = torch.utils.data.DataLoader(
         processes.ErrorsAsValues(Failing(error)), batch_size=None, sampler=range(2), num_workers=1
     )
-    batches = processes.receive(loader)
+    batches = processes.receive_batches(loader)
     assert torch.equal(next(batches), torch.zeros(2))
     with pytest.raises(type(error)) as raised:
         next(batches)
@@ -430,7 +430,7 @@ def test_a_process_that_relights_and_is_killed_is_told_in_one_line():
         processes.ErrorsAsValues(Dying()), batch_size=None, sampler=range(2), num_workers=1
     )
     with pytest.raises(InputError, match="--workers: expected processes that live"):
-        next(processes.receive(loader))
+        next(processes.receive_batches(loader))
 
 
 @pytest.mark.parametrize("name", ["views.json", "skipped.json", "sums.json"])

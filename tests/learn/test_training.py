@@ -291,14 +291,14 @@ def test_albedos_error_is_the_logarithm_of_their_ratio_for_each_region_that_is_s
     segments[1:, : SIZE // 2][segments[1:, : SIZE // 2] > 0] = 2
     known = replace(batch, segments=segments, label=torch.from_numpy(label).expand(4, 2, 108))
     mine = torch.from_numpy(label[::-1].copy()).expand(4, 2, 108)
-    result = validation.albedos(mine, known, torch.full((3,), math.log(0.2)))
+    result = validation.albedo_errors(mine, known, torch.full((3,), math.log(0.2)))
     double = pytest.approx(math.log(2), abs=0.01)  # of albedo + 1e-3
     assert math.isnan(result["albedo_1"][0])
     assert list(result["albedo_1"][1:]) == [double] * 3
     assert list(result["albedo_2"]) == [double] * 4
     assert list(result["constant_albedo_1"][1:]) == [pytest.approx(0, abs=0.01)] * 3
     assert list(result["constant_albedo_2"]) == [double] * 4
-    assert set(validation.albedos(mine[:, :1], known)) == {"albedo"}
+    assert set(validation.albedo_errors(mine[:, :1], known)) == {"albedo"}
     assert validation._mean(result["albedo_1"]) == double
 
 
@@ -324,13 +324,13 @@ def test_a_killed_run_ends_with_bitwise_the_same_weights(data_splits, tmp_path):
     killed = Training(
         run(), data_splits, tmp_path / "killed", sheet_every=1000, checkpoint_every=2, workers=0
     )
-    save = killed._save
+    save = killed._save_checkpoint
 
     def die_after_saving():
         save()
         raise KeyboardInterrupt
 
-    killed._save = die_after_saving
+    killed._save_checkpoint = die_after_saving
     with pytest.raises(KeyboardInterrupt):
         killed.train()
     resumed = trained(run(), data_splits, tmp_path / "killed")

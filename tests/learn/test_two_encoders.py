@@ -51,7 +51,7 @@ def picture():
 def test_normals_are_the_mean_of_both_networks_and_the_rest_the_seconds(files, tmp_path):
     out = tmp_path / "a" / "joined.safetensors"
     joining.join(*files, out)  # a folder that is missing is made
-    joined, about = weights.load_parts(out)
+    joined, about = weights.load_full_network(out)
     first, second = (weights.load_network(path)[0] for path in files)
     image, mask = picture()
     with torch.no_grad():

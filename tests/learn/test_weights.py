@@ -59,7 +59,7 @@ def joined(header, body):
 
 
 def test_sound_weights_are_read_with_their_size_as_a_number(sound):
-    network, metadata = weights.load_parts(sound)
+    network, metadata = weights.load_full_network(sound)
     assert (metadata["size"], metadata["step"], metadata["run"]["name"]) == (32, "7", "tiny")
     assert not network.training
 
@@ -102,7 +102,7 @@ def test_metadata_of_any_kind_are_refused_in_one_line(changed, key, value, words
         return header, body
 
     with pytest.raises(InputError, match=words):
-        weights.load_parts(changed(change))
+        weights.load_full_network(changed(change))
 
 
 def filled(value, whole=True):
@@ -203,7 +203,7 @@ def test_ranges_that_no_material_has_are_refused(tmp_path, centre, half):
 # of the second the squared length is infinite, and the scaled normals are 0
 @pytest.mark.parametrize("value", [3e38, 1e30])
 def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
-    network, _ = weights.load_parts(sound)
+    network, _ = weights.load_full_network(sound)
     with torch.no_grad():
         network.normals.weight.fill_(value)
     framed = Framed(np.full((32, 32, 3), 0.5, np.float32), np.ones((32, 32), bool), (0, 0, 32), 1.0)
@@ -222,7 +222,7 @@ def test_weights_whose_prediction_overflows_are_told_by_it(sound, value):
 )
 def test_what_is_no_file_is_refused_at_once_by_every_reader(tmp_path, make):
     make(tmp_path / "w.safetensors")
-    for read in (weights.load_network, features.load, perceptual.of_file, priors.load):
+    for read in (weights.load_network, features.load, perceptual.load, priors.load):
         with pytest.raises(InputError, match=r"w\.safetensors: expected .*, found (a |too many)"):
             read(tmp_path / "w.safetensors")
 
@@ -258,7 +258,7 @@ def lpips():
 def test_lpips_of_other_shapes_or_without_numbers_is_refused(tmp_path, lpips, name, value):
     (tmp_path / "lpips.safetensors").write_bytes(save(lpips | {name: value}))
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        perceptual.of_file(tmp_path / "lpips.safetensors")
+        perceptual.load(tmp_path / "lpips.safetensors")
 
 
 @pytest.fixture

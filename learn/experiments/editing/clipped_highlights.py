@@ -67,7 +67,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     weights = arguments.weights
-    net, metadata = checkpoint.load_parts(weights)
+    net, metadata = checkpoint.load_full_network(weights)
     settings = replace(RefinementSettings(), outer_iterations=arguments.outer_iterations)
     about = {"weights": file_hash(weights), "seed": arguments.seed, "settings": asdict(settings)}
     outputs.pin_settings(arguments.out / "settings.json", about)

@@ -71,7 +71,9 @@ def opened(
     )
     is_one = isinstance(arguments.weights, Path)
     weights = [arguments.weights] if is_one else arguments.weights
-    seen = overlap.sentences(weights, ladder.list_tested(records, scenes), arguments.data, True)
+    seen = overlap.report_overlap(
+        weights, ladder.list_tested(records, scenes), arguments.data, True
+    )
     hashes = [file_hash(path) for path in weights]
     about = {
         "data": file_hash(arguments.data / "materials.json"),
@@ -83,7 +85,7 @@ def opened(
 
 
 def refined_row(
-    bench: Any,
+    evaluator: Any,
     scene: Scene,
     rung: str,
     settings: RefinementSettings,
@@ -91,7 +93,7 @@ def refined_row(
 ) -> dict[str, Any]:
     """Return a scene's names, and {FIGURES: value} of "predicted" and "refined" on a rung.
 
-    bench       of learn.evaluation.ladder_bench
+    evaluator       of learn.evaluation.ladder_evaluator
     true_light  whether the true light takes the place of the predicted one; settings say whether it
                 may move
     """
@@ -100,30 +102,33 @@ def refined_row(
     from msgspec import to_builtins
 
     from learn.editing.decomposition import require_parts
-    from learn.evaluation import ladder_bench
+    from learn.evaluation import ladder_evaluator
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import load_scene
 
     known = next(each for each in RUNGS if each.name == rung)
-    picture = load_scene(bench.records, scene, known, bench.size)
+    picture = load_scene(evaluator.records, scene, known, evaluator.size)
     began = time.process_time()
-    start = bench.predict(picture.batch)
+    start = evaluator.predict(picture.batch)
     if true_light:
         start = start._replace(light=picture.batch.light)
     predicted = time.process_time()
-    refined = bench.refine(picture.batch, start, settings).prediction
+    refined = evaluator.refine(picture.batch, start, settings).prediction
     seconds = {"predicted": predicted - began, "refined": time.process_time() - predicted}
     target = scene.truth[rung].materials[0]
     return {
         "shape": scene.shape,
         "light": scene.light,
         "target": target,
-        "metal": bench.records.material(target).family == "metal",
+        "metal": evaluator.records.material(target).family == "metal",
     } | {
         name: to_builtins(
-            ladder_bench.measure_decomposition(require_parts(parts), picture, picture.batch)
+            ladder_evaluator.measure_decomposition(require_parts(parts), picture, picture.batch)
         )
-        | {"seconds": seconds[name], "image_l2": ladder_bench.error_of_rerendering(parts, picture)}
+        | {
+            "seconds": seconds[name],
+            "image_l2": ladder_evaluator.error_of_rerendering(parts, picture),
+        }
         for name, parts in (("predicted", start), ("refined", refined))
     }
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from learn.editing.decomposition import Parts
-    from learn.evaluation.ladder_bench import Bench
     from learn.evaluation.ladder_design import Scene
+    from learn.evaluation.ladder_evaluator import LadderEvaluator
     from learn.evaluation.ladder_pictures import Shown
 
 ON_RAY = True
@@ -45,23 +45,23 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     Raises InputError for a data set without pictures of the rungs.
     """
-    from learn.evaluation.ladder_bench import Bench
+    from learn.evaluation.ladder_evaluator import LadderEvaluator
     from learn.experiments.editing import drawn_edits
 
     edits = drawn_edits.opened(arguments)
-    bench = Bench(edits.records, arguments.weights)
+    evaluator = LadderEvaluator(edits.records, arguments.weights)
     todo = [
         ({"scene": f"{of.source[rung].id}-{of.truth[rung].id}", "rung": rung}, (of, rung))
         for of in edits.scenes
         for rung in edits.pictures
     ]
     rows = runner.resume(
-        arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "edit"
+        arguments.out / "rows.jsonl", todo, lambda case: row_of(evaluator, *case), "edit"
     )
     return {"rows": rows, "weights": arguments.weights.name, "seen": edits.seen}
 
 
-def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
+def row_of(evaluator: LadderEvaluator, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a scene's names, and the figures of its edit.
 
     {"shape", "group", "light", "source", "target", "metal", method: {"stops": of brightness above
@@ -72,9 +72,9 @@ def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
     from learn.evaluation.ladder_pictures import load_scene
 
     known = next(each for each in RUNGS if each.name == rung)
-    picture = load_scene(bench.records, scene, known, bench.size)
-    predicted = bench.predict(picture.batch)
-    refined = bench.refine(picture.batch, predicted).prediction
+    picture = load_scene(evaluator.records, scene, known, evaluator.size)
+    predicted = evaluator.predict(picture.batch)
+    refined = evaluator.refine(picture.batch, predicted).prediction
     target = scene.truth[rung].materials[0]
     return {
         "shape": scene.shape,
@@ -82,7 +82,7 @@ def row_of(bench: Bench, scene: Scene, rung: str) -> dict[str, Any]:
         "light": scene.light,
         "source": scene.source[rung].materials[0],
         "target": target,
-        "metal": bench.records.material(target).family == "metal",
+        "metal": evaluator.records.material(target).family == "metal",
     } | {
         name: figures(require_parts(parts), picture)
         for name, parts in zip(METHODS, (predicted, refined), strict=True)

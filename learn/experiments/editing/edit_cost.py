@@ -150,7 +150,7 @@ def methods_of(
     }
     sizes = {}
     for path in weights:
-        network, metadata = checkpoint.load_parts(path)
+        network, metadata = checkpoint.load_full_network(path)
         # a run's folder names its weights, which are all called weights.safetensors
         name = path.parent.name if path.stem == "weights" else path.stem
         sizes[name] = metadata["size"]

@@ -98,12 +98,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     weights = arguments.weights
-    net, metadata = checkpoint.load_parts(weights)
+    net, metadata = checkpoint.load_full_network(weights)
     records = Records(arguments.data)
     rung = RUNGS[0]
     pictures = {rung.name: ladder_scenes.pictures_of(records)[rung.name]}
     scenes = ladder_scenes.edits_of(pictures, arguments.scenes, arguments.seed)
-    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
+    seen = overlap.report_overlap(
+        [weights], ladder.list_tested(records, scenes), arguments.data, True
+    )
     about = {
         "data": file_hash(arguments.data / "materials.json"),
         "weights": file_hash(weights),

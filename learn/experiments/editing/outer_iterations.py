@@ -44,14 +44,14 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     from dataclasses import asdict, replace
 
-    from learn.evaluation import ladder_bench
+    from learn.evaluation import ladder_evaluator
     from learn.experiments.editing import drawn_edits
     from learn.refinement import RefinementSettings
 
     settings = replace(RefinementSettings(), outer_iterations=1)
     edits = drawn_edits.opened(arguments, settings=asdict(settings))
     scenes = edits.scenes
-    bench = ladder_bench.Bench(edits.records, arguments.weights)
+    evaluator = ladder_evaluator.LadderEvaluator(edits.records, arguments.weights)
     numbers = list(dict.fromkeys(arguments.outer_iterations))
     todo = [
         ({"scene": scene.id, "rung": rung, "number": number}, (scene, rung, number))
@@ -60,17 +60,17 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         for number in numbers
     ]
     # once without a clock, because kernels are compiled
-    row_of(bench, scenes[0], next(iter(edits.pictures)), 1)
+    row_of(evaluator, scenes[0], next(iter(edits.pictures)), 1)
     rows = runner.resume(
-        arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "refinement"
+        arguments.out / "rows.jsonl", todo, lambda case: row_of(evaluator, *case), "refinement"
     )
     return {"rows": rows, "numbers": numbers, "weights": arguments.weights.name, "seen": edits.seen}
 
 
-def row_of(bench: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:
+def row_of(evaluator: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:
     """Return the row of a scene on a rung, as of `drawn_edits.refined_row`.
 
-    bench   of learn.evaluation.ladder_bench
+    evaluator   of learn.evaluation.ladder_evaluator
     number  of outer iterations
     """
     from dataclasses import replace
@@ -79,7 +79,7 @@ def row_of(bench: Any, scene: Scene, rung: str, number: int) -> dict[str, Any]:
     from learn.refinement import RefinementSettings
 
     settings = replace(RefinementSettings(), outer_iterations=number)
-    return drawn_edits.refined_row(bench, scene, rung, settings)
+    return drawn_edits.refined_row(evaluator, scene, rung, settings)
 
 
 def tables(report: runner.Report) -> str:

@@ -67,7 +67,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)  # times are reported for one thread
     weights = arguments.weights
-    net, _ = checkpoint.load_parts(weights)
+    net, _ = checkpoint.load_full_network(weights)
     about = {
         "data": arguments.data.resolve().name,
         "materials": file_hash(arguments.data / "materials.json"),

@@ -66,7 +66,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     """
     from dataclasses import asdict
 
-    from learn.evaluation import ladder_bench
+    from learn.evaluation import ladder_evaluator
     from learn.experiments.editing import drawn_edits, ladder_scenes
 
     settings = {rung: asdict(settings_of(rung, METHODS[0])) for rung in ladder_scenes.RUNGS}
@@ -75,7 +75,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         argparse.Namespace(**vars(arguments) | most), sources=glossy, settings=settings
     )
     counts = {TRUE_LIGHT: arguments.true_light, PREDICTED: arguments.scenes}
-    bench = ladder_bench.Bench(edits.records, arguments.weights)
+    evaluator = ladder_evaluator.LadderEvaluator(edits.records, arguments.weights)
     todo = [
         (
             {"scene": scene.id, "rung": rung, "start": start, "method": method},
@@ -96,13 +96,13 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     pictures = runner.resume(
         arguments.out / "pictures.jsonl",
         compared,
-        lambda case: compare_with_sum(bench, *case),
+        lambda case: compare_with_sum(evaluator, *case),
         "picture",
     )
     for method in METHODS:  # once without a clock, because kernels are compiled
-        _warm_up(bench, edits.scenes[0], next(iter(edits.pictures)), method)
+        _warm_up(evaluator, edits.scenes[0], next(iter(edits.pictures)), method)
     rows = runner.resume(
-        arguments.out / "rows.jsonl", todo, lambda case: row_of(bench, *case), "refinement"
+        arguments.out / "rows.jsonl", todo, lambda case: row_of(evaluator, *case), "refinement"
     )
     return {
         "rows": rows,
@@ -140,7 +140,7 @@ def settings_of(rung: str, method: str) -> RefinementSettings:
     return replace(settings, outer_iterations=1).with_method(method)
 
 
-def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
+def _warm_up(evaluator: Any, scene: Scene, rung: str, method: str) -> None:
     from dataclasses import replace
 
     from learn.experiments.editing import drawn_edits
@@ -151,13 +151,13 @@ def _warm_up(bench: Any, scene: Scene, rung: str, method: str) -> None:
         for level in settings.levels
     )
     settings = replace(settings, levels=levels)
-    drawn_edits.refined_row(bench, scene, rung, settings)
+    drawn_edits.refined_row(evaluator, scene, rung, settings)
 
 
-def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict[str, Any]:
+def row_of(evaluator: Any, scene: Scene, rung: str, start: str, method: str) -> dict[str, Any]:
     """Return a row as of `drawn_edits.refined_row`, and the picture's material.
 
-    bench   of learn.evaluation.ladder_bench
+    evaluator   of learn.evaluation.ladder_evaluator
     """
     from dataclasses import replace
 
@@ -166,18 +166,18 @@ def row_of(bench: Any, scene: Scene, rung: str, start: str, method: str) -> dict
     settings, is_true = settings_of(rung, method), start == TRUE_LIGHT
     if is_true:
         settings = replace(settings, order=("material", "normals"))
-    return drawn_edits.refined_row(bench, scene, rung, settings, is_true) | {
+    return drawn_edits.refined_row(evaluator, scene, rung, settings, is_true) | {
         "source": scene.source[rung].materials[0],
-        "target_is_glossy": scene.truth[rung].materials[0] in glossy(bench.records),
+        "target_is_glossy": scene.truth[rung].materials[0] in glossy(evaluator.records),
     }
 
 
-def compare_with_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+def compare_with_sum(evaluator: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names, and the display L2 between its renderings by sum and by integral.
 
     "true" are those of the true parts, "predicted" those of the predicted ones.
 
-    bench   of learn.evaluation.ladder_bench
+    evaluator   of learn.evaluation.ladder_evaluator
     """
     from learn.data.devices import to_numpy
     from learn.editing.decomposition import Parts, require_parts
@@ -187,7 +187,7 @@ def compare_with_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
     from learn.metrics.pictures import display_l2
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    batch = load_scene(bench.records, scene, known, bench.size).batch
+    batch = load_scene(evaluator.records, scene, known, evaluator.size).batch
     inside = to_numpy(batch.segments[0] > 0)
 
     def between_sum_and_integral(parts: Parts) -> float:
@@ -203,7 +203,7 @@ def compare_with_sum(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
         "light": scene.light,
         "source": scene.source[rung].materials[0],
         "true": between_sum_and_integral(Parts(batch.n, batch.label, batch.light)),
-        "predicted": between_sum_and_integral(require_parts(bench.predict(batch))),
+        "predicted": between_sum_and_integral(require_parts(evaluator.predict(batch))),
     }
 
 

@@ -79,13 +79,15 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
 
     torch.set_num_threads(1)
     weights = arguments.weights
-    net, metadata = checkpoint.load_parts(weights)
+    net, metadata = checkpoint.load_full_network(weights)
     records = Records(arguments.data)
     pictures = pictures_of(records)
     available = sorted(set.intersection(*(set(each) for each in pictures.values())))
     cases = cases_of(available, arguments.pictures, arguments.seed, arguments.data)
     scenes = [scene_of(pictures, case.object, case.truth) for case in cases]
-    seen = overlap.sentences([weights], ladder.list_tested(records, scenes), arguments.data, True)
+    seen = overlap.report_overlap(
+        [weights], ladder.list_tested(records, scenes), arguments.data, True
+    )
     about = {
         "data": file_hash(records.store.fetch("materials.json")),
         "weights": file_hash(weights),

@@ -35,10 +35,10 @@ def compare(records: Records, weights: Path, out: Path, count: int) -> dict[str,
     Rows that `out` has are not measured again. Raises InputError where pictures have several
     materials or are too small.
     """
-    network, metadata = checkpoint.load_parts(weights)
+    network, metadata = checkpoint.load_full_network(weights)
     size = metadata["size"]
     edits = pairs.choose_edits(records.records, count, 0)
-    if any(edit.several for edit in edits):
+    if any(edit.per_segment for edit in edits):
         raise InputError(
             records.folder,
             "pictures of one material each",

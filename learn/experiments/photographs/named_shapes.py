@@ -67,7 +67,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     network, metadata = checkpoint.load_network(file)
     source = photographs_of(arguments.data, file, [metadata["size"]])[metadata["size"]]
     shown = list_tested(source.data_split, shapes)
-    seen = overlap.sentences([file], shown, arguments.data, arguments.allow_overlap)
+    seen = overlap.report_overlap([file], shown, arguments.data, arguments.allow_overlap)
     about = {
         "weights": file_hash(file),
         "data": file_hash(arguments.data / "materials.json"),
@@ -88,7 +88,7 @@ def list_tested(data_split: DataSplit, shapes: Mapping[str, str]) -> Tested:
     """Return what pictures of the named meshes show, as learn.evaluation.overlap has it."""
     from learn.evaluation import overlap
 
-    shown = overlap.of_split(data_split)
+    shown = overlap.shown_by_split(data_split)
     named = {digits: name for digits, name in shown["shapes"].items() if stem_of(name) in shapes}
     return {**shown, "shapes": named}
 

@@ -80,7 +80,7 @@ def dye_of(kind: str, n: np.ndarray, name: str) -> np.ndarray:
     segments = torch.from_numpy(inside.astype(np.int64))[None]
     points = patterns.surface_points(torch.from_numpy(n)[None], segments)[0]
     factor = np.ones(n.shape, np.float32)
-    for weight in patterns.cover(rng, points, n, inside):
+    for weight in patterns.draw_pattern(rng, points, n, inside):
         ink = _linear(rng.random(), rng.uniform(0, 1), rng.uniform(0.15, 1))
         factor += weight[..., None] * (ink - 1)
     return factor

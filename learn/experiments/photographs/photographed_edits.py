@@ -127,7 +127,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         for case in cases
         for target in case.targets
     ]
-    seen = overlap.sentences(
+    seen = overlap.report_overlap(
         [arguments.weights], ladder.list_tested(records, scenes), arguments.data, True
     )
     about = {
@@ -138,7 +138,7 @@ def opened(arguments: argparse.Namespace, refinement: Any) -> Opened:
         "detail": arguments.detail,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    network, metadata = checkpoint.load_parts(arguments.weights)
+    network, metadata = checkpoint.load_full_network(arguments.weights)
     return Opened(records, cases, network, metadata["size"], seen)
 
 

@@ -97,7 +97,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     elif arguments.use_shapes:
         raise InputError("--use-shapes", "--shapes FILE", "none", "name the objects' shapes")
     settings = None if arguments.no_refine else PHOTOGRAPHS
-    seen = overlap.sentences(
+    seen = overlap.report_overlap(
         [arguments.weights], room_cases.list_tested(cases), arguments.data, True
     )
     about = {
@@ -111,7 +111,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         "detail": arguments.detail,
     }
     outputs.pin_settings(arguments.out / "settings.json", about)
-    network, metadata = checkpoint.load_parts(arguments.weights)
+    network, metadata = checkpoint.load_full_network(arguments.weights)
     todo = [({"photograph": room_cases.name_of(case)}, case) for case in cases]
     rows = runner.resume(
         arguments.out / "rows.jsonl",

@@ -73,7 +73,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     Raises InputError for a data set without pictures in glossy materials beside others, and for two
     weights of one name.
     """
-    from learn.evaluation import ladder_bench
+    from learn.evaluation import ladder_evaluator
     from learn.experiments.editing import drawn_edits
     from learn.experiments.editing.refinement_methods import glossy
     from manifests.errors import InputError
@@ -88,9 +88,11 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         names=list(named),
         size=arguments.size,
     )
-    benches = {name: ladder_bench.Bench(edits.records, path) for name, path in named.items()}
-    for bench in benches.values():
-        bench.size = arguments.size or bench.size
+    evaluators = {
+        name: ladder_evaluator.LadderEvaluator(edits.records, path) for name, path in named.items()
+    }
+    for evaluator in evaluators.values():
+        evaluator.size = arguments.size or evaluator.size
     todo = [
         ({"scene": scene.id, "rung": rung, "weights": name}, (scene, rung, name))
         for scene in edits.scenes
@@ -100,42 +102,42 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rows = runner.resume(
         arguments.out / "rows.jsonl",
         todo,
-        lambda case: row_of(benches[case[2]], *case[:2]),
+        lambda case: row_of(evaluators[case[2]], *case[:2]),
         "picture",
     )
     return {
         "rows": rows,
         "weights": list(named),
-        "sizes": {name: bench.size for name, bench in benches.items()},
+        "sizes": {name: evaluator.size for name, evaluator in evaluators.items()},
         "seen": list(dict.fromkeys(edits.seen)),
     }
 
 
-def row_of(bench: Any, scene: Scene, rung: str) -> dict[str, Any]:
+def row_of(evaluator: Any, scene: Scene, rung: str) -> dict[str, Any]:
     """Return a picture's names and {FIGURES: value}.
 
-    bench  of learn.evaluation.ladder_bench
+    evaluator  of learn.evaluation.ladder_evaluator
     """
     from learn.editing.decomposition import require_parts
-    from learn.evaluation import ladder_bench
+    from learn.evaluation import ladder_evaluator
     from learn.evaluation.ladder_design import RUNGS
     from learn.evaluation.ladder_pictures import load_scene
-    from learn.training.validation import albedos
+    from learn.training.validation import albedo_errors
 
     (known,) = (each for each in RUNGS if each.name == rung)
-    picture = of_size(load_scene(bench.records, scene, known, bench.size), bench.size)
-    prediction = bench.predict(picture.batch)
+    picture = of_size(load_scene(evaluator.records, scene, known, evaluator.size), evaluator.size)
+    prediction = evaluator.predict(picture.batch)
     parts = require_parts(prediction)
-    of_parts = ladder_bench.measure_decomposition(parts, picture, picture.batch)
+    of_parts = ladder_evaluator.measure_decomposition(parts, picture, picture.batch)
     return {
         "shape": scene.shape,
         "light": scene.light,
         "source": scene.source[rung].materials[0],
         "target": scene.truth[rung].materials[0],
         "normals_mean_deg": of_parts.normals_mean_deg,
-        "albedo": float(albedos(parts.label, picture.batch)["albedo"][0]),
+        "albedo": float(albedo_errors(parts.label, picture.batch)["albedo"][0]),
         "irradiance": of_parts.irradiance,
-        "image_l2": ladder_bench.error_of_rerendering(prediction, picture),
+        "image_l2": ladder_evaluator.error_of_rerendering(prediction, picture),
         "edit_l2": of_parts.edit_l2,
         "edit_l2_aligned": of_parts.edit_l2_aligned,
     }

@@ -74,7 +74,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     from manifests.store_paths import file_hash
 
     torch.set_num_threads(1)
-    network, metadata = checkpoint.load_parts(arguments.weights)
+    network, metadata = checkpoint.load_full_network(arguments.weights)
     seen = checkpoint.seen_by(arguments.weights)
     known = set(seen.shapes) if seen is not None else set()
     about = {
@@ -89,7 +89,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         shown = pictures_of(records, metadata["size"], arguments.pictures)
         sentences += _what_weights_saw(arguments.weights, records, shown)
         same = {record.shape for record in shown if record.shape_hash[:DIGITS] in known}
-        degrees[folder.name] = distances.of_shapes(
+        degrees[folder.name] = distances.shape_distances(
             distances.rasters(records, shown), training, same
         )
         todo += [
@@ -144,7 +144,7 @@ def _what_weights_saw(weights: Path, records: Records, shown: Sequence[Record]) 
             map_hash(records.light(name)): name for name in {record.light for record in shown}
         },
     }
-    return overlap.sentences([weights], tested, records.folder, True)
+    return overlap.report_overlap([weights], tested, records.folder, True)
 
 
 def row_of(network: Coded, records: Records, record: Record) -> dict[str, Any]:

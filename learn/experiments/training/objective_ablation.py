@@ -163,8 +163,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
         tested = _with_pictures(run, "quadrature")
     seen: list[str] = []
     if FROM_WEIGHTS in arguments.initialisations:
-        shown = overlap.of_split(data_splits["test"])
-        seen = overlap.sentences([arguments.start], shown, arguments.data, arguments.allow_overlap)
+        shown = overlap.shown_by_split(data_splits["test"])
+        seen = overlap.report_overlap(
+            [arguments.start], shown, arguments.data, arguments.allow_overlap
+        )
     tests = objective_training.tests(data_splits, tested, arguments.size, arguments.batches, policy)
     sized = settings(REFERENCE, FROM_NOTHING, run, arguments)
     kept = {

@@ -171,8 +171,8 @@ def rows(
     angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
     true_label, target = batch.label, batch.target_label
     figures = {
-        "angle_deg": validation.means(angle, batch.segments > 0),
-        "albedo": validation.albedos(label, batch)["albedo"],
+        "angle_deg": validation.masked_means(angle, batch.segments > 0),
+        "albedo": validation.albedo_errors(label, batch)["albedo"],
         "irradiance": irradiance_error(light, batch.light).double().numpy(),
         "image_l2": validation.compare_renderings(
             n, label, light, true_label, batch, batch.picture, policy
@@ -193,6 +193,6 @@ def as_given(
     policy: predictions.Policy = predictions.VALIDATION,
 ) -> variants.Result:
     """Return the result of weights without a step of training. Raises InputError."""
-    network, _ = weights.load_parts(path)
+    network, _ = weights.load_full_network(path)
     of_tests = [row for batch in tested for row in rows(None, network, batch, policy)]
     return {"steps": 0, "seconds": 0.0, "rows": of_tests}

@@ -112,7 +112,7 @@ def layer_pictures(records: Records, record: Record) -> dict[str, np.ndarray]:
         plain = to_numpy(render(**sample.for_layer(), tolerance=5e-3)[0])
     position, view = shadows.positions(sample.depth.numpy(), record.camera)
     n = sample.n.numpy()
-    factor = shadows.factor(
+    factor = shadows.shadow_factor(
         n if sample.view is None else turned_to_viewer(n, sample.view.numpy()),
         position,
         view,

@@ -105,7 +105,7 @@ def groups(requested: Losses) -> dict[str, Losses]:
     terms = {
         "normals and material terms": ("normals", "material", "albedo"),
         "light terms": ("light_log", "light_rendered"),
-        "layer and features" if losses.by_features(requested) else "layer": (
+        "layer and features" if losses.uses_features(requested) else "layer": (
             "image",
             "target",
             "image_features",

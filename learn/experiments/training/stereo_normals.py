@@ -80,7 +80,7 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     rows = []
     weights = arguments.weights or [options.EDITING_WEIGHTS]
     for number, path in enumerate(weights):
-        network, metadata = checkpoint.load_parts(path)
+        network, metadata = checkpoint.load_full_network(path)
         name = path.stem if path.stem != "weights" else path.parent.name
         for each in objects:
             row = row_of(each, network, metadata["size"], number == 0)

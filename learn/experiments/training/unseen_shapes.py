@@ -81,8 +81,10 @@ def measure(arguments: argparse.Namespace) -> runner.Report:
     todo, sentences = [], []
     for folder in arguments.data:
         sources = photographs_of(folder, arguments.weights[0], list(networks))
-        shown = overlap.of_split(next(iter(sources.values())).data_split)
-        sentences += overlap.sentences(arguments.weights, shown, folder, arguments.allow_overlap)
+        shown = overlap.shown_by_split(next(iter(sources.values())).data_split)
+        sentences += overlap.report_overlap(
+            arguments.weights, shown, folder, arguments.allow_overlap
+        )
         todo += [
             ({"picture": f"{folder.name} {k}", "data": folder.name}, (sources, k))
             for k in range(arguments.pictures)
@@ -159,7 +161,7 @@ def row_of(
     import torch
 
     from learn.data.batch import shape_and_material
-    from learn.training.validation import means
+    from learn.training.validation import masked_means
 
     angles: dict[str, float] = {}
     for size, source in sources.items():
@@ -167,12 +169,12 @@ def row_of(
         mask = batch.segments > 0
         shape, material = shape_and_material(batch.names[0])
         facing = batch.n[:, 2].clamp(-1, 1).arccos().rad2deg()
-        angles.setdefault(FACING, float(means(facing, mask)[0]))
+        angles.setdefault(FACING, float(masked_means(facing, mask)[0]))
         for name, network in networks[size].items():
             with torch.no_grad():
                 n = network(batch.image, batch.mask, None, ("normals",)).n
             angle = (n * batch.n).sum(1).clamp(-1, 1).arccos().rad2deg()
-            angles[name] = float(means(angle, mask)[0])
+            angles[name] = float(masked_means(angle, mask)[0])
     return {"shape": shape, "family": family_of(shape), "material": material} | angles
 
 

@@ -84,7 +84,7 @@ def train_and_measure(
     """
     if (folder / "result.json").exists():
         return read(folder / "result.json", dict)
-    with processes.only_writer(folder):
+    with processes.lock_run_folder(folder):
         training = training_of(run, data_splits, folder, sheet_every=0, workers=workers)
         training.train()
     weights.save_weights(
@@ -115,8 +115,8 @@ def rows(training: loop.Training, network: Coded, batch: ExampleBatch) -> Iterat
     figures = {}
     if prediction.n is not None:
         cosine, inside = (prediction.n * batch.n).sum(1).clamp(-1, 1), batch.segments > 0
-        figures["cosine"] = validation.means(cosine, inside)
-        figures["angle_deg"] = validation.means(cosine.arccos().rad2deg(), inside)
+        figures["cosine"] = validation.masked_means(cosine, inside)
+        figures["angle_deg"] = validation.masked_means(cosine.arccos().rad2deg(), inside)
     if prediction.code is not None:
         figures["code_l2"] = (
             ((prediction.code - network.ranges.code(batch.label)) ** 2)

@@ -73,20 +73,20 @@ class Line(Struct, frozen=True, kw_only=True):
     commit: str = "none"
 
 
-class Bench:
-    """Records and a network, which measure scenes.
+class LadderEvaluator:
+    """Measures a network on scenes of the ladder, whose pictures are records.
 
     Raises  InputError for unusable weights
     """
 
     def __init__(self, records: Records, weights: Path, device: str = "cpu"):
-        network, metadata = checkpoint.load_parts(weights, device)
+        network, metadata = checkpoint.load_full_network(weights, device)
         self.records, self.size, self.device = records, metadata["size"], torch.device(device)
         self.predict = methods.make_predictor(network)
         self.refine = functools.partial(refine, labels=getattr(network, "training_labels", None))
         self.commit = provenance()["commit"]
 
-    def line(self, scene: Scene, name: str, refined: bool) -> Line:
+    def measure(self, scene: Scene, name: str, refined: bool) -> Line:
         """Return the figures of a scene on a rung; refined: whether those of refinement too."""
         (rung,) = (each for each in RUNGS if each.name == name)
         picture = load_scene(self.records, scene, rung, self.size)

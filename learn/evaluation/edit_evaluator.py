@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from learn import refinement
 from learn.agreement import causes, surface
 from learn.data import pairs
 from learn.data.batch import ExampleBatch
@@ -22,7 +23,7 @@ from learn.evaluation import gallery, methods
 from learn.layer import render
 from learn.layer.predictions import MEASURED
 from learn.metrics import intrinsics
-from learn.metrics import lpips as perceptual
+from learn.metrics import lpips as lpips_metric
 from learn.metrics import pictures as metrics
 from learn.metrics.pictures import squared_difference, squared_net_of_noise
 from learn.networks import weights as checkpoint
@@ -40,15 +41,19 @@ FIT_PIXELS = causes.PIXELS
 FINE = 1e-3  # tolerance of the layer's integral where the nodes' is computed from it
 
 
-class Bench:
-    """Records, methods and their weights, loaded once per process.
+class EditEvaluator:
+    """Measures every method on the pictures of a data set.
 
-    data, weights, baselines, lpips   paths; the last two may be None
-    refine                            whether methods are refined
-    refinement_method                 of the layer, by which refinement renders
-    materials                         whose training materials the mean material is the mean of:
-                                      "dataset" or "built-in"
-    device                            of networks, refinement and the layer
+    Records, methods and their weights are loaded once per process.
+
+    data, weights      paths of the data set and of the network's weights
+    baselines          folder of the baselines' weights, or None
+    refine             whether methods are refined
+    lpips              file of LPIPS' weights, or None
+    materials          whose training materials the mean material is the mean of: "dataset" or
+                       "built-in"
+    device             of networks, refinement and the layer
+    refinement_method  of the layer, by which refinement renders
     """
 
     def __init__(
@@ -64,39 +69,38 @@ class Bench:
     ):
         self.records = Records(data)
         self.repeats = pairs.find_repeats(self.records.records)
-        self._judged: dict[str, dict[str, float]] = {}  # by id of the truth
-        net, self.metadata = checkpoint.load_parts(weights, device)
+        self._against_nodes: dict[str, dict[str, float]] = {}  # by id of the truth
+        net, self.metadata = checkpoint.load_full_network(weights, device)
         self.device = torch.device(device)
         self.commit = provenance()["commit"]
-        self.size, self.ranges, self.perceptual = (
-            self.metadata["size"],
-            net.ranges,
-            perceptual.of_file(lpips),
-        )
-        work = lit = None
+        self.size, self.ranges = self.metadata["size"], net.ranges
+        self.perceptual = lpips_metric.load(lpips)
+        refine_all = refine_with_normals_kept = None
         if refine:
-            from learn.refinement import refine as of_any
-
             settings = RefinementSettings().with_method(refinement_method)
-            work = functools.partial(of_any, settings=settings, labels=net.training_labels)
-            still = replace(settings, order=("material", "light"))
-            lit = functools.partial(work, settings=still)
+            without_normals = replace(settings, order=("material", "light"))
+            refine_all, refine_with_normals_kept = (
+                functools.partial(refinement.refine, settings=each, labels=net.training_labels)
+                for each in (settings, without_normals)
+            )
         labels = methods.training_labels(self.records, materials)
         # the weights' own, or those that the row "mean material" is the mean of
         self.training_labels: np.ndarray | None = net.training_labels
         if self.training_labels is None and labels:
             self.training_labels = np.stack(labels)
-        self.entrants = methods.entrants(net, work, labels, baselines, self.device, lit)
+        self.methods = methods.list_methods(
+            net, refine_all, labels, baselines, self.device, refine_with_normals_kept
+        )
 
-    def work(
-        self, first: EditPair, edits: Sequence[EditPair], whole: bool, folder: str | None = None
+    def measure_picture(
+        self, first: EditPair, edits: Sequence[EditPair], parts: bool, folder: str | None = None
     ) -> tuple[dict | None, list[dict]]:
-        """Return the row of the source picture, or None, and the rows of its edits.
+        """Return the row of a source picture, or None, and the rows of edits of it.
 
-        first   an edit of the source picture
+        first   an edit of the source picture, which is the same for all its edits
         edits   edits of it that are to be measured; may be none
-        whole   whether the source's own row is requested
-        folder  for pictures of the edits; None: no pictures
+        parts   whether the picture's own row is requested: the parts by every method
+        folder  where pictures of the edits are written; None: no pictures
         """
         batch = pairs.make_source_batch(self.records, first).to(self.device)
         if batch.image.shape[-2:] != (self.size, self.size):
@@ -107,26 +111,26 @@ class Bench:
                 result,
                 "render again",
             )
-        row = self._picture_row(first.source, batch) if whole else None
+        row = self._picture_row(first.source, batch) if parts else None
         return row, [self._edit_row(edit, batch, folder) for edit in edits]
 
     def _picture_row(self, record: Record, batch: ExampleBatch) -> dict:
         truth = to_numpy(batch.image[0].movedim(0, -1))
         row: dict = {"id": record.id, "commit": self.commit, "methods": {}} | summary_of(record)
         done: dict[tuple, dict] = {}  # many methods share a part, which is then measured once
-        for method in (*self.entrants.edits, *self.entrants.parts):
+        for method in (*self.methods.edits, *self.methods.parts):
             parts = method.parts(batch)
             if parts is None:
                 continue
-            row["methods"][method.name] = self._parts(parts, batch, truth, done)
+            row["methods"][method.name] = self._measure_parts(parts, batch, truth, done)
             if isinstance(method, methods.Refined) and method.refined is not None:
-                row["methods"][method.name]["refinement"] = refinement(method.refined)
+                row["methods"][method.name]["refinement"] = summarise_refinement(method.refined)
         return row
 
-    def _parts(
+    def _measure_parts(
         self, parts: Prediction, batch: ExampleBatch, truth: np.ndarray, done: dict[tuple, dict]
     ) -> dict[str, dict]:
-        """The figures of a Prediction, without what was given to the method or not predicted.
+        """Return {group: figures} of the parts that a method predicted, not of those it was given.
 
         done  {figures' name and ids of their tensors: figures} of earlier methods; added to
         """
@@ -173,25 +177,25 @@ class Bench:
             "commit": self.commit,
             "source": edit.source.id,
             "truth": edit.truth.id,
-            "several": edit.several,
+            "several": edit.per_segment,
             "methods": {},
         }
         row |= summary_of(edit.source) | {"wanted": list(edit.truth.materials)}
         shown = {}
-        for method in self.entrants.edits:
+        for method in self.methods.edits:
             picture = method.edit(batch, label)
             figures = metrics.compare(picture, truth, mask, self.perceptual)
-            given = with_truth(method, batch, label, truth, mask, figures["l2"])
+            given = measure_with_truth(method, batch, label, truth, mask, figures["l2"])
             row["methods"][method.name] = figures | given
             shown[method.name] = picture
-        alone = shown[self.entrants.edits[-1].name]
-        row["layer"] = self._layer(edit, alone, mask)
+        alone = shown[self.methods.edits[-1].name]
+        row["layer"] = self._measure_layer(edit, alone, mask)
         if folder is not None:
             gallery.write(Path(folder) / f"{edit.id}.png", batch, truth, shown, mask)
         return row
 
-    def _layer(self, edit: EditPair, picture: np.ndarray, mask: np.ndarray) -> dict:
-        """The error of the layer's edit from true parts, beside the catalogue's node fit.
+    def _measure_layer(self, edit: EditPair, picture: np.ndarray, mask: np.ndarray) -> dict:
+        """Return the error of the layer's edit from true parts, beside the catalogue's node fit.
 
         The error is over the mask and away from edges; where the truth has a second seed, the
         figures of `against_nodes` are added.
@@ -214,12 +218,12 @@ class Bench:
         }
         seeds = self.repeats[pairs.scene_key(edit.truth), edit.truth.materials]
         if len(seeds) > 1 and inner.any():
-            if edit.truth.id not in self._judged:  # two edits may share a truth
+            if edit.truth.id not in self._against_nodes:  # two edits may share a truth
                 pictures = np.stack([self.records.image(record) for record in seeds])
-                self._judged[edit.truth.id] = against_nodes(
+                self._against_nodes[edit.truth.id] = against_nodes(
                     sample, pictures, picture, inner, [e.mixture for e in entries], exposure
                 )
-            result |= {"seeds": len(seeds), "samples": seeds[0].samples} | self._judged[
+            result |= {"seeds": len(seeds), "samples": seeds[0].samples} | self._against_nodes[
                 edit.truth.id
             ]
         return result
@@ -270,7 +274,7 @@ def summary_of(record: Record) -> dict[str, object]:
     return {key: getattr(record, key) for key in keys} | {"materials": list(record.materials)}
 
 
-def with_truth(
+def measure_with_truth(
     method: methods.Method,
     batch: ExampleBatch,
     label: torch.Tensor,
@@ -302,7 +306,7 @@ def with_truth(
     return result
 
 
-def refinement(refined: RefinementResult) -> dict[str, float | bool]:
+def summarise_refinement(refined: RefinementResult) -> dict[str, float | bool]:
     """Return a refinement's energies and time, and whether all of its parts are finite."""
     p = refined.prediction
     parts = (part for part in (p.n, p.label, p.light) if part is not None)

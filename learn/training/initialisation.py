@@ -1,4 +1,4 @@
-"""What a new run begins with: weights of an earlier run, an encoder from a package, other heads."""
+"""Initialises a network: by weights of an earlier run, an encoder from a package, other heads."""
 
 from learn.data.seen import Seen, read_seen
 from learn.data.settings import Run
@@ -9,8 +9,8 @@ from learn.networks.pretrained import CompactPretrained, encoder_weights
 from learn.networks.two_encoders import TwoEncoders
 
 
-def begin(network: Coded, run: Run, seen: Seen) -> Seen:
-    """Give a new network the tensors that its run begins with; all others stay as they are.
+def initialise(network: Coded, run: Run, seen: Seen) -> Seen:
+    """Give a new network the tensors that its run names; all others keep their random values.
 
     seen     what this run draws from
     Returns  the same and what the weights that it begins with saw

@@ -22,13 +22,13 @@ ROWS = 6
 
 
 def write(path: Path, batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
-    """Write the contact sheet of a batch as a JPEG; return it as `contact_sheet` does."""
-    picture = contact_sheet(batch, prediction)
+    """Write the contact sheet of a batch as a JPEG; return it as `draw` does."""
+    picture = draw(batch, prediction)
     write_image(path, picture, "JPEG", quality=90)
     return picture
 
 
-def contact_sheet(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
+def draw(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     """Return the first ROWS examples of a batch as (rows H, columns W, 3) uint8.
 
     Parts that were not predicted are shown as the truth.
@@ -39,7 +39,9 @@ def contact_sheet(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     rendered = render_batch(n, label, light, batch)
     target = render_batch(n, batch.target_label, light, batch)
     true_target, true_image = (
-        render_batch(batch.n, truth, batch.light, batch) if of_cycles is None else _last(of_cycles)
+        render_batch(batch.n, truth, batch.light, batch)
+        if of_cycles is None
+        else _channels_last(of_cycles)
         for truth, of_cycles in ((batch.target_label, batch.target), (batch.label, batch.picture))
     )
     rows = []
@@ -64,12 +66,14 @@ def contact_sheet(batch: ExampleBatch, prediction: Prediction) -> np.ndarray:
     return montage.grid(rows).astype(np.uint8)
 
 
-def parts(
+def draw_decomposition(
     batch: ExampleBatch, prediction: Prediction, rendering: np.ndarray, exposure: float
 ) -> dict[str, np.ndarray]:
     """Return {name: display picture} of one decomposed picture.
 
+    batch      of one picture; prediction: of it, with all parts
     rendering  (H, W, 3) radiance, the picture rendered from its prediction
+    exposure   by which the picture and its rendering are displayed
     """
     mask = to_numpy(batch.mask[0, 0]) > 0
     return {
@@ -83,7 +87,7 @@ def parts(
     }
 
 
-def _last(values: torch.Tensor) -> np.ndarray:
+def _channels_last(values: torch.Tensor) -> np.ndarray:
     """Return pictures (B, 3, H, W) as (B, H, W, 3) numpy."""
     return to_numpy(values.movedim(1, -1))
 
