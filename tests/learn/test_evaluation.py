@@ -2,10 +2,12 @@
 true, and nothing twice.
 """
 
+import contextlib
 import json
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -277,6 +279,25 @@ def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weigh
     assert (batch.image[0].movedim(0, -1).numpy() * ~mask).max() == 0
     _, (row,) = work.work(edit, [edit], False)
     assert row["methods"]["the layer alone"]["l2_frame"] < HALF_FLOATS
+
+
+def test_methods_that_are_compared_render_no_scene_twice(data, weights, monkeypatch):
+    """And each still has the figures of its own scene."""
+    work, scenes = bench.Bench(data, weights, refine=False), []
+
+    def noted(*scene):
+        scenes.append(tuple(x.numpy().tobytes() for x in scene[:3]))
+        return picture(*scene)
+
+    picture = methods.predictions.picture
+    monkeypatch.setattr(methods, "predictions", SimpleNamespace(picture=noted))
+    edit = pairs.choose_edits(work.records.records, 1, 0)[0]
+    once, made = work.work(edit, [edit], False), list(scenes)
+    monkeypatch.setattr(methods, "rendered_once", contextlib.nullcontext)
+    assert once == work.work(edit, [edit], False)
+    again = scenes[len(made) :]
+    assert len(made) == len(set(made)) == len(set(again)) < len(again)
+    assert set(made) == set(again)
 
 
 def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, weights):
