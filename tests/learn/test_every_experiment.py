@@ -32,6 +32,7 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.seen_lists import write_lists
 from learn.networks.weights import save_weights
+from learn.refinement import descent
 from manifests import allocator
 from manifests.cli import main
 from manifests.store import Store
@@ -410,6 +411,10 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
 }
 
 
+def few_iterations(value_and_gradient, x, iterations, most_trials=None, run=descent.run_lbfgs):
+    return run(value_and_gradient, x, min(iterations, 3), most_trials)
+
+
 SMALLER = (  # what no option of an experiment lowers: module, constant, value
     (auto_calibration, "SHARPNESS", (0.5, 32.0)),
     (engine_timing, "SIZE", 96),
@@ -418,6 +423,7 @@ SMALLER = (  # what no option of an experiment lowers: module, constant, value
     (quadrature_materials, "SUNS_SIZE", 8),
     (chart_measurement, "SAMPLE", 24),
     (chart_measurement, "FINE_PARTS", 2),
+    (descent, "run_lbfgs", few_iterations),
     (second_derivatives, "ROUNDS", {"float32": 1, "float64": 1}),
 )
 
