@@ -111,8 +111,9 @@ class EditEvaluator:
                 result,
                 "render again",
             )
-        row = self._picture_row(first.source, batch) if parts else None
-        return row, [self._edit_row(edit, batch, folder) for edit in edits]
+        with methods.rendered_once():
+            row = self._picture_row(first.source, batch) if parts else None
+            return row, [self._edit_row(edit, batch, folder) for edit in edits]
 
     def _picture_row(self, record: Record, batch: ExampleBatch) -> dict:
         truth = to_numpy(batch.image[0].movedim(0, -1))

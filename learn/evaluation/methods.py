@@ -8,7 +8,9 @@ A method remembers the parts of its last batch, so that the edits of one picture
 prediction and its refinement. The baselines are in learn.evaluation.baseline_methods.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -31,6 +33,8 @@ REFINED = ("Baseline 2",)  # of the baselines, those that the paper refines too
 # besides those with "true" in their name: they are given a part of what the others predict
 GIVEN_TRUTH = ("the layer alone",)
 
+# {scene: its picture} of the block rendered_once; None outside of it
+_kept: ContextVar[dict[tuple, np.ndarray] | None] = ContextVar("_kept", default=None)
 
 Refine = Callable[[ExampleBatch, Prediction | None], RefinementResult]
 
@@ -60,8 +64,29 @@ def render_by_layer(
 
     n (1, 3, H, W), label (S, 108) or (1, S, 108), light (1, 3, 64, 128)
     """
-    label = (label if label.ndim == 3 else label[None]).to(light.device)
-    return to_numpy(predictions.picture(n, label, light, batch.segments, batch.elevation)[0])
+    scene = (n, (label if label.ndim == 3 else label[None]).to(light.device), light, batch.segments)
+    kept = _kept.get()
+    if kept is None:
+        return to_numpy(predictions.picture(*scene, batch.elevation)[0])
+    key = (batch.elevation, *((to_numpy(x).tobytes(), x.dtype, x.shape) for x in scene))
+    if key not in kept:
+        kept[key] = to_numpy(predictions.picture(*scene, batch.elevation)[0])
+        kept[key].setflags(write=False)
+    return kept[key]
+
+
+@contextlib.contextmanager
+def rendered_once() -> Iterator[None]:
+    """A block in which render_by_layer renders no scene twice; not where its seconds are measured.
+
+    The methods of an evaluation share normals, lights and labels, so that they would render many
+    scenes several times.
+    """
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
 
 
 class Layered:

@@ -25,19 +25,25 @@ def groups_of(*names: Sequence[str]) -> list[np.ndarray]:
     return [np.unique(np.asarray(each, dtype=str), return_inverse=True)[1] for each in names]
 
 
-def _one_draw(rng: np.random.Generator, groups: Groups) -> np.ndarray:
-    """Weights (P,) of the pictures in one draw; all may be 0 where pictures are few."""
-    weight = np.ones(len(groups[0]))
-    for group in groups:
-        count = int(group.max()) + 1
-        weight = weight * np.bincount(rng.integers(count, size=count), minlength=count)[group]
-    return weight
+def _drawn(groups: Groups, runs: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (D, P) of the pictures, all 0 in some draws where pictures are few, and runs (D, R).
+
+    All numbers are drawn at once, in the order draw, kind, member.
+    """
+    sizes = [*(int(group.max()) + 1 for group in groups), runs]
+    numbers = np.random.default_rng(0).integers(np.tile(np.repeat(sizes, sizes), (count, 1)))
+    weights, start = np.ones((count, len(groups[0]))), 0
+    for group, size in zip(groups, sizes, strict=False):  # the runs are last
+        at = numbers[:, start : start + size] + size * np.arange(count)[:, None]
+        times = np.bincount(at.reshape(-1), minlength=count * size).reshape(count, size)
+        weights *= times[:, group]
+        start += size
+    return weights, numbers[:, start:]
 
 
 def draws(groups: Groups, count: int = DRAWS) -> np.ndarray:
     """Return weights (D, P) of D ≤ count draws; draws without any picture are left out."""
-    rng = np.random.default_rng(0)
-    weights = np.stack([_one_draw(rng, groups) for _ in range(count)])
+    weights, _ = _drawn(groups, 0, count)
     return weights[weights.sum(1) > 0]
 
 
@@ -67,13 +73,9 @@ def ratio(a: np.ndarray, b: np.ndarray, groups: Groups, count: int = DRAWS) -> l
 
     Runs, where there are several, are drawn with replacement too.
     """
-    rng = np.random.default_rng(0)
     A, B = np.atleast_2d(a), np.atleast_2d(b)
-    results = []
-    for _ in range(count):
-        weight = _one_draw(rng, groups)
-        run = rng.integers(len(A), size=len(A))
-        below = (A[run].mean(0) * weight).sum()
-        if below > 0:
-            results.append((B[run].mean(0) * weight).sum() / below)
+    weights, runs = _drawn(groups, len(A), count)
+    below = ((A[0] if len(A) == 1 else A[runs].mean(1)) * weights).sum(1)
+    above = ((B[0] if len(B) == 1 else B[runs].mean(1)) * weights).sum(1)
+    results = above[below > 0] / below[below > 0]
     return [float(B.mean() / A.mean()), *(float(x) for x in np.percentile(results, LEVELS))]

@@ -11,7 +11,7 @@ light      direction_deg: between the brightest directions, seen through a lobe 
            learn.metrics.light_probes. No map is rescaled
 """
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import torch
@@ -88,7 +88,13 @@ def _grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def light(L: torch.Tensor, true: torch.Tensor, elevation: float) -> dict[str, float]:
     """Return {figure: value} of light maps (3, 64, 128), light frame."""
     cosine = float(np.clip(brightest(L) @ brightest(true), -1, 1))
-    shown = {name: _sphere_l2(L, true, name, elevation) for name in SPHERES}
+    mine, right = (
+        _pictures(to_numpy(light.float()).tobytes(), light.shape, elevation, light.device)
+        for light in (L, true)
+    )
+    shown = {
+        name: display_l2(mine[name], right[name], to_numpy(_sphere(name)[1][0])) for name in SPHERES
+    }
     return {
         "direction_deg": float(np.degrees(np.arccos(cosine))),
         "irradiance": float(irradiance_error(L[None], true[None])),
@@ -147,14 +153,21 @@ def _sphere(name: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     return n, n[:, 2] > 0.1, label  # not the rim, where a pixel holds many normals
 
 
-def _sphere_l2(L: torch.Tensor, true: torch.Tensor, name: str, elevation: float) -> float:
-    n, inside, label = (tensor.to(L.device) for tensor in _sphere(name))
-    mine, right = (
-        to_numpy(
+@lru_cache(maxsize=4)
+def _pictures(
+    content: bytes, shape: tuple[int, ...], elevation: float, device: torch.device
+) -> dict[str, np.ndarray]:
+    """Radiance {sphere: (H, W, 3)} under the light map whose float32 values are `content`.
+
+    By content, because many lights are compared with one true light.
+    """
+    light = torch.frombuffer(bytearray(content), dtype=torch.float32).reshape(shape).to(device)
+    result = {}
+    for name in SPHERES:
+        n, inside, label = (tensor.to(device) for tensor in _sphere(name))
+        result[name] = to_numpy(
             predictions.picture(
                 n, label, light[None], inside.long(), elevation, predictions.TEXEL_SUM
             )[0]
         )
-        for light in (L, true)
-    )
-    return display_l2(mine, right, to_numpy(inside[0]))
+    return result

@@ -65,14 +65,25 @@ def pictures(L: torch.Tensor, elevation: float) -> dict[str, np.ndarray]:
     """Return {sphere: radiance (P, 3) float64} of a light map (3, H, W) at P pixels of a sphere."""
     height, width = L.shape[-2:]
     radiance = to_numpy(L.double()).reshape(3, -1).T
-    # whole degrees, so that views of nearly one elevation share the matrices of 80 MB
-    tables = _tables(height, width, round(float(np.degrees(elevation))))
-    return {name: tables[name] @ radiance for name in SPHERES}
+    # whole degrees, so that views of nearly one elevation share the matrices of 50 MB
+    tables, texels = _tables(height, width, round(float(np.degrees(elevation))))
+    shown = {name: _product(table, radiance) for name, table in tables.items()}
+    return shown | {"mirror": radiance[texels].mean(1)}
+
+
+def _product(table: np.ndarray, radiance: np.ndarray) -> np.ndarray:
+    """table (P, N) float32 times radiance (N, 3) float64; at once, the table would be converted
+    into 40 MB of new memory.
+    """
+    blocks = range(0, len(table), 32)
+    return np.concatenate([table[i : i + 32].astype(np.float64) @ radiance for i in blocks])
 
 
 @lru_cache(maxsize=2)
-def _tables(height: int, width: int, degrees: int) -> dict[str, np.ndarray]:
-    """{sphere: (P, height · width) float32}: what each texel adds to each pixel."""
+def _tables(height: int, width: int, degrees: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """{sphere: (P, height · width) float32}, what each texel adds to each pixel of the spheres that
+    are no mirror, and the texels (P, SUBPIXELS²) of which a mirror's pixels are the means.
+    """
     to_light = frames.camera_from_light(np.radians(degrees)).T
     view = to_light @ np.array([0.0, 0.0, 1.0])
     fine = _normals(SIZE * SUBPIXELS)
@@ -91,16 +102,13 @@ def _tables(height: int, width: int, degrees: int) -> dict[str, np.ndarray]:
     lobe = closures.ggx(
         np.float64(SILVER_ALPHA), safe, (n @ view)[:, None], np.abs(n @ half.T), half @ view
     )
-    result = {
+    tables = {
         "diffuse": DIFFUSE_ALBEDO / np.pi * cosine * solid_angle,
         "silver": SILVER_F0 * lobe * cosine * solid_angle,
     }
     reflected = 2 * (blocks @ view)[..., None] * blocks - view
     row, column = envmap.texel(reflected, height, width)
-    texels = row * width + column
-    mirror = np.zeros((len(n), height * width))
-    np.add.at(mirror, (np.arange(len(n))[:, None], texels), 1 / texels.shape[1])
-    return {name: table.astype(np.float32) for name, table in (result | {"mirror": mirror}).items()}
+    return {name: table.astype(np.float32) for name, table in tables.items()}, row * width + column
 
 
 def _normals(size: int) -> np.ndarray:

@@ -126,7 +126,7 @@ def test_it_works_in_a_folder_with_modules_of_the_same_names(tmp_path, root):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"raise SystemExit('the wrong {name}')")
     environment = {**os.environ, "PYTHONPATH": str(root)}
-    for words in (["lights", "list"], ["plan", "smallest", "--quick"][:2], ["edit", "--help"]):
+    for words in (["lights", "list"], ["plan", "smallest", "--no-probe"], ["edit", "--help"]):
         done = subprocess.run(
             [sys.executable, "-m", "brdfactory", *words],
             cwd=tmp_path,

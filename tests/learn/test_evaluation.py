@@ -2,10 +2,12 @@
 true, and nothing twice.
 """
 
+import contextlib
 import json
 import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -80,6 +82,55 @@ def few_pixels(monkeypatch):
 @pytest.fixture
 def options(data, weights, tmp_path):
     return run.Options(data, weights, tmp_path / "out", edits=4, refine=False, gallery=1)
+
+
+@pytest.fixture(scope="module")
+def measured(data, weights, tmp_path_factory):
+    """What `options` leave in an empty folder, and the edits in the order of their measurement."""
+    options = run.Options(
+        data, weights, tmp_path_factory.mktemp("measured") / "out", edits=4, refine=False, gallery=1
+    )
+    made, work, threads = [], edit_evaluator.EditEvaluator.measure_picture, torch.get_num_threads()
+
+    def noted(self, first, edits, *rest):
+        made.extend(edit.id for edit in edits)
+        return work(self, first, edits, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(edit_evaluator, "FIT_PIXELS", 8)
+        patch.setattr(edit_evaluator.EditEvaluator, "work", noted)
+        torch.set_num_threads(1)  # as in the tests, which compare to the last bit
+        try:
+            report = run.evaluate(options)
+        finally:
+            torch.set_num_threads(threads)
+    return SimpleNamespace(out=options.out, report=report, made=made)
+
+
+@pytest.fixture
+def continued(options, measured):
+    """`options` of a folder in which they are already measured."""
+    shutil.copytree(measured.out, options.out)
+    return options
+
+
+@pytest.fixture
+def few_methods(monkeypatch):
+    """Two trivial methods and the network's, whose edits are the input picture: for tests in which
+    no figure of them counts.
+    """
+    list_methods = methods.list_methods
+
+    def few(*arguments):
+        all_ = list_methods(*arguments)
+        edits = [each for each in all_.edits if each.name in ("input unchanged", "ours")]
+        return replace(all_, edits=(*edits, all_.edits[-1]), parts=())
+
+    def unchanged(n, label, light, batch):
+        return methods.Unchanged().edit(batch, label)
+
+    monkeypatch.setattr(methods, "list_methods", few)
+    monkeypatch.setattr(methods, "render_by_layer", unchanged)
 
 
 def stop_at(given):
@@ -279,6 +330,25 @@ def test_what_stands_behind_the_object_is_neither_shown_nor_compared(data, weigh
     assert row["methods"]["the layer alone"]["l2_frame"] < HALF_FLOATS
 
 
+def test_methods_that_are_compared_render_no_scene_twice(data, weights, monkeypatch):
+    """And each still has the figures of its own scene."""
+    work, scenes = edit_evaluator.EditEvaluator(data, weights, refine=False), []
+
+    def noted(*scene):
+        scenes.append(tuple(x.numpy().tobytes() for x in scene[:3]))
+        return picture(*scene)
+
+    picture = methods.predictions.picture
+    monkeypatch.setattr(methods, "predictions", SimpleNamespace(picture=noted))
+    edit = pairs.choose_edits(work.records.records, 1, 0)[0]
+    once, made = work.measure_picture(edit, [edit], False), list(scenes)
+    monkeypatch.setattr(methods, "rendered_once", contextlib.nullcontext)
+    assert once == work.measure_picture(edit, [edit], False)
+    again = scenes[len(made) :]
+    assert len(made) == len(set(made)) == len(set(again)) < len(again)
+    assert set(made) == set(again)
+
+
 def test_the_layer_inside_is_not_blamed_for_what_is_wrong_at_silhouettes(data, weights):
     work = edit_evaluator.EditEvaluator(data, weights, refine=False)
     edit = pairs.choose_edits(work.records.records, 1, 0)[0]
@@ -329,7 +399,7 @@ def test_what_the_nodes_explain_is_not_put_down_to_the_loop(data, weights, monke
     assert abs(true["rest"]) < 1.5 < 4 < other["rest"]
 
 
-def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
+def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch, few_methods):
     asked = []
     monkeypatch.setattr(
         edit_evaluator,
@@ -343,9 +413,8 @@ def test_a_truth_of_two_edits_is_taken_apart_once(data, weights, monkeypatch):
     assert all(row["layer"]["net_inner"] == 1 and row["layer"]["seeds"] == 2 for row in rows)
 
 
-def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(options):
-    run.evaluate(options)
-    report = run.evaluate(replace(options, edits=1))
+def test_a_smaller_evaluation_in_the_same_folder_reports_its_own_edits_alone(continued):
+    report = run.evaluate(replace(continued, edits=1))
     assert report["tables"]["layer"]["rows"][-1]["cells"]["truths"] == 1
 
 
@@ -380,7 +449,7 @@ def both_sides(tmp_path):
     return written
 
 
-def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options):
+def test_where_pictures_are_held_out_only_those_are_edited(both_sides, options, few_methods):
     run.evaluate(replace(options, data=both_sides(6), edits=100))
     edits = outputs.read_lines(options.out / "edits.jsonl")
     assert len(edits) == 12  # of 24
@@ -394,15 +463,14 @@ def without_seconds(rows):
     ]
 
 
-def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, tmp_path):
+def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, measured, monkeypatch, tmp_path):
     calls, work = [], edit_evaluator.EditEvaluator.measure_picture
     monkeypatch.setattr(
         edit_evaluator.EditEvaluator,
         "measure_picture",
         lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
     )
-    whole = run.evaluate(options)
-    made = [edit.id for edits in calls for edit in edits]
+    made = measured.made
     assert len(made) == len(set(made)) == 4
     out = tmp_path / "torn"
     run.evaluate(replace(options, out=out, edits=3))
@@ -414,9 +482,9 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
     assert sorted(edit.id for edits in calls for edit in edits) == sorted(made[2:])
     for name in ("edits.jsonl", "pictures.jsonl"):
         assert without_seconds(outputs.read_lines(out / name)) == without_seconds(
-            outputs.read_lines(options.out / name)
+            outputs.read_lines(measured.out / name)
         )
-    assert again["tables"]["edits"] == whole["tables"]["edits"]
+    assert again["tables"]["edits"] == measured.report["tables"]["edits"]
     calls.clear()
     run.evaluate(replace(options, out=out))
     assert not calls
@@ -424,20 +492,20 @@ def test_it_goes_on_where_it_was_torn_and_repeats_nothing(options, monkeypatch, 
 
 def test_pictures_asked_for_later_are_drawn_and_nothing_else_is_made_again(options, monkeypatch):
     calls, work = [], edit_evaluator.EditEvaluator.measure_picture
-    report = run.evaluate(replace(options, gallery=0))
+    report = run.evaluate(replace(options, edits=2, gallery=0))
     assert not (options.out / "gallery").exists()
     monkeypatch.setattr(
         edit_evaluator.EditEvaluator,
         "measure_picture",
         lambda self, first, edits, *rest: calls.append(edits) or work(self, first, edits, *rest),
     )
-    again = run.evaluate(replace(options, gallery=1))
+    again = run.evaluate(replace(options, edits=2, gallery=1))
     drawn = [path.stem for path in (options.out / "gallery").iterdir()]
     assert [edit.id for edits in calls for edit in edits] == drawn and len(drawn) == 1
     assert again["tables"]["edits"] == report["tables"]["edits"]
 
 
-def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path):
+def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path, few_methods):
     folder = tmp_path / "grown"
     shutil.copytree(data, folder)
     lines = folder / "records" / "worker-00.jsonl"
@@ -463,7 +531,7 @@ def test_a_truth_that_was_rendered_again_since_is_judged(data, options, tmp_path
 def test_weights_that_are_not_there_leave_no_settings_behind(options, tmp_path):
     with pytest.raises(InputError, match=r"weights in a \.safetensors file"):
         run.evaluate(replace(options, weights=tmp_path / "typo.safetensors"))
-    run.evaluate(options)
+    run.evaluate(replace(options, edits=1))
 
 
 def test_a_test_side_without_edits_is_told_as_such(both_sides, options):
@@ -476,8 +544,8 @@ def test_a_folder_of_baselines_that_is_not_there_is_refused(options, tmp_path):
         run.evaluate(replace(options, baselines=tmp_path / "typo"))
 
 
-def test_one_shape_and_material_decide_nothing(options):
-    report = run.evaluate(replace(options, edits=1))
+def test_one_shape_and_material_decide_nothing(continued):
+    report = run.evaluate(replace(continued, edits=1))
     assert {row["cells"]["verdict"] for row in report["tables"]["differences"]["rows"]} == {
         "undecided: two shapes and two materials are needed"
     }
@@ -496,13 +564,13 @@ def test_the_best_of_a_column_was_given_no_truth():
     assert page._best(rows, column) == "ours"
 
 
-def test_an_evaluation_of_other_settings_is_not_gone_on_with(options, monkeypatch):
-    run.evaluate(replace(options, edits=1))
+def test_an_evaluation_of_other_settings_is_not_gone_on_with(continued, monkeypatch):
+    run.evaluate(replace(continued, edits=1))
     with pytest.raises(InputError, match="other seed"):
-        run.evaluate(replace(options, edits=1, seed=1))
+        run.evaluate(replace(continued, edits=1, seed=1))
     monkeypatch.setattr(run, "MEASURED", run.MEASURED._replace(tolerance=0.5))
     with pytest.raises(InputError, match="other tolerance"):
-        run.evaluate(options)
+        run.evaluate(continued)
 
 
 def test_refinements_settings_are_part_of_an_evaluations(options, monkeypatch, tmp_path):
@@ -561,7 +629,7 @@ def test_an_evaluation_refines_by_the_method_that_is_named(options, monkeypatch)
 
 def test_what_is_missing_is_left_out_by_name(options, tmp_path):
     (tmp_path / "none").mkdir()
-    report = run.evaluate(replace(options, baselines=tmp_path / "none"))
+    report = run.evaluate(replace(options, edits=1, baselines=tmp_path / "none"))
     assert {"Baseline 1", "Baseline 2", "LPIPS", "refined rows"} <= set(report["about"]["missing"])
     assert not any(
         "Baseline" in row["name"] or "refined" in row["name"]
@@ -572,12 +640,13 @@ def test_what_is_missing_is_left_out_by_name(options, tmp_path):
     assert "Left out: Baseline 2: no baseline-2.safetensors" in text and "Left out: LPIPS" in text
 
 
-def test_the_page_stands_alone(options):
-    run.evaluate(options)
-    text = (options.out / "index.html").read_text()
-    assert len(re.findall("<figure>", text)) == options.gallery and "src='data:image/png" in text
+def test_the_page_stands_alone(options, measured):
+    text = (measured.out / "index.html").read_text()
+    assert (
+        len(re.findall("<figure>", text)) == options.gallery == 1 and "src='data:image/png" in text
+    )
     assert not re.search(r"(src|href)=['\"](?!data:)", text)
-    assert json.loads((options.out / "report.json").read_text())["tables"].keys() >= {
+    assert json.loads((measured.out / "report.json").read_text())["tables"].keys() >= {
         "edits",
         "differences",
         "layer",
@@ -638,6 +707,9 @@ def two_regions(data, tmp_path):
 
 def test_each_region_gets_its_own_material(two_regions, weights):
     work = edit_evaluator.EditEvaluator(two_regions, weights, refine=False)
+    looked_at = ("input unchanged", "ours", "the layer alone")
+    compared = tuple(each for each in work.methods.edits if each.name in looked_at)
+    work.methods = replace(work.methods, edits=compared)
     edits = pairs.choose_edits(work.records.records, 6, 0)
     assert len(edits) == 6 and all(edit.per_segment for edit in edits)
     for edit in edits:

@@ -17,7 +17,13 @@ from learn.data import seen
 from learn.experiments import runner
 from learn.experiments.__main__ import COMMANDS, GROUPS, description
 from learn.experiments.editing import edit_brightness
-from learn.experiments.layer import auto_calibration
+from learn.experiments.layer import (
+    auto_calibration,
+    chart_measurement,
+    engine_timing,
+    quadrature_materials,
+    second_derivatives,
+)
 from learn.experiments.photographs import exposure_rule, named_shapes
 from learn.experiments.training import unseen_shapes
 from learn.metrics import bootstrap
@@ -26,6 +32,7 @@ from learn.networks.coding import Ranges
 from learn.networks.compact import Compact
 from learn.networks.seen_lists import write_lists
 from learn.networks.weights import save_weights
+from learn.refinement import descent
 from manifests import allocator
 from manifests.cli import main
 from manifests.store import Store
@@ -404,6 +411,23 @@ SMALLEST = {  # experiment: its words, and what must hold of its report
 }
 
 
+def few_iterations(value_and_gradient, x, iterations, most_trials=None, run=descent.run_lbfgs):
+    return run(value_and_gradient, x, min(iterations, 3), most_trials)
+
+
+SMALLER = (  # what no option of an experiment lowers: module, constant, value
+    (auto_calibration, "SHARPNESS", (0.5, 32.0)),
+    (engine_timing, "SIZE", 96),
+    (quadrature_materials, "ROUNDS", 1),
+    (quadrature_materials, "SUNS", (20, 125)),
+    (quadrature_materials, "SUNS_SIZE", 8),
+    (chart_measurement, "SAMPLE", 24),
+    (chart_measurement, "FINE_PARTS", 2),
+    (descent, "run_lbfgs", few_iterations),
+    (second_derivatives, "ROUNDS", {"float32": 1, "float64": 1}),
+)
+
+
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """Data sets of all splits, pictures in two materials, larger ones, a run, untrained weights."""
@@ -493,7 +517,8 @@ def test_help_needs_no_torch():
 def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
     name, room, root, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(auto_calibration, "SHARPNESS", (0.5, 32.0))
+    for module, constant, value in SMALLER:
+        monkeypatch.setattr(module, constant, value)
     if name == "mitsuba-comparison" and importlib.util.find_spec("mitsuba") is None:
         pytest.skip("mitsuba is not installed: pip install .[witness]")
     words, holds = SMALLEST[name]
@@ -507,9 +532,14 @@ def test_an_experiment_leaves_a_report_that_can_be_drawn_again(
     page = (out / "report.md").read_text()
     assert page.startswith("# ") and "\n| " in page and report["made_by"]["commit"] in page
     (out / "report.md").unlink()
+    # the chart is made again, but not its pixels, of which there is no other way than the first
+    drawn = []
+    monkeypatch.setattr(runner.files, "write_figure", lambda path, *_, **__: drawn.append(path))
     with pytest.raises(SystemExit) as end:
         main("learn.experiments", "", COMMANDS, [name, "--report", str(out / "report.json")])
     assert end.value.code == 0 and (out / "report.md").read_text() == page
+    charts = [path for path in out.iterdir() if path.name == runner.CHART]
+    assert [path for path in drawn if path.name == runner.CHART] == charts
 
 
 def test_edits_in_rooms_are_compared_with_the_same_ones_edited_otherwise(room, tmp_path, capsys):

@@ -6,11 +6,13 @@ on real small file systems.
 """
 
 import json
+from functools import partial
 
 import pytest
 
+from learn.agreement import causes
 from learn.editing import drawing
-from learn.evaluation import edit_evaluator
+from learn.evaluation import edit_evaluator, methods
 from learn.layer import predictions
 from tests.support import command_inputs
 from tests.support.full_disk_case import check, check_read_only
@@ -43,6 +45,12 @@ def room(tmp_path_factory):
 def quick(monkeypatch):
     """Nothing here looks at how right the pictures are: they are what is written."""
     monkeypatch.setattr(edit_evaluator, "FIT_PIXELS", 8)
+    monkeypatch.setattr(causes, "sampled_pixels", partial(causes.sampled_pixels, most=8))
+    monkeypatch.setattr(
+        methods,
+        "render_by_layer",
+        lambda n, label, light, batch: methods.Unchanged().edit(batch, label),
+    )
     monkeypatch.setattr(predictions, "method_for", lambda label: "auto")
     monkeypatch.setattr(drawing, "SPHERE", 16)
     monkeypatch.setattr(drawing, "TILE", 16)

@@ -72,6 +72,23 @@ def test_draws_that_keep_no_picture_are_left_out():
     assert (weights.sum(1) > 0).all() and 250 < len(weights) < 400
 
 
+def test_numbers_drawn_at_once_are_those_drawn_one_after_another(rng):
+    """So that intervals stay to the bit what they were when published."""
+    groups = crossed(4, 3)
+    a, b = rng.random((2, 5, 12))
+    plain = np.random.default_rng(0)
+    weights, ratios = [], []
+    for _ in range(100):
+        shapes, materials = (np.bincount(plain.integers(n, size=n), minlength=n) for n in (4, 3))
+        weight = (shapes[:, None] * materials).reshape(-1)
+        runs = plain.integers(5, size=5)
+        weights.append(weight)
+        ratios.append((b[runs].mean(0) * weight).sum() / (a[runs].mean(0) * weight).sum())
+    drawn, _ = bootstrap._drawn(groups, 5, 100)
+    assert np.array_equal(drawn, weights)
+    assert bootstrap.ratio(a, b, groups, 100)[1:] == list(np.percentile(ratios, bootstrap.LEVELS))
+
+
 def test_draws_of_rows_are_those_of_the_groups_that_rows_name():
     rows = [{"shape": s, "light": e} for s in "abc" for e in "xy"]
     by_groups = bootstrap.draws(bootstrap.groups_of(list("aabbcc"), list("xyxyxy")), 50)

@@ -179,9 +179,10 @@ def test_patterns_come_in_the_share_that_a_run_asks_for_and_in_training_alone(da
     data = with_keys(patterns=0.5)
     plain = RelitDataset(data_split, PLAIN, 16, SIZE, 5)
     source = RelitDataset(data_split, data, 16, SIZE, 5)
+    batches = [(source[k].image, plain[k].image) for k in range(4)]
     changed = [
-        not torch.equal(source[k].image[i : i + 2], plain[k].image[i : i + 2])
-        for k in range(4)
+        not torch.equal(printed[i : i + 2], bare[i : i + 2])
+        for printed, bare in batches
         for i in range(0, 16, 2)
     ]
     assert 0.2 < np.mean(changed) < 0.8  # 32 groups: more than three standard deviations

@@ -3,6 +3,7 @@ are computed here.
 """
 
 import json
+import shutil
 from dataclasses import replace
 from itertools import combinations, pairwise
 from types import SimpleNamespace
@@ -132,6 +133,28 @@ def weights(tmp_path_factory):
 @pytest.fixture
 def options(data, weights, tmp_path, small):
     return ladder.Options(data, weights, tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def measured(data, weights, job, tmp_path_factory):
+    """What `options` leave in an empty folder: its path, and the report."""
+    options = ladder.Options(data, weights, tmp_path_factory.mktemp("measured") / "out")
+    threads = torch.get_num_threads()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ladder_design, "PARTS", 1)
+        patch.setattr(ladder_design, "preset", lambda side: job)
+        torch.set_num_threads(1)  # as in the tests
+        try:
+            return SimpleNamespace(out=options.out, report=ladder.evaluate(options))
+        finally:
+            torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def continued(options, measured):
+    """`options` of a folder in which they are already measured."""
+    shutil.copytree(measured.out, options.out)
+    return options
 
 
 def test_the_sides_share_no_shape_or_light():
@@ -285,8 +308,8 @@ def test_alignment_is_free_of_exposure():
     assert one_factor(0.2 * other) == pytest.approx(least, rel=0.02)
 
 
-def test_a_run_and_its_continuation(options, monkeypatch):
-    report = ladder.evaluate(options)
+def test_a_run_and_its_continuation(continued, measured, monkeypatch):
+    options, report = continued, measured.report
     lines = ladder.rows_of(options.out)
     assert len(lines) == 2 * len(RUNGS)
     # Cycles is the layer here, so that true parts give the truth
@@ -315,10 +338,9 @@ def test_a_run_and_its_continuation(options, monkeypatch):
     assert ladder.evaluate(options)["tables"] == report["tables"]
 
 
-def test_lines_of_before_have_no_row_of_alignments(options):
+def test_lines_of_before_have_no_row_of_alignments(measured):
     """Their other tables are made all the same."""
-    ladder.evaluate(options)
-    lines = list(ladder.rows_of(options.out).values())
+    lines = list(ladder.rows_of(measured.out).values())
     for line in lines:
         line["predicted"]["edit_l2_three_factors"] = None
     assert ladder_report.aligned_table(lines, "predicted", "") is None
@@ -338,22 +360,14 @@ def test_some_rungs_are_measured_without_pictures_of_the_others(options, data, j
         ladder_design.scenes(some, job)
 
 
-def test_a_report_without_the_headline_rung_says_nothing_of_it(options):
-    report = ladder.evaluate(replace(options, rungs=("square",)))
-    columns = [column["key"] for column in report["tables"]["families"]["columns"]]
-    assert columns == ["shapes", "square"]
-    assert report["headline"] == []
-
-
-def test_more_refined_scenes_are_added(options, monkeypatch):
-    ladder.evaluate(options)
+def test_more_refined_scenes_are_added(continued, monkeypatch):
 
     def unrefined(batch, prediction, labels):
         return SimpleNamespace(prediction=prediction)
 
     monkeypatch.setattr(ladder_evaluator, "refine", unrefined)
-    report = ladder.evaluate(replace(options, refined=1))
-    lines = ladder.rows_of(options.out).values()
+    report = ladder.evaluate(replace(continued, refined=1))
+    lines = ladder.rows_of(continued.out).values()
     assert all(line["refined"] == line["predicted"] for line in lines)
     rows = report["tables"]["refinement"]["rows"]
     assert len(rows) == 2 * len(RUNGS) and rows[0]["cells"]["ratio"] == pytest.approx(1)
@@ -373,13 +387,12 @@ def test_a_side_of_two_rungs_is_measured_and_charted_on_them(options, monkeypatc
     assert "unknown camera" not in (options.out / "report.md").read_text()
 
 
-def test_other_settings_are_refused(options, monkeypatch):
-    ladder.evaluate(options)
+def test_other_settings_are_refused(continued, monkeypatch):
     monkeypatch.setattr(
         ladder, "RefinementSettings", lambda: RefinementSettings(outer_iterations=7)
     )
     with pytest.raises(InputError, match="other refine"):
-        ladder.evaluate(options)
+        ladder.evaluate(continued)
 
 
 def test_targets_count_as_tested(data, job, small):

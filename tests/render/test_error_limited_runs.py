@@ -9,6 +9,8 @@ from collections import Counter
 
 import pytest
 
+from factory.__main__ import COMMANDS
+from manifests import cli
 from manifests.store import Store
 from tests.endurance.kill_and_resume import compared, disturbed
 from tests.support.tetrahedron import ROOT
@@ -27,7 +29,20 @@ def factory(*words):
     return done.stdout
 
 
-def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
+@pytest.fixture
+def here(capsys):
+    """As `factory`, for commands that need no Blender, in this process."""
+
+    def run(*words):
+        status = cli.main("factory", "", COMMANDS, words)
+        said = capsys.readouterr()
+        assert status == 0, said.err
+        return said.out
+
+    return run
+
+
+def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path, here):
     pytest.importorskip("bpy", reason="needs Blender as a module (pip install .[factory])")
     data, preview = str(tmp_path / "data"), tmp_path / "preview"
     words = ["render", "--mesh", "sphere:4", "--material", "brass", "--material", "nickel"]
@@ -39,8 +54,8 @@ def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
     assert "2 were there already" in factory(*words, "--error", "30")
     factory(*words, "--error", "90")
     factory(*words, "--samples", "2")
-    assert "6 records, clean" in factory("verify", data)
-    status = factory("status", data)
+    assert "6 records, clean" in here("verify", data)
+    status = here("status", data)
     assert "error ≤ 30" in status and "error ≤ 90" in status
     by_requested = {}
     for record in Store(data).records():
@@ -49,11 +64,11 @@ def test_a_command_makes_a_data_set_that_keeps_an_error_and_continues(tmp_path):
     assert by_requested[None] == [2, 2] and sum(by_requested[30.0]) >= sum(by_requested[90.0])
     settings = Store(data).dataset().settings
     assert sorted("estimators" in each for each in settings.values()) == [False, True]
-    factory("preview", data, "--out", str(preview), "--count", "6", "--size", "48")
+    here("preview", data, "--out", str(preview), "--count", "6", "--size", "48")
     assert "of 30" in (preview / "index.html").read_text()
 
 
-def test_killed_runs_of_a_limited_error_end_with_the_pictures_of_an_undisturbed_one(tmp_path):
+def test_killed_runs_of_a_limited_error_end_with_the_pictures_of_an_undisturbed_one(tmp_path, here):
     """The first kill takes the worker with it, the second leaves it to notice. The shots need every
     estimator, and those of a later run begin without the light and the maps of the earlier one.
     """
@@ -81,4 +96,4 @@ def test_killed_runs_of_a_limited_error_end_with_the_pictures_of_an_undisturbed_
     assert set(estimators) == {"path-tracing", "denoised", "ratio", "closed-form"}
     assert compared(whole, killed) == []
     assert len(Store(killed).dataset().settings) == 1  # one render version
-    assert "16 records, clean" in factory("verify", str(killed))
+    assert "16 records, clean" in here("verify", str(killed))
