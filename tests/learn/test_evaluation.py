@@ -98,7 +98,7 @@ def measured(data, weights, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(edit_evaluator, "FIT_PIXELS", 8)
-        patch.setattr(edit_evaluator.EditEvaluator, "work", noted)
+        patch.setattr(edit_evaluator.EditEvaluator, "measure_picture", noted)
         torch.set_num_threads(1)  # as in the tests, which compare to the last bit
         try:
             report = run.evaluate(options)
