@@ -15,7 +15,7 @@ from learn.editing import drawing
 from learn.evaluation import edit_evaluator, methods
 from learn.layer import predictions
 from tests.support import command_inputs
-from tests.support.full_disk_case import check, check_read_only
+from tests.support.full_disk_case import BY_NAME, check, check_read_only, done
 
 QUICK = (
     "agree",
@@ -38,6 +38,9 @@ def room(tmp_path_factory):
     (room / "agreement").mkdir()
     summary = {"direct": {}, "breakdowns": {}, "causes": {}}
     (room / "agreement" / "report.json").write_text(json.dumps({"summary": summary, "about": {}}))
+    # the first command that reads the data packs them, which another one's count must not contain
+    words = BY_NAME["baselines"].words(room, tmp_path_factory.mktemp("packed"), False)
+    assert done(words)[0] == 0
     return room
 
 
