@@ -21,6 +21,8 @@ import math
 import numpy as np
 from numba import njit
 
+from shaders import tone
+
 LEAF = 4  # triangles of a leaf, at most
 BINS = 16  # intervals of an axis at whose ends a node may be divided
 DEEPEST = 128  # nodes that wait at once; more than any tree of float32 boxes has needed
@@ -29,7 +31,7 @@ ZERO = np.float32(0)
 HUGE = np.float32(1e30)
 # a box's sides are met within this share, so that no ray slips between two boxes that touch
 LOOSE = np.float32(1.00001)
-LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))  # shaders.tone
+LUMINANCE = tuple(np.float32(share) for share in tone.LUMINANCE)
 
 
 @njit(inline="always")
