@@ -60,3 +60,18 @@ def test_what_is_left_of_a_limit_decides_how_many_samples_are_needed():
     # that is allowed
     for known in (Estimate(0.1, 3.0), Estimate(2.0, 0.0)):
         assert shadow_rays.needed_samples(0.0, 4, scale, 5.0, known) > shadow_rays.MOST_SAMPLES
+
+
+def test_indirect_light_that_is_dim_has_no_more_bias_than_energy():
+    scale, known = shadow_rays.expected_scale(128 * 128), Estimate(0.1, 0.1)
+    bright, dim = (
+        shadow_rays.needed_samples(20.0, 4, scale, 5.0, known, energy) for energy in (1e4, 1.0)
+    )
+    assert dim < bright
+
+
+def test_wide_limits_of_large_frames_have_fewer_points():
+    few, many = shadow_rays.FEW_POINTS, shadow_rays.POINTS
+    points = [shadow_rays.points_of(limit, 64 * 64) for limit in (5.0, 20.0, 60.0)]
+    assert points == [many, many, few]
+    assert shadow_rays.points_of(20.0, 256 * 256) == few

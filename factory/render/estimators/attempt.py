@@ -271,13 +271,19 @@ class Attempt:
             least = math.ceil(MORE * self.tried[name][1])
         noise = halves.noise_of_indirect_light().noise_bound
         count = shadow_rays.needed_samples(
-            noise, halves.samples, self.rays_scale, self.error, self._shadowed_error(), least
+            noise,
+            halves.samples,
+            self.rays_scale,
+            self.error,
+            self._shadowed_error(),
+            halves.energy_of_indirect_light(),
+            least,
         )
         if count > MOST_SAMPLES:
             return None
         further = max(count - halves.samples, 0)
         cost = 0.0 if self.shadowed else shadow_rays.cost_in_samples(int(self.shown.mask.sum()))
-        if noise > 0:
+        if self.shown.tier == "full":
             cost += denoised.cost_in_samples(halves.samples + further, self.shown.tier)
         return Plan(further + cost, name, further)
 

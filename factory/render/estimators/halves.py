@@ -151,6 +151,13 @@ class Halves:
         one, other = (each[mask] * slope for each in self.indirect_pictures())
         return mean_over(tone.squared_difference(one, other) / 4)
 
+    def energy_of_indirect_light(self) -> float:
+        """Return the error that the picture would have without indirect light."""
+        mask, mean = self.shown.mask, self.picture
+        slope = tone.display_slope(mean[mask], self.exposure)
+        one, other = (each[mask] * slope for each in self.indirect_pictures())
+        return max(float((one * other).mean(dtype=np.float64)), 0.0)
+
     def traced_direct_pictures(self) -> tuple[np.ndarray, np.ndarray]:
         """Return both halves' direct light (height, width, 3), with the shadows of the tier."""
         (a, b), (one, other) = self.pictures, self.indirect_pictures()

@@ -24,21 +24,25 @@ import numpy as np
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
 from factory.render.estimators.halves import Estimate, half_seed, mean_over
-from factory.render.estimators.renderer import DirectPicture, Shown
+from factory.render.estimators.renderer import DirectPicture, Shown, effort
 from factory.render.shadow_rays import Share
 from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "shadow-rays"
-POINTS = 64  # per pixel, of which either half has 32
+POINTS = 64  # per pixel, of which either half has half
+FEW_POINTS = 16  # the same where the limit allows it
+# limit, times the root of the frame's pixels in units of denoised.STANDARD, from which few do: what
+# they miss lies at edges
+MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
 ROUNDS = 3  # of casting more rays, where the halves differ
 MOST_RAYS = 16  # from each point and in each round
 # what shadowed direct light is off by besides the closed form's own error, and by how much that
 # differs between shots
 EXPECTED = Estimate(0.15, 0.3)
-# of the law of `denoised`, of indirect light
-SCALE, POWER = 1.75, 0.45
+# of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
+SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
 MOST_TRIES = 3
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
@@ -70,6 +74,12 @@ def measure_scale(blend: Blend, noise: float, samples: int) -> float:
     return denoised.measure_scale(blend, noise, samples, POWER)
 
 
+def points_of(limit: float, pixels: int) -> int:
+    """Return the points per pixel from which rays are cast, by the limit and the frame's pixels."""
+    much = limit * math.sqrt(pixels / denoised.STANDARD) >= MUCH
+    return FEW_POINTS if much else POINTS
+
+
 def predict_error(noise: float, scale: float, samples: int, limit: float, known: Estimate) -> float:
     """Return the error of the best blend that a limit allows.
 
@@ -80,19 +90,29 @@ def predict_error(noise: float, scale: float, samples: int, limit: float, known:
 
 
 def needed_samples(
-    noise: float, samples: int, scale: float, limit: float, known: Estimate, least: int = LEAST
+    noise: float,
+    samples: int,
+    scale: float,
+    limit: float,
+    known: Estimate,
+    energy: float = math.inf,
+    least: int = LEAST,
 ) -> int:
     """Return the samples of each half whose picture keeps a limit on error and bias, by the law.
 
     noise  of indirect light, of `samples` of each half
     known  what shadowed direct light is off by
+    energy  of indirect light: the error of a picture without it
     least  samples that are worth a try
     """
     count = least
     left = limit * (1 - ENOUGH) - known.bound
     most_bias = blends.MOST_BIAS * limit - known.error
     while count <= MOST_SAMPLES:
-        for error, bias in denoised.blends_of(noise * samples / count, scale, count, POWER):
+        now = noise * samples / count
+        law = scale * now**POWER * effort(count).leaves
+        capped = scale * min(1.0, MOST_LOST * energy / max(law, 1e-9))
+        for error, bias in denoised.blends_of(now, capped, count, POWER):
             if error <= left and bias <= most_bias:
                 return count
         if left <= 0 or most_bias <= 0:
@@ -169,7 +189,8 @@ class ShadowedLight:
         shares = []
         for half in (0, 1):
             seed = half_seed(half_seed(self.shown.seed, half) + number, 1)
-            share = self.shown.renderer.visible_share(POINTS, rays, seed, half, where)
+            points = points_of(self.limit, self.shown.mask.size)
+            share = self.shown.renderer.visible_share(points, rays, seed, half, where)
             assert share is not None  # there is a closed form
             shares.append(share)
         return shares
