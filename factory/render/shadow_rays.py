@@ -18,6 +18,7 @@ import numpy as np
 
 from factory.render import camera
 from factory.render.direct_light import Points
+from factory.render.estimators.renderer import Share
 from factory.render.geometry import Surface
 from manifests.schema import Camera
 from shaders import frames
@@ -32,29 +33,6 @@ STEPS = ((0.1, 16), (0.0, 32))
 ROWS = 32  # of blocks of the light, of which wide lobes reflect each as one light
 LEAST = 0.02  # α of lobes: half a texel's width of half vectors
 AT_ONCE = 1 << 19  # numbers of evaluated light in memory, 2 MB
-
-
-class Share(NamedTuple):
-    """Sums over the rays of each pixel, (height, width, 3) float64.
-
-    arrived  light that rays met
-    sent     light of all rays
-    """
-
-    arrived: np.ndarray
-    sent: np.ndarray
-
-    @property
-    def factor(self) -> np.ndarray:
-        """By which direct light is multiplied, (height, width, 3) float32; 1 without rays."""
-        known = self.sent > 0
-        factor = np.ones(self.sent.shape, np.float32)
-        np.divide(self.arrived, self.sent, out=factor, where=known, casting="same_kind")
-        return factor
-
-    def add(self, other: Share) -> Share:
-        """Return the sums over the rays of both."""
-        return Share(self.arrived + other.arrived, self.sent + other.sent)
 
 
 class ShadowRays:

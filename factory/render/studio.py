@@ -32,7 +32,7 @@ from factory.render import (
     window,
 )
 from factory.render.direct_light import USUAL
-from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion, Share
 from factory.render.geometry import Geometry, Surface, facets_of, surface_of, turn_to_viewer
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
@@ -46,7 +46,7 @@ from factory.render.settings import (
     effective,
     portion_of_samples,
 )
-from factory.render.shadow_rays import ShadowRays, Share
+from factory.render.shadow_rays import ShadowRays
 from factory.render.view_light import ShownView, ViewLight
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE

@@ -20,9 +20,9 @@ from factory.render.direct_light import (
     picture_of,
     points_of,
 )
-from factory.render.estimators.renderer import DirectPicture, DirectWork
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Share
 from factory.render.geometry import Surface
-from factory.render.shadow_rays import ShadowRays, Share
+from factory.render.shadow_rays import ShadowRays
 from manifests.schema import Camera
 from shaders.mixture import Mixture
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from factory.render.shadow_rays import LEAST, ROWS, ShadowRays, Share
+from factory.render.estimators.renderer import Share
+from factory.render.shadow_rays import LEAST, ROWS, ShadowRays
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
 from shaders.direct_light import DirectLight

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from factory.render.estimators.renderer import DirectPicture, DirectWork, Portion, Shown
-from factory.render.shadow_rays import Share
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Portion, Share, Shown
 from shaders import tone
 
 SIZE = 48

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from factory.render.shadow_rays import Share
     from manifests.schema import Tier
 
 
@@ -85,6 +84,29 @@ class DirectWork(NamedTuple):
     points: int
     leaning: float = 0.0
     maps: float = 0.0
+
+
+class Share(NamedTuple):
+    """Sums over the rays of each pixel, (height, width, 3) float64.
+
+    arrived  light that rays met
+    sent     light of all rays
+    """
+
+    arrived: np.ndarray
+    sent: np.ndarray
+
+    @property
+    def factor(self) -> np.ndarray:
+        """By which direct light is multiplied, (height, width, 3) float32; 1 without rays."""
+        known = self.sent > 0
+        factor = np.ones(self.sent.shape, np.float32)
+        np.divide(self.arrived, self.sent, out=factor, where=known, casting="same_kind")
+        return factor
+
+    def add(self, other: Share) -> Share:
+        """Return the sums over the rays of both."""
+        return Share(self.arrived + other.arrived, self.sent + other.sent)
 
 
 class Renderer(Protocol):

@@ -24,8 +24,7 @@ import numpy as np
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
 from factory.render.estimators.halves import Estimate, half_seed, mean_over
-from factory.render.estimators.renderer import DirectPicture, Shown, effort
-from factory.render.shadow_rays import Share
+from factory.render.estimators.renderer import DirectPicture, Share, Shown, effort
 from manifests.schema import Estimator
 from shaders import tone
 
