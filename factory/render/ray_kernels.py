@@ -1,5 +1,8 @@
 """Rays against triangles, compiled by numba: a tree of boxes, and whether anything is in the way.
 
+Blender's own tree (mathutils.bvhtree) answers the same, but takes one ray for each call from
+Python, which is nine times as slow (docs/log/rendering.md).
+
 They are in one file because numba compiles a cached kernel again only when the file that defines it
 has changed, not when another file whose functions it contains has.
 

@@ -10,8 +10,8 @@ bias      of the denoiser, on indirect light alone: the estimate contains it, an
           measured by the halves' direct light, and by what is expected before (`EXPECTED`)
 cost      the closed form, and the rays, which are cast again where the halves differ
 fails     shadows in mirror-like reflections narrower than shadow_rays.LEAST, which are blurred, and
-          coarse meshes whose interpolated normals lean from their facets: Cycles moves the
-          rays' origins there. Both are seen by the halves
+          coarse meshes whose interpolated normals lean from their facets, where Cycles starts
+          its rays elsewhere. The halves' direct light shows either as well as its noise allows
 """
 
 from __future__ import annotations
@@ -99,10 +99,10 @@ def needed_samples(
 ) -> int:
     """Return the samples of each half whose picture keeps a limit on error and bias, by the law.
 
-    noise  of indirect light, of `samples` of each half
-    known  what shadowed direct light is off by
+    noise   of indirect light, of `samples` of each half
+    known   what shadowed direct light is off by
     energy  of indirect light: the error of a picture without it
-    least  samples that are worth a try
+    least   samples that are worth a try
     """
     count = least
     left = limit * (1 - ENOUGH) - known.bound
