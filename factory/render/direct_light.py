@@ -35,7 +35,8 @@ GRIDS = {
 # points per pixel by default, and at least for mirror-like materials, where few are not enough
 USUAL = 64
 LEAST = 16  # points per pixel for other materials, if as many fit
-MOST_POINTS = 1 << 23  # of a frame; those on the object take 100 bytes each
+MOST_POINTS = 1 << 23  # that are looked at; those on the object take 100 bytes each
+MOST_PLACES = 1 << 26  # of a frame's grids, where some pixels are looked at; each takes a byte
 AT_ONCE = 1 << 19  # points of a frame whose light is computed at once
 # {number of grids: their places (rightwards, upwards) in steps of a grid}: no two are in a row, a
 # column or a diagonal, since most edges of objects are upright or level
@@ -96,18 +97,25 @@ class Points(NamedTuple):
         return self.across**2 * len(self.shifts)
 
 
-def points_of(direct: Sequence[DirectLight], lens: Camera, requested: int) -> Points | None:
+def points_of(
+    direct: Sequence[DirectLight], lens: Camera, requested: int, where: np.ndarray | None = None
+) -> Points | None:
     """Return the points of pixels; None if even four per square pixel are more than MOST_POINTS.
 
     requested  points per pixel
+    where      (height, width) bool, the pixels that have so many; None: all
     """
     kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
     least = USUAL if kind == "mirror-like" else LEAST
     pixels = lens.size[0] * lens.size[1]
+    looked_at, most_places = pixels, MOST_POINTS
+    if where is not None:
+        looked_at, most_places = int(where.sum()), MOST_PLACES
     if lens.pixel == "centre":
         return Points(1, SHIFTS[1], LOBE_SAMPLES[kind]) if pixels <= MOST_POINTS else None
     for count, (across, grids) in GRIDS.items():
-        if count <= max(requested, least) and count * pixels <= MOST_POINTS:
+        few = count <= max(requested, least)
+        if few and count * looked_at <= MOST_POINTS and count * pixels <= most_places:
             return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // min(count, USUAL)))
     return None
 

@@ -1,4 +1,4 @@
-"""Rays against triangles, compiled by numba: a tree of boxes, and whether anything is in the way.
+"""Rays against triangles, compiled by numba: what they meet, and whether anything is in the way.
 
 Blender's own tree (mathutils.bvhtree) answers the same, but takes one ray for each call from
 Python, which is nine times as slow (docs/log/rendering.md).
@@ -6,14 +6,10 @@ Python, which is nine times as slow (docs/log/rendering.md).
 They are in one file because numba compiles a cached kernel again only when the file that defines it
 has changed, not when another file whose functions it contains has.
 
-The tree is a bounding volume hierarchy that is divided by the surface area heuristic over BINS
-intervals of each axis (Wald 2007, "On fast construction of SAH-based bounding volume hierarchies").
-A ray is tested against both children of a box, the nearer one first, and stops at the first hit. A
-triangle is met as Möller and Trumbore (1997) have it.
+A ray is tested against both children of a box, the nearer one first; towards the light it stops at
+the first hit. A triangle is met as Möller and Trumbore (1997) have it.
 
-boxes      (N, 6) least and largest corner of each node
-first      (N,) of a leaf its first triangle, of another node the first of its two children
-count      (N,) triangles of a leaf; 0: two children
+boxes, first, count  of the tree (factory.render.tree_kernels)
 triangles  (F, 9) a corner and the two edges that leave it, in the order of the leaves
 """
 
@@ -26,130 +22,16 @@ from numba import njit
 
 from shaders import tone
 
-LEAF = 4  # triangles of a leaf, at most
-BINS = 16  # intervals of an axis at whose ends a node may be divided
-DEEPEST = 128  # nodes that wait at once; more than any tree of float32 boxes has needed
+DEEPEST = 128  # nodes that wait at once, as for the tree
 ONE = np.float32(1)
 ZERO = np.float32(0)
 HUGE = np.float32(1e30)
 # a box's sides are met within this share, so that no ray slips between two boxes that touch
 LOOSE = np.float32(1.00001)
+# the same between two triangles that share an edge, in units of the edges, for rays that see:
+# quads are divided along diagonals on which whole rows of a grid's points may lie
+BESIDE = np.float32(1e-6)
 LUMINANCE = tuple(np.float32(share) for share in tone.LUMINANCE)
-
-
-@njit(inline="always")
-def _half_area(low, high):
-    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-    return x * y + y * z + z * x
-
-
-@njit(inline="always")
-def _include(low, high, other_low, other_high):
-    for axis in range(3):
-        low[axis] = min(low[axis], other_low[axis])
-        high[axis] = max(high[axis], other_high[axis])
-
-
-@njit(inline="always")
-def _bin(centre, least, extent):
-    return min(int((centre - least) / extent * BINS), BINS - 1)
-
-
-@njit(inline="always")
-def _best_division(low, high, order, begin, end, least, most):
-    """Return axis and last interval of the division of least cost; axis −1: there is none."""
-    best, best_axis, best_bin = HUGE, -1, 0
-    lows = np.empty((BINS, 3), np.float32)
-    highs = np.empty((BINS, 3), np.float32)
-    counts = np.empty(BINS, np.int64)
-    areas = np.empty(BINS, np.float32)
-    beyond = np.empty(BINS, np.int64)
-    some_low, some_high = np.empty(3, np.float32), np.empty(3, np.float32)
-    for axis in range(3):
-        extent = most[axis] - least[axis]
-        if extent <= 0:
-            continue
-        counts[:] = 0
-        lows[:] = HUGE
-        highs[:] = -HUGE
-        for i in range(begin, end):
-            t = order[i]
-            b = _bin((low[t, axis] + high[t, axis]) / 2, least[axis], extent)
-            counts[b] += 1
-            _include(lows[b], highs[b], low[t], high[t])
-        some_low[:] = HUGE
-        some_high[:] = -HUGE
-        total = 0
-        for b in range(BINS - 1, 0, -1):
-            _include(some_low, some_high, lows[b], highs[b])
-            total += counts[b]
-            areas[b], beyond[b] = _half_area(some_low, some_high), total
-        some_low[:] = HUGE
-        some_high[:] = -HUGE
-        total = 0
-        for b in range(BINS - 1):
-            _include(some_low, some_high, lows[b], highs[b])
-            total += counts[b]
-            if total == 0 or beyond[b + 1] == 0:
-                continue
-            cost = _half_area(some_low, some_high) * total + areas[b + 1] * beyond[b + 1]
-            if cost < best:
-                best, best_axis, best_bin = cost, axis, b
-    return best_axis, best_bin
-
-
-@njit(cache=True, nogil=True)
-def build_tree(
-    low: np.ndarray,
-    high: np.ndarray,
-    order: np.ndarray,
-    boxes: np.ndarray,
-    first: np.ndarray,
-    count: np.ndarray,
-) -> int:
-    """Fill a tree over the boxes of triangles, and return its number of nodes.
-
-    low, high  (F, 3) float32 corners of each triangle's box
-    order      (F,) numbers of the triangles, which are put into the order of the leaves
-    boxes, first, count  room for 2 F nodes
-    """
-    waiting = np.empty((DEEPEST, 3), np.int64)
-    waiting[0] = 0, 0, len(order)
-    waits, used = 1, 1
-    least, most = np.empty(3, np.float32), np.empty(3, np.float32)
-    while waits:
-        waits -= 1
-        node, begin, end = waiting[waits]
-        boxes[node, :3], boxes[node, 3:] = HUGE, -HUGE
-        least[:], most[:] = HUGE, -HUGE
-        for i in range(begin, end):
-            t = order[i]
-            _include(boxes[node, :3], boxes[node, 3:], low[t], high[t])
-            centre = (low[t] + high[t]) / np.float32(2)
-            _include(least, most, centre, centre)
-        first[node], count[node] = begin, end - begin
-        if end - begin <= LEAF:
-            continue
-        axis, last = _best_division(low, high, order, begin, end, least, most)
-        middle = (begin + end) // 2
-        # a tree of equal halves is shallow enough; one that goes deeper is divided in the middle
-        if axis >= 0 and waits < DEEPEST // 2:
-            extent = most[axis] - least[axis]
-            i, j = begin, end - 1
-            while i <= j:
-                t = order[i]
-                if _bin((low[t, axis] + high[t, axis]) / 2, least[axis], extent) <= last:
-                    i += 1
-                else:
-                    order[i], order[j] = order[j], order[i]
-                    j -= 1
-            middle = i
-        first[node], count[node] = used, 0
-        waiting[waits] = used, begin, middle
-        waiting[waits + 1] = used + 1, middle, end
-        waits += 2
-        used += 2
-    return used
 
 
 @njit(inline="always", fastmath=True, error_model="numpy")
@@ -164,32 +46,41 @@ def _distance(node, boxes, o, inverse):
 
 
 @njit(inline="always", fastmath=True, error_model="numpy")
-def _meets(t, o, d):
-    """Return whether a ray from o in direction d meets triangle t (9,)."""
+def _meet(t, o, d):
+    """Return how far along a ray from o in direction d it meets the plane of triangle t (9,).
+
+    Returns  distance, and u and v, the places along the two edges; −1 where there is no such place
+    """
     px, py, pz = d[1] * t[8] - d[2] * t[7], d[2] * t[6] - d[0] * t[8], d[0] * t[7] - d[1] * t[6]
     determinant = t[3] * px + t[4] * py + t[5] * pz
     if determinant == 0:
-        return False
+        return -ONE, -ONE, -ONE
     inverse = ONE / determinant
     x, y, z = o[0] - t[0], o[1] - t[1], o[2] - t[2]
     u = (x * px + y * py + z * pz) * inverse
     qx, qy, qz = y * t[5] - z * t[4], z * t[3] - x * t[5], x * t[4] - y * t[3]
     v = (d[0] * qx + d[1] * qy + d[2] * qz) * inverse
-    far = (t[6] * qx + t[7] * qy + t[8] * qz) * inverse
-    return u >= 0 and v >= 0 and u + v <= ONE and far > 0
+    return (t[6] * qx + t[7] * qy + t[8] * qz) * inverse, u, v
+
+
+@njit(inline="always", fastmath=True, error_model="numpy")
+def _inverse(d, inverse):
+    """Set inverse (3,) to 1/d: a product with 0 · ∞ would be no number."""
+    for axis in range(3):
+        step = d[axis] if abs(d[axis]) > np.float32(1e-12) else np.float32(1e-12)
+        inverse[axis] = ONE / step
 
 
 @njit(inline="always", fastmath=True, error_model="numpy")
 def _is_blocked(o, d, inverse, boxes, first, count, triangles, waiting):
     """Return whether a ray from o (3,) in direction d (3,) meets any triangle."""
-    for axis in range(3):  # a product with 0 · ∞ would be no number
-        step = d[axis] if abs(d[axis]) > np.float32(1e-12) else np.float32(1e-12)
-        inverse[axis] = ONE / step
+    _inverse(d, inverse)
     waits, node = 0, 0
     while True:
         if count[node]:
             for t in range(first[node], first[node] + count[node]):
-                if _meets(triangles[t], o, d):
+                far, u, v = _meet(triangles[t], o, d)
+                if u >= 0 and v >= 0 and u + v <= ONE and far > 0:
                     return True
         else:
             a, b = first[node], first[node] + 1
@@ -227,6 +118,57 @@ def are_blocked(
         out[i] = _is_blocked(
             origins[i], towards[i], inverse, boxes, first, count, triangles, waiting
         )
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def look(
+    origins: np.ndarray,
+    d: np.ndarray,
+    boxes: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
+    triangles: np.ndarray,
+    met: np.ndarray,
+    places: np.ndarray,
+) -> None:
+    """Find what rays from origins (R, 3) in one direction d (3,) meet first.
+
+    met     (R,) set to the triangle's number, −1: none
+    places  (R, 3) set to the distance, and to the places along the triangle's two edges
+    """
+    waiting = np.empty(DEEPEST, np.int32)
+    entries = np.empty(DEEPEST, np.float32)
+    inverse = np.empty(3, np.float32)
+    _inverse(d, inverse)
+    for i in range(len(origins)):
+        o = origins[i]
+        met[i], nearest = -1, HUGE
+        waits, node = 0, 0
+        while True:
+            if count[node]:
+                for t in range(first[node], first[node] + count[node]):
+                    far, u, v = _meet(triangles[t], o, d)
+                    inside = u >= -BESIDE and v >= -BESIDE and u + v <= ONE + BESIDE
+                    if inside and ZERO < far < nearest:
+                        met[i], nearest = t, far
+                        places[i, 0], places[i, 1], places[i, 2] = far, u, v
+            else:
+                a, b = first[node], first[node] + 1
+                to_a, to_b = _distance(a, boxes, o, inverse), _distance(b, boxes, o, inverse)
+                if to_b < to_a:
+                    a, b, to_a, to_b = b, a, to_b, to_a
+                if to_a < HUGE and to_a <= nearest * LOOSE:
+                    if to_b < HUGE:
+                        waiting[waits], entries[waits] = b, to_b
+                        waits += 1
+                    node = a
+                    continue
+            while waits and entries[waits - 1] > nearest * LOOSE:
+                waits -= 1
+            if waits == 0:
+                break
+            waits -= 1
+            node = waiting[waits]
 
 
 @njit(inline="always")

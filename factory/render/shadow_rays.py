@@ -20,6 +20,7 @@ from factory.render import camera
 from factory.render.direct_light import Points
 from factory.render.estimators.renderer import Share
 from factory.render.geometry import Surface
+from factory.render.ray_tree import RayTree
 from manifests.schema import Camera
 from shaders import frames
 
@@ -36,38 +37,11 @@ AT_ONCE = 1 << 19  # numbers of evaluated light in memory, 2 MB
 
 
 class ShadowRays:
-    """Rays against one shape.
+    """Rays from what is visible of one shape towards the light."""
 
-    vertices  (V, 3) float32 in the object's frame
-    faces     (F, 3)
-    """
-
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray):
-        from factory.render import ray_kernels  # and numba, which takes half a second
-
-        corners = vertices[faces].astype(np.float32)
-        order = np.arange(len(faces))
-        boxes = np.zeros((2 * len(faces), 6), np.float32)
-        first, count = np.zeros((2, 2 * len(faces)), np.int32)
-        low, high = corners.min(1), corners.max(1)
-        nodes = ray_kernels.build_tree(low, high, order, boxes, first, count)
-        edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        triangles = np.concatenate([corners[:, 0], *edges], axis=1)[order]
-        self._tree = boxes[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy(), triangles
-        self._margin = np.float32(MARGIN * float(np.abs(vertices).max()))
-
-    def are_blocked(self, origins: np.ndarray, towards: np.ndarray) -> np.ndarray:
-        """Return whether rays (R,) from origins (R, 3) in unit directions (R, 3) meet the shape."""
-        from factory.render import ray_kernels
-
-        out = np.zeros(len(origins), bool)
-        ray_kernels.are_blocked(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(towards, np.float32),
-            *self._tree,
-            out,
-        )
-        return out
+    def __init__(self, tree: RayTree):
+        self._tree = tree
+        self._margin = np.float32(MARGIN * tree.radius)
 
     def share(
         self,
@@ -155,7 +129,7 @@ class ShadowRays:
                 counts,
                 rays,
                 seed,
-                *self._tree,
+                *self._tree.arrays,
                 arrived,
                 sent,
             )

@@ -34,6 +34,8 @@ from factory.render import (
 from factory.render.direct_light import USUAL
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion, Share
 from factory.render.geometry import Geometry, Surface, facets_of, surface_of, turn_to_viewer
+from factory.render.ray_tree import RayTree
+from factory.render.seen_points import SeenPoints
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
     ALWAYS,
@@ -83,15 +85,15 @@ class Studio:
         self._seen_light: np.ndarray | None = None  # the light map as the camera sees it
         self._nearest = False  # whether Cycles looks it up as it is, texel by texel
         self._mixtures: list[Mixture] = []
-        self._direct_light = ViewLight(self._look_through)
+        self._direct_light = ViewLight(self._look)
         self._azimuth, self._segments = 0.0, 0
         # of the shape
         self._body: Any = None
         self._object: Any = None
         self._second_object: Any = None
         self._vertices = np.zeros((0, 3), np.float32)
-        self._faces = np.zeros((0, 3), np.int32)
         self._shadow_rays: ShadowRays | None = None
+        self._seen_points: SeenPoints | None = None
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
@@ -139,7 +141,8 @@ class Studio:
             bpy.data.meshes.remove(self._body)
         self._segments, self._tier = int(mesh.segment.max()), None
         self._vertices = mesh.vertices.astype(np.float32)
-        self._faces, self._shadow_rays = mesh.faces, None
+        tree = RayTree(self._vertices, mesh.faces)
+        self._shadow_rays, self._seen_points = ShadowRays(tree), SeenPoints(mesh, tree)
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
@@ -372,11 +375,9 @@ class Studio:
         rays    from each point, by this seed
         where   (height, width) bool, the pixels that rays are cast for; None: all
         """
-        if self._shadow_rays is None:
-            self._shadow_rays = ShadowRays(self._vertices, self._faces)
-        return self._direct_light.share(
-            self._shown_view(), self._shadow_rays, points, rays, seed, half, where
-        )
+        view = self._shown_view()
+        assert self._shadow_rays is not None  # there is a shape
+        return self._direct_light.share(view, self._shadow_rays, points, rays, seed, half, where)
 
     def forget_grids(self) -> None:
         """Forget what `direct_light` has seen of the view, as another view makes it do."""
@@ -389,14 +390,13 @@ class Studio:
             self._azimuth, lens, self._mixtures, self._seen_light if self._nearest else None
         )
 
-    def _look_through(self, lens: Camera, rightwards: float, upwards: float) -> Surface:
-        """Return what rays meet through another camera, used in place of the studio's for now."""
-        own = self._require_camera()
-        try:
-            self.set_camera(lens)
-            return self._surface(rightwards, upwards)
-        finally:
-            self.set_camera(own)
+    def _look(self, across: int, shift: tuple[float, float], where: np.ndarray | None) -> Surface:
+        """Return what a grid of points sees; arguments as SeenPoints.look takes them."""
+        lens = self._require_camera()
+        if lens.pixel == "centre":  # those of the geometry that is published
+            return self._visible_surface(lens)
+        assert self._seen_points is not None  # there is a shape
+        return self._seen_points.look(lens, self._azimuth, across, shift, where)
 
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""

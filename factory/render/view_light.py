@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import msgspec
 import numpy as np
 
 from factory.render.direct_light import (
@@ -47,18 +46,34 @@ class ShownView(NamedTuple):
     light: np.ndarray | None
 
 
+class Grid(NamedTuple):
+    """What a grid of points sees, and where: (height, width) bool, None: in all pixels."""
+
+    where: np.ndarray | None
+    surface: Surface
+
+    def covers(self, where: np.ndarray | None) -> bool:
+        """Whether it is known what the grid sees in all these pixels."""
+        if self.where is None:
+            return True
+        return where is not None and not (where & ~self.where).any()
+
+
+# (points across a pixel, place of the grid in steps, where) → what such a grid of points sees
+Look = Callable[[int, tuple[float, float], np.ndarray | None], Surface]
+
+
 class ViewLight:
     """Direct light of the views that a studio shows, one after the other.
 
-    look  (camera, rightwards, upwards) → the Surface that one ray through each pixel meets, so many
-          pixels from the pixel's centre
+    look  as the studio's view is when it is called
     """
 
-    def __init__(self, look: Callable[[Camera, float, float], Surface]):
+    def __init__(self, look: Look):
         self._look = look
         self._closed_forms = DirectLights()
         # of the view that was seen last, by points across a pixel and place of the grid
-        self.grids: dict[tuple[int, tuple[float, float]], Surface] = {}
+        self.grids: dict[tuple[int, tuple[float, float]], Grid] = {}
         self._grids_of: tuple[float, Camera] | None = None
 
     def forget_grids(self) -> None:
@@ -103,13 +118,13 @@ class ViewLight:
         """Return the direct light with so many points per pixel; None if it does not hold.
 
         where  (height, width) bool, the pixels that are computed; the others are as in `known`.
-               None: all
+               None: all. If so many points do not fit, there is no picture, either
         """
         direct = self.closed_forms(view)
-        at = points_of(direct, view.lens, points) if direct else None
-        if at is None:
+        at = points_of(direct, view.lens, points, where) if direct else None
+        if at is None or (where is not None and at.per_pixel < points):
             return None
-        picture = picture_of(direct, self._grids_at(view, at), view.lens, at, where)
+        picture = picture_of(direct, self._grids_at(view, at, where), view.lens, at, where)
         return picture if known is None or where is None else merge_pictures(known, picture, where)
 
     def share(
@@ -129,28 +144,27 @@ class ViewLight:
         where   (height, width) bool, the pixels that rays are cast for; None: all
         """
         direct = self.closed_forms(view)
-        at = points_of(direct, view.lens, points) if direct else None
+        at = points_of(direct, view.lens, points, where) if direct else None
         if at is None:
             return None
-        grids = self._grids_at(view, at)
+        grids = self._grids_at(view, at, where)
         if len(grids) > 1:
             grids, at = grids[half::2], at._replace(shifts=at.shifts[half::2])
         return rays.share(direct, grids, view.lens, view.azimuth, at, each, seed, where)
 
-    def _grids_at(self, view: ShownView, at: Points) -> list[Surface]:
-        """Return what grids of points see; as many as MOST_KEPT allows are kept."""
+    def _grids_at(self, view: ShownView, at: Points, where: np.ndarray | None) -> list[Surface]:
+        """Return what grids of points see in `where`; as many as MOST_KEPT allows are kept."""
         if self._grids_of != (view.azimuth, view.lens):
             self.forget_grids()
             self._grids_of = view.azimuth, view.lens
-        height, width = view.lens.size
-        fine = msgspec.structs.replace(view.lens, size=(height * at.across, width * at.across))
         result = []
         for shift in at.shifts:
             grid = self.grids.get((at.across, shift))
-            if grid is None:
-                grid = self._look(fine, *shift)
-                kept = sum(len(each.depth) for each in self.grids.values())
-                if kept + len(grid.depth) <= MOST_KEPT:
+            if grid is None or not grid.covers(where):
+                grid = Grid(where, self._look(at.across, shift, where))
+                self.grids.pop((at.across, shift), None)
+                kept = sum(len(each.surface.depth) for each in self.grids.values())
+                if kept + len(grid.surface.depth) <= MOST_KEPT:
                     self.grids[at.across, shift] = grid
-            result.append(grid)
+            result.append(grid.surface)
         return result

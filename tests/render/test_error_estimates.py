@@ -14,11 +14,14 @@ from factory.render.estimators import (
     path_tracing,
     ratio,
     rules,
+    shadow_rays,
 )
 from factory.render.estimators.halves import Estimate, Halves, half_seed, mean_over
 from factory.render.estimators.renderer import EFFORTS, DirectWork, Portion, Shown
 from shaders import tone
-from tests.support.known_pictures import MASK, NO_GUIDES, Known, Shaded, error, shown
+from tests.support.known_pictures import MASK, NO_GUIDES, Known, Rays, Shaded, error, shown
+
+WITHOUT_RAYS = tuple(each for each in choice.ALL if each != shadow_rays.NAME)
 
 
 def mean_ratio(known, samples, denoise):
@@ -209,7 +212,7 @@ def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
 
 @pytest.mark.parametrize("estimator", choice.ALL)
 def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
-    known = Shaded(noise=1.5, deepest=0.8)
+    known = Rays(noise=1.5, deepest=0.8)
     attempt = attempts.Attempt(shown(known), 20.0, choice.ALL)
     attempt.direct = known.direct_light()
     attempt.run(attempts.Plan(0.0, estimator, 2000))
@@ -223,7 +226,7 @@ def test_no_closed_form_is_computed_where_light_is_blocked_and_its_noise_explain
         first, count, seed + (tier == "direct"), tier
     )
     for known in (dark, lit):
-        choice.render_within_error(shown(known), 40.0)
+        choice.render_within_error(shown(known), 40.0, WITHOUT_RAYS)
     assert (dark.closed_forms, lit.closed_forms) == (0, 1)
 
 
@@ -292,15 +295,15 @@ def test_the_closed_form_alone_is_taken_where_nothing_is_blocked():
 
 @pytest.mark.parametrize("closed", [0.8, 1.25])
 def test_a_closed_form_that_is_off_is_seen(closed):
-    known = Shaded(deepest=1.0, closed=closed)
+    known = Rays(deepest=1.0, closed=closed)
     made = choice.render_within_error(shown(known), 20.0)
-    assert made.estimator not in (closed_form.NAME, ratio.NAME)
+    assert made.estimator not in (closed_form.NAME, ratio.NAME, shadow_rays.NAME)
     assert error(made.radiance, known) <= 20
 
 
 def test_the_ratio_is_taken_where_the_denoiser_errs_in_both_pictures_alike():
     known = Shaded(noise=0.8, deepest=0.8)
-    made = choice.render_within_error(shown(known), 20.0)
+    made = choice.render_within_error(shown(known), 20.0, WITHOUT_RAYS)
     assert made.estimator == ratio.NAME and error(made.radiance, known) <= 20
     plain = choice.render_within_error(shown(known), 20.0, ("path-tracing", "denoised"))
     assert plain.estimator == path_tracing.NAME and made.samples < plain.samples / 2
@@ -571,12 +574,14 @@ def test_grids_that_differ_are_made_finer():
         return direct._replace(variance=np.full_like(direct.variance, 0.2 / points))
 
     known.direct_light = differing
-    choice.render_within_error(shown(known), 40.0)
+    choice.render_within_error(shown(known), 40.0, WITHOUT_RAYS)
     assert len(asked) > 1 and asked == sorted(set(asked)) and asked[0] == closed_form.POINTS
     asked.clear()
-    known.direct_light_work = lambda points: DirectWork(min(points, 16))
-    choice.render_within_error(shown(known), 40.0)
-    assert len(asked) == 1  # the frame has no more points
+    known.direct_light = lambda points, known=None, where=None: (
+        differing(points) if where is None else asked.append(None)
+    )
+    choice.render_within_error(shown(known), 40.0, WITHOUT_RAYS)
+    assert asked == [closed_form.POINTS, None]  # the frame has no more points
 
 
 class Convex(Shaded):
@@ -595,7 +600,7 @@ class Convex(Shaded):
 
 
 def test_direct_light_is_rendered_of_what_cannot_shade_itself():
-    known, other = Convex(), Shaded()
+    known, other = Convex(), Rays()
     made = choice.render_within_error(shown(known), 20.0)
     assert set(known.tiers) == {"direct"} and made.traced == "direct"
     assert error(made.radiance, known) < 20

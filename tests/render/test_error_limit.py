@@ -190,16 +190,16 @@ def test_direct_light_is_made_finer_where_it_is_asked_for(chair):
         assert np.abs(after[where] - before[where]).max() > 1e-3 * np.abs(before).max()
 
 
-def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypatch):
+def test_what_grids_of_points_see_is_looked_at_once_for_each_view(chair, monkeypatch):
     from factory.render import view_light as module
 
-    surface, seen = chair._surface, []
+    look, seen = chair._direct_light._look, []
 
-    def counted(*shift):
-        seen.append((chair._lens.size[0] // SIZE, shift))
-        return surface(*shift)
+    def counted(across, shift, where):
+        seen.append((across, None if where is None else int(where.sum())))
+        return look(across, shift, where)
 
-    monkeypatch.setattr(chair, "_surface", counted)
+    monkeypatch.setattr(chair._direct_light, "_look", counted)
     chair.forget_grids()
     first = chair.direct_light(64)
     where = chair.geometry().mask
@@ -207,7 +207,14 @@ def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypa
     again = chair.direct_light(64)
     assert seen == []
     chair.direct_light(16, again, where)
-    assert [across for across, _ in seen] == [2] * 4
+    assert seen == [(2, where.sum())] * 4  # in those pixels alone
+    seen.clear()
+    less, more = where.copy(), where.copy()
+    less[: SIZE // 2], more[0] = False, True
+    chair.direct_light(16, again, less)
+    assert seen == []
+    chair.direct_light(16, again, more)
+    assert seen == [(2, more.sum())] * 4
     for name in ("radiance", "alpha", "variance"):
         assert (getattr(first, name) == getattr(again, name)).all()
     # another view, the same view again, and more points than are kept: nothing old is shown
@@ -224,7 +231,7 @@ def test_what_grids_of_points_see_is_rendered_once_for_each_view(chair, monkeypa
 
 def test_what_grids_of_points_see_is_let_go_with_its_view_and_its_shape(chair):
     def kept():
-        return [weakref.ref(grid.depth) for grid in chair._direct_light.grids.values()]
+        return [weakref.ref(grid.surface.depth) for grid in chair._direct_light.grids.values()]
 
     def alive(references):
         gc.collect()
@@ -276,16 +283,16 @@ def test_there_is_no_closed_form_in_perspective_or_for_a_light_that_is_interpola
 def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chair, monkeypatch):
     from factory.render import direct_light
 
-    lens, surface, scales = chair._lens, chair._surface, []
+    lens, look, scales = chair._lens, chair._direct_light._look, []
 
-    def counted(*shift):
-        scales.append(chair._lens.size[0] // SIZE)
-        return surface(*shift)
+    def counted(across, shift, where):
+        scales.append(across)
+        return look(across, shift, where)
 
     def glossy(alpha):
         chair.set_materials([Mixture.constant("ggx", alpha, [0.5] * 3)] * len(chair._mixtures))
 
-    monkeypatch.setattr(chair, "_surface", counted)
+    monkeypatch.setattr(chair._direct_light, "_look", counted)
     glossy(0.02)
     for most, grids in (
         (64 * SIZE**2, [4, 4, 4, 4]),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from factory.render.estimators.renderer import Share
-from factory.render.shadow_rays import LEAST, ROWS, ShadowRays
+from factory.render.ray_tree import RayTree
+from factory.render.shadow_rays import LEAST, ROWS
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
 from shaders.direct_light import DirectLight
@@ -42,7 +43,7 @@ def test_rays_meet_what_all_triangles_together_meet(count):
     towards[:30] = np.eye(3)[RNG.integers(3, size=30)]  # along an axis, other components 0
     towards = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).astype(np.float32)
     truth = meet_any(vertices, faces, origins, towards)
-    known = ShadowRays(vertices, faces).are_blocked(origins, towards)
+    known = RayTree(vertices, faces).are_blocked(origins, towards)
     # a ray through an edge may count to either side
     assert (known != truth).mean() <= 0.004
     assert 0.0 <= truth.mean() < 1.0 and (count == 1 or truth.any())
@@ -50,7 +51,7 @@ def test_rays_meet_what_all_triangles_together_meet(count):
 
 def test_triangles_in_one_place_make_a_tree_too():
     vertices = np.tile(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32), (500, 1))
-    rays = ShadowRays(vertices, np.arange(1500).reshape(500, 3))
+    rays = RayTree(vertices, np.arange(1500).reshape(500, 3))
     up = np.array([[0, 0, 1]], np.float32)
     assert rays.are_blocked(np.array([[0.2, 0.2, -1]], np.float32), up).all()
     assert not rays.are_blocked(np.array([[0.9, 0.9, -1]], np.float32), up).any()

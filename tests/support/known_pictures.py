@@ -102,7 +102,7 @@ class Rays(Shaded):
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         shape = self.truth.shape
         noise = self.spread * rng.normal(size=shape) * (self.share < 1) / np.sqrt(rays * points / 2)
-        sent = np.full(shape, float(rays)) * (1 if where is None else where[..., None])
+        sent = np.full(shape, float(rays * points)) * (1 if where is None else where[..., None])
         return Share(sent * np.clip(self.share * self.off + noise, 0, 1), sent)
 
 

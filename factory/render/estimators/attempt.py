@@ -168,8 +168,6 @@ class Attempt:
             return None
 
         def finer(known: DirectPicture, more: closed_form.Finer) -> DirectPicture | None:
-            if renderer.direct_light_work(more.points) == work:
-                return None  # the frame has no more points
             return renderer.direct_light(more.points, known, more.where)
 
         return closed_form.refine_direct_light(direct, mask, work.points, self.error, finer)

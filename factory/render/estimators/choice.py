@@ -7,13 +7,19 @@ the same. Then the estimator that needs the fewest further samples by its model 
 
 from dataclasses import replace
 
-from factory.render.estimators import closed_form, denoised, path_tracing, ratio
+from factory.render.estimators import closed_form, denoised, path_tracing, ratio, shadow_rays
 from factory.render.estimators.attempt import Attempt
 from factory.render.estimators.picture import Picture
 from factory.render.estimators.renderer import Shown
 from manifests.schema import Estimator
 
-ALL: tuple[Estimator, ...] = (path_tracing.NAME, denoised.NAME, ratio.NAME, closed_form.NAME)
+ALL: tuple[Estimator, ...] = (
+    path_tracing.NAME,
+    denoised.NAME,
+    ratio.NAME,
+    closed_form.NAME,
+    shadow_rays.NAME,
+)
 
 
 def render_within_error(

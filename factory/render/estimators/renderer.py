@@ -115,7 +115,8 @@ class Renderer(Protocol):
     denoised              radiance (height, width, 3) of a portion, or of the mean of several
     direct_light          by so many points per pixel, or more where few mean nothing, or fewer
                           where memory does not suffice. None where no closed form holds. With
-                          `where` (height, width) only these pixels, and the others as in `known`
+                          `where` (height, width) only these pixels, and the others as in `known`;
+                          None also where so many points of them do not fit
     direct_light_work     what it takes; None as above
     visible_share         of the direct light, which the object does not block: by `rays` rays from
                           each of a half's points. None where no closed form holds

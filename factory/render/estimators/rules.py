@@ -4,6 +4,7 @@ VERSION counts their changes, and those of shaders.direct_light, that no constan
 """
 
 from factory.render import self_shading
+from factory.render import shadow_rays as rays
 from factory.render.estimators import (
     attempt,
     blends,
@@ -12,10 +13,11 @@ from factory.render.estimators import (
     halves,
     path_tracing,
     ratio,
+    shadow_rays,
 )
 from factory.render.estimators.renderer import EFFORTS
 
-VERSION = 16  # a change makes new pictures
+VERSION = 17  # a change makes new pictures
 
 
 def identity() -> list[object]:
@@ -31,6 +33,26 @@ def identity() -> list[object]:
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST, ratio.WITH_NOISE, ratio.AROUND, ratio.SHARES],
         [ratio.MOST_LEFT],
+        [
+            shadow_rays.NAME,
+            shadow_rays.POINTS,
+            shadow_rays.FEW_POINTS,
+            shadow_rays.MUCH,
+            shadow_rays.ENOUGH,
+            shadow_rays.FURTHER,
+            shadow_rays.ROUNDS,
+            shadow_rays.MOST_POINTS,
+        ],
+        [
+            shadow_rays.MOST_RAYS,
+            shadow_rays.EXPECTED.error,
+            shadow_rays.EXPECTED.standard_error,
+            shadow_rays.SCALE,
+            shadow_rays.POWER,
+            shadow_rays.MOST_LOST,
+        ],
+        [shadow_rays.MOST_TRIES, shadow_rays.LEAST, shadow_rays.GROUPS, shadow_rays.RAYS],
+        [rays.MARGIN, rays.STEPS, rays.ROWS, rays.LEAST],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],

@@ -35,8 +35,12 @@ FEW_POINTS = 16  # the same where the limit allows it
 # they miss lies at edges
 MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
-ROUNDS = 3  # of casting more rays, where the halves differ
-MOST_RAYS = 16  # from each point and in each round
+# points per pixel of further rounds, where the halves differ: what lies at edges is noise of where
+# the points are, which more rays from each leave as it is
+FURTHER = (64, 256, 1024)
+ROUNDS = 3
+MOST_POINTS = 1 << 21  # of all pixels that have further ones
+MOST_RAYS = 16  # from each of the most points
 # what shadowed direct light is off by besides the closed form's own error, and by how much that
 # differs between shots
 EXPECTED = Estimate(0.15, 0.3)
@@ -46,7 +50,7 @@ MOST_TRIES = 3
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 # samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
-GROUPS, RAYS = 12000.0, 9.0
+GROUPS, RAYS = 12000.0, 30.0
 
 
 def cost_in_samples(pixels: int) -> float:
@@ -162,33 +166,41 @@ class ShadowedLight:
         """Cast rays until the halves differ by little; where they do not, no more are cast."""
         if self.shares:
             return
-        self.shares = self._round(0, 1, None)
-        cast = np.ones(int(self.shown.mask.sum()))  # rays from each point
+        mask, budget = self.shown.mask, ENOUGH * self.limit
+        last = points_of(self.limit, mask.size)
+        self.shares = self._round(0, last, 1, None)
+        cast = np.full(int(mask.sum()), float(last))  # rays of each pixel
         for number in range(1, ROUNDS + 1):
             parts = self._parts()
-            budget = ENOUGH * self.limit
             if parts.mean() <= budget:
                 return
-            likely = closed_form.with_neighbours(parts, self.shown.mask)
+            likely = closed_form.with_neighbours(parts, mask)
             order = np.argsort(likely)
             # what lies in the pixels of least noise stays as it is, up to half of what is allowed
             stays = np.cumsum(likely[order]) <= budget / 2 * len(parts)
             more = np.ones(len(parts), bool)
             more[order[stays]] = False
             left = float(likely[more].sum()) / (budget / 2 * len(parts))
-            rays = int(np.clip(math.ceil((left - 1) * float(cast[more].mean())), 1, MOST_RAYS))
-            where = np.zeros_like(self.shown.mask)
-            where[self.shown.mask] = more
-            further = self._round(number, rays, where)
-            self.shares = [a.add(b) for a, b in zip(self.shares, further, strict=True)]
-            cast[more] += rays
+            further = max(left - 1, 0.0) * float(cast[more].mean())
+            most = MOST_POINTS / more.sum()
+            levels = [each for each in FURTHER if last < each <= most] or [last]
+            last = next((each for each in levels if each >= further), levels[-1])
+            rays = int(np.clip(math.ceil(further / last), 1, min(MOST_RAYS, max(most / last, 1))))
+            where = np.zeros_like(mask)
+            where[mask] = more
+            self.shares = [
+                one.add(other)
+                for one, other in zip(
+                    self.shares, self._round(number, last, rays, where), strict=True
+                )
+            ]
+            cast[more] += last * rays
 
-    def _round(self, number: int, rays: int, where: np.ndarray | None) -> list[Share]:
-        """Return the shares of both halves by so many rays from each point, of their own seeds."""
+    def _round(self, number: int, points: int, rays: int, where: np.ndarray | None) -> list[Share]:
+        """Return both halves' shares by rays from points per pixel, of seeds of their own."""
         shares = []
         for half in (0, 1):
             seed = half_seed(half_seed(self.shown.seed, half) + number, 1)
-            points = points_of(self.limit, self.shown.mask.size)
             share = self.shown.renderer.visible_share(points, rays, seed, half, where)
             assert share is not None  # there is a closed form
             shares.append(share)
