@@ -312,6 +312,17 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
             )
             assert at.per_pixel * at.samples == 256
     monkeypatch.undo()
+    # of few pixels more points fit than of all, up to what a frame's grids may hold
+    where = np.zeros((SIZE, SIZE), bool)
+    where[SIZE // 2] = True
+    known = chair.direct_light()
+    with monkeypatch.context() as patch:
+        patch.setattr(direct_light, "MOST_POINTS", 300 * SIZE)
+        assert chair.direct_light_work(256).points < 256
+        assert chair.direct_light(256, known, where) is not None
+        assert chair.direct_light(512, known, where) is None
+        patch.setattr(direct_light, "MOST_PLACES", 256 * SIZE**2 - 1)
+        assert chair.direct_light(256, known, where) is None
     # few points of a mirror-like material mean nothing
     assert [chair.direct_light_work(points).points for points in (16, 256)] == [64, 256]
     glossy(0.3)

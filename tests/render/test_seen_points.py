@@ -49,10 +49,22 @@ def pasted(surface, name):
     return frame
 
 
+def page():
+    """A sheet that is open and bent, of which this side and that are seen."""
+    from factory.shapes.mesh import finish
+
+    x = np.linspace(-1, 1, 9)
+    edge = np.stack([x, 0.8 * x**2, np.full(9, -0.5)], axis=1)
+    corners = np.concatenate([edge, edge + np.array([0.2, 0.3, 1.0])])
+    faces = [[k, k + 1, k + 10] for k in range(8)] + [[k, k + 10, k + 9] for k in range(8)]
+    return finish("page", "test", corners, np.array(faces), crease_deg=60.0)
+
+
 @pytest.mark.blender
-@pytest.mark.parametrize("shape", ["chair:2", "vessel:1", "sphere"])
+@pytest.mark.parametrize("shape", ["chair:2", "vessel:1", "sphere", "page"])
 def test_points_see_what_cycles_shows(studio, shape):
-    mesh, lens, azimuth = load(shape), Camera(size=(SIZE, SIZE), elevation_deg=25.0), 0.7
+    mesh = page() if shape == "page" else load(shape)
+    lens, azimuth = Camera(size=(SIZE, SIZE), elevation_deg=25.0), 0.7
     across, shift = 4, (-0.375, -0.125)
     seen = SeenPoints(mesh, RayTree(mesh.vertices.astype(np.float32), mesh.faces))
     ours = seen.look(lens, azimuth, across, shift)
