@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import platform
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import bpy
@@ -34,8 +35,6 @@ from factory.render import (
 from factory.render.direct_light import USUAL
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Effort, Portion, Share
 from factory.render.geometry import Geometry, Surface, facets_of, surface_of, turn_to_viewer
-from factory.render.ray_tree import RayTree
-from factory.render.seen_points import SeenPoints
 from factory.render.segment_materials import SegmentMaterials
 from factory.render.settings import (
     ALWAYS,
@@ -48,7 +47,6 @@ from factory.render.settings import (
     effective,
     portion_of_samples,
 )
-from factory.render.shadow_rays import ShadowRays
 from factory.render.view_light import ShownView, ViewLight
 from factory.shapes.mesh import Mesh
 from manifests.arrays import LIGHT_SHAPE
@@ -85,15 +83,13 @@ class Studio:
         self._seen_light: np.ndarray | None = None  # the light map as the camera sees it
         self._nearest = False  # whether Cycles looks it up as it is, texel by texel
         self._mixtures: list[Mixture] = []
-        self._direct_light = ViewLight(self._look)
+        self._direct_light = ViewLight()
         self._azimuth, self._segments = 0.0, 0
         # of the shape
         self._body: Any = None
         self._object: Any = None
         self._second_object: Any = None
         self._vertices = np.zeros((0, 3), np.float32)
-        self._shadow_rays: ShadowRays | None = None
-        self._seen_points: SeenPoints | None = None
         self._has_convex_side = False
         self._may_shade_itself: dict[tuple[float, Camera], bool] = {}
         self._visible: tuple[float, Camera, Surface] | None = None  # what was seen last
@@ -141,13 +137,11 @@ class Studio:
             bpy.data.meshes.remove(self._body)
         self._segments, self._tier = int(mesh.segment.max()), None
         self._vertices = mesh.vertices.astype(np.float32)
-        tree = RayTree(self._vertices, mesh.faces)
-        self._shadow_rays, self._seen_points = ShadowRays(tree), SeenPoints(mesh, tree)
         corners = mesh.vertices[mesh.faces]
         self._has_convex_side = self_shading.has_convex_side(self._vertices, corners)
         self._may_shade_itself.clear()
         self._visible = None
-        self.forget_grids()
+        self._direct_light.set_shape(mesh)
         self._body = body.build(mesh)
         for surface in self._materials.of_new_shape(self._segments):
             self._body.materials.append(surface)
@@ -348,7 +342,7 @@ class Studio:
         None where it does not hold: for cameras in perspective, for lights that are not looked up
         texel by texel, and for pictures of which too few points per pixel fit into memory.
         """
-        return self._direct_light.work(self._shown_view(), points, self._visible_surface)
+        return self._direct_light.work(self._shown_view(), points)
 
     def direct_light(
         self,
@@ -375,9 +369,7 @@ class Studio:
         rays    from each point, by this seed
         where   (height, width) bool, the pixels that rays are cast for; None: all
         """
-        view = self._shown_view()
-        assert self._shadow_rays is not None  # there is a shape
-        return self._direct_light.share(view, self._shadow_rays, points, rays, seed, half, where)
+        return self._direct_light.share(self._shown_view(), points, rays, seed, half, where)
 
     def forget_grids(self) -> None:
         """Forget what `direct_light` has seen of the view, as another view makes it do."""
@@ -386,17 +378,10 @@ class Studio:
     def _shown_view(self) -> ShownView:
         """Return what is shown, as direct light needs it."""
         lens = self._require_camera()
+        light = self._seen_light if self._nearest else None
         return ShownView(
-            self._azimuth, lens, self._mixtures, self._seen_light if self._nearest else None
+            self._azimuth, lens, self._mixtures, light, partial(self._visible_surface, lens)
         )
-
-    def _look(self, across: int, shift: tuple[float, float], where: np.ndarray | None) -> Surface:
-        """Return what a grid of points sees; arguments as SeenPoints.look takes them."""
-        lens = self._require_camera()
-        if lens.pixel == "centre":  # those of the geometry that is published
-            return self._visible_surface(lens)
-        assert self._seen_points is not None  # there is a shape
-        return self._seen_points.look(lens, self._azimuth, across, shift, where)
 
     def _require_camera(self) -> Camera:
         """Return the camera. Raises RuntimeError before camera and shape have been set."""

@@ -21,7 +21,10 @@ from factory.render.direct_light import (
 )
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Share
 from factory.render.geometry import Surface
+from factory.render.ray_tree import RayTree
+from factory.render.seen_points import SeenPoints
 from factory.render.shadow_rays import ShadowRays
+from factory.shapes.mesh import Mesh
 from manifests.schema import Camera
 from shaders.mixture import Mixture
 
@@ -38,12 +41,14 @@ class ShownView(NamedTuple):
     mixtures  of the segments, in the order of their ids
     light     (height, width, 3) the map as the camera sees it; None unless it is looked up texel by
               texel
+    centres   returns what rays through the pixels' centres meet, as Blender sees it
     """
 
     azimuth: float
     lens: Camera
     mixtures: Sequence[Mixture]
     light: np.ndarray | None
+    centres: Callable[[], Surface]
 
 
 class Grid(NamedTuple):
@@ -59,22 +64,23 @@ class Grid(NamedTuple):
         return where is not None and not (where & ~self.where).any()
 
 
-# (points across a pixel, place of the grid in steps, where) → what such a grid of points sees
-Look = Callable[[int, tuple[float, float], np.ndarray | None], Surface]
-
-
 class ViewLight:
-    """Direct light of the views that a studio shows, one after the other.
+    """Direct light of the views that a studio shows, one after the other."""
 
-    look  as the studio's view is when it is called
-    """
-
-    def __init__(self, look: Look):
-        self._look = look
+    def __init__(self) -> None:
         self._closed_forms = DirectLights()
         # of the view that was seen last, by points across a pixel and place of the grid
         self.grids: dict[tuple[int, tuple[float, float]], Grid] = {}
         self._grids_of: tuple[float, Camera] | None = None
+        # of the shape
+        self._rays: ShadowRays | None = None
+        self._points: SeenPoints | None = None
+
+    def set_shape(self, mesh: Mesh) -> None:
+        """Set the shape that is shown."""
+        tree = RayTree(mesh.vertices.astype(np.float32), mesh.faces)
+        self._rays, self._points = ShadowRays(tree), SeenPoints(mesh, tree)
+        self.forget_grids()
 
     def forget_grids(self) -> None:
         """Forget what points have seen of the view."""
@@ -94,19 +100,14 @@ class ViewLight:
             return []
         return [self._closed_forms.of(each, view.light, view.lens) for each in view.mixtures]
 
-    def work(
-        self, view: ShownView, points: int, surface: Callable[[Camera], Surface]
-    ) -> DirectWork | None:
-        """Return the work of `picture` with so many points per pixel; None if it does not hold.
-
-        surface  returns what the rays through the pixels' centres meet
-        """
+    def work(self, view: ShownView, points: int) -> DirectWork | None:
+        """Return the work of `picture` with so many points per pixel; None if it does not hold."""
         direct = self.closed_forms(view)
         at = points_of(direct, view.lens, points) if direct else None
         if at is None:
             return None
         maps = sum(each.map_size for each in dict.fromkeys(direct))
-        return DirectWork(at.per_pixel, leaning_share(surface(view.lens)), maps)
+        return DirectWork(at.per_pixel, leaning_share(view.centres()), maps)
 
     def picture(
         self,
@@ -130,7 +131,6 @@ class ViewLight:
     def share(
         self,
         view: ShownView,
-        rays: ShadowRays,
         points: int,
         each: int,
         seed: int,
@@ -145,12 +145,12 @@ class ViewLight:
         """
         direct = self.closed_forms(view)
         at = points_of(direct, view.lens, points, where) if direct else None
-        if at is None:
+        if at is None or self._rays is None:
             return None
         grids = self._grids_at(view, at, where)
         if len(grids) > 1:
             grids, at = grids[half::2], at._replace(shifts=at.shifts[half::2])
-        return rays.share(direct, grids, view.lens, view.azimuth, at, each, seed, where)
+        return self._rays.share(direct, grids, view.lens, view.azimuth, at, each, seed, where)
 
     def _grids_at(self, view: ShownView, at: Points, where: np.ndarray | None) -> list[Surface]:
         """Return what grids of points see in `where`; as many as MOST_KEPT allows are kept."""
@@ -161,10 +161,23 @@ class ViewLight:
         for shift in at.shifts:
             grid = self.grids.get((at.across, shift))
             if grid is None or not grid.covers(where):
-                grid = Grid(where, self._look(at.across, shift, where))
+                grid = Grid(where, self._look(view, at.across, shift, where))
                 self.grids.pop((at.across, shift), None)
                 kept = sum(len(each.surface.depth) for each in self.grids.values())
                 if kept + len(grid.surface.depth) <= MOST_KEPT:
                     self.grids[at.across, shift] = grid
             result.append(grid.surface)
         return result
+
+    def _look(
+        self,
+        view: ShownView,
+        across: int,
+        shift: tuple[float, float],
+        where: np.ndarray | None,
+    ) -> Surface:
+        """Return what a grid of points sees; arguments as SeenPoints.look takes them."""
+        if view.lens.pixel == "centre":  # the geometry that is published
+            return view.centres()
+        assert self._points is not None  # there is a shape
+        return self._points.look(view.lens, view.azimuth, across, shift, where)

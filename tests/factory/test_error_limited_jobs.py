@@ -8,7 +8,7 @@ import pytest
 from factory.commands import render as command
 from factory.commands.plan import describe
 from factory.planning.fingerprint import render_fingerprint
-from factory.render.estimators import attempt
+from factory.render.estimators import plans
 from factory.render.estimators import rules as estimator_rules
 from manifests.cli import main
 from manifests.store import Store
@@ -83,7 +83,7 @@ def test_a_picture_that_does_not_keep_its_limit_is_kept_and_noted(render, limite
     )
     assert (outcome.made, outcome.failed) == (1, 0)
     (record,) = Store(tmp_path).records()
-    assert record.samples == 2 * attempt.MOST_SAMPLES == 4096
+    assert record.samples == 2 * plans.MOST_SAMPLES == 4096
     assert record.accuracy.estimated > record.accuracy.requested == 1e-4
     (note,) = notes
     assert note.startswith(f"{record.id}: its error is about") and "4096 samples" in note

@@ -12,6 +12,7 @@ from factory.render.estimators import (
     denoised,
     halves,
     path_tracing,
+    plans,
     ratio,
     rules,
     shadow_rays,
@@ -202,10 +203,12 @@ def test_a_try_of_the_denoiser_says_what_the_next_one_needs():
         attempt = attempts.Attempt(shown(Known(noise=0.8, bias=bias)), 20.0, choice.ALL)
         scales.append(attempt.scale)
         attempt.error = 1e-6  # no try is kept
-        assert attempt.run(attempts.Plan(0.0, denoised.NAME, 8)) is None
+        assert attempt.run(plans.Plan(0.0, denoised.NAME, 8)) is None
         attempt.error, attempt.now = 20.0, attempt.halves.estimate()
         scales.append(attempt.scale)
-        samples.append(next(p.samples for p in attempt.plans() if p.estimator == denoised.NAME))
+        samples.append(
+            next(p.samples for p in plans.plans_of(attempt) if p.estimator == denoised.NAME)
+        )
     assert scales[1] > scales[0] == scales[2] > scales[3]
     assert samples[0] > 1.5 * samples[1]
 
@@ -215,7 +218,7 @@ def test_a_few_samples_are_not_trusted_to_plan_many(estimator):
     known = Rays(noise=1.5, deepest=0.8)
     attempt = attempts.Attempt(shown(known), 20.0, choice.ALL)
     attempt.direct = known.direct_light()
-    attempt.run(attempts.Plan(0.0, estimator, 2000))
+    attempt.run(plans.Plan(0.0, estimator, 2000))
     assert attempt.halves.samples == attempts.GROWTH * attempts.PILOT
 
 
@@ -249,7 +252,7 @@ def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
 
 def _plans_with_direct_light(attempt):
     attempt.direct = Shaded().direct_light()
-    return attempt.plans()
+    return plans.plans_of(attempt)
 
 
 def test_direct_lights_error_as_the_picture_is_estimated_from_few_samples():
@@ -381,7 +384,7 @@ def test_the_ratio_asks_for_enough_samples_to_show_that_its_error_is_kept():
     # the same noise by twice the samples is twice as much for one
     assert ratio.needed_samples(200.0, 8, scale, 6.0, direct) > 1.8 * many
     # less than the closed form's own error is never reached
-    assert ratio.needed_samples(200.0, 4, scale, 0.45, direct) > attempts.MOST_SAMPLES
+    assert ratio.needed_samples(200.0, 4, scale, 0.45, direct) > plans.MOST_SAMPLES
     # without bias the noise decides
     alone = ratio.needed_samples(200.0, 4, 0.0, 6.0, lambda samples: Estimate(0.0, 0.0))
     assert alone == ratio.LEAST
@@ -428,10 +431,10 @@ def test_the_ratios_law_goes_by_what_a_try_has_shown():
     attempt.direct, attempt.blocked = known.direct_light(), Estimate(50.0, 1.0)
     before = attempt.ratio_scale
     attempt.halves.unblocked_pictures()  # by the same portions, so that the noise is common
-    assert attempt.run(attempts.Plan(0.0, ratio.NAME, 8)) is None
+    assert attempt.run(plans.Plan(0.0, ratio.NAME, 8)) is None
     assert attempt.ratio_scale != before and attempt.left < 1
     attempt.error, attempt.now = 20.0, attempt.halves.estimate()
-    plan = attempt._ratio_plan()
+    plan = plans._ratio_plan(attempt)
     assert plan.samples >= 0.2 * attempt.halves.samples  # no try is repeated
 
 
@@ -694,7 +697,7 @@ def test_the_error_of_a_closed_form_in_direct_light_is_part_of_the_ratios():
         attempt = attempts.Attempt(shown(known), 60.0, choice.ALL)
         assert attempt.try_closed_form() is None or closed
         attempt.direct = known.direct_light()
-        made = attempt.run(attempts.Plan(0.0, ratio.NAME, 64))
+        made = attempt.run(plans.Plan(0.0, ratio.NAME, 64))
         assert made is not None and made.estimator == ratio.NAME
         estimates.append(made.estimated.error)
     off = error(known.truth * np.float32(1.03), known)

@@ -195,9 +195,9 @@ def test_what_grids_of_points_see_is_looked_at_once_for_each_view(chair, monkeyp
 
     look, seen = chair._direct_light._look, []
 
-    def counted(across, shift, where):
+    def counted(view, across, shift, where):
         seen.append((across, None if where is None else int(where.sum())))
-        return look(across, shift, where)
+        return look(view, across, shift, where)
 
     monkeypatch.setattr(chair._direct_light, "_look", counted)
     chair.forget_grids()
@@ -285,9 +285,9 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
 
     lens, look, scales = chair._lens, chair._direct_light._look, []
 
-    def counted(across, shift, where):
+    def counted(view, across, shift, where):
         scales.append(across)
-        return look(across, shift, where)
+        return look(view, across, shift, where)
 
     def glossy(alpha):
         chair.set_materials([Mixture.constant("ggx", alpha, [0.5] * 3)] * len(chair._mixtures))

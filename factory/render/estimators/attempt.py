@@ -1,9 +1,9 @@
-"""One shot's way to its limit: the samples so far, what they say, and what may be done next.
+"""One shot's way to its limit: the samples so far, what they say, and what was tried.
 
-A pilot of a few samples of each half says how noisy the shot is. A plan names an estimator and the
-further samples that it needs by its model; the time of denoisers and closed forms counts as
-samples. Every try has all samples that were rendered so far, so that nothing that a failed one
-rendered is lost. Whatever is tried is accepted by its estimated error and bias alone.
+A pilot of a few samples of each half says how noisy the shot is. What is tried next is planned in
+factory.render.estimators.plans. Every try has all samples that were rendered so far, so that
+nothing that a failed one rendered is lost. Whatever is tried is accepted by its estimated error and
+bias alone.
 """
 
 from __future__ import annotations
@@ -26,22 +26,13 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.halves import Estimate, Halves
 from factory.render.estimators.picture import Picture
+from factory.render.estimators.plans import MOST_SAMPLES, Plan, is_direct_light_worth_asking
 from factory.render.estimators.renderer import DirectPicture, Shown
 from manifests.schema import Estimator
 from shaders import tone
 
 PILOT = 4  # samples of each half
-MOST_SAMPLES = 2048  # of each half
-MORE = 1.5  # times the samples of a try that failed, at least
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
-
-
-class Plan(NamedTuple):
-    """Further samples of each half for an estimator, and all that it costs, as such samples."""
-
-    cost: float
-    estimator: Estimator
-    samples: int
 
 
 class _Candidate(NamedTuple):
@@ -125,7 +116,7 @@ class Attempt:
 
     def try_closed_form(self) -> Picture | None:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
-        if not self.asked and self._is_worth_asking():
+        if not self.asked and is_direct_light_worth_asking(self):
             self.asked = True
             self.direct = self._compute_direct_light()
             if self.direct is not None:
@@ -178,121 +169,21 @@ class Attempt:
         measured = closed_form.measure_error(self.direct.radiance, unblocked, self.shown.mask)
         return closed_form.combine_with_expectation(measured, self.expected)
 
-    def _is_worth_asking(self) -> bool:
-        """Whether the closed form, and what it makes possible, costs less than the other plans."""
-        if not {closed_form.NAME, ratio.NAME, shadow_rays.NAME} & set(self.estimators):
-            return False
-        work = self.shown.renderer.direct_light_work(closed_form.POINTS)
-        if work is None:
-            return False
-        cost = closed_form.cost_in_samples(int(self.shown.mask.sum()), work)
-        least = min(self.plans()).cost
-        if least <= cost:
-            return False
-        if self.shown.tier == "direct":
-            return True
-        by_rays = self._shadow_rays_plan()
-        if by_rays is not None and by_rays.cost + cost < least:
-            return True
-        if self.blocked is None:
-            self.blocked = self.halves.error_of_direct_light()
-            self._measure_noise_left(self.halves.pictures)
-        if not blocked_light.is_too_much(self.blocked, self.error):
-            return True
-        by_ratio = self._ratio_plan()
-        return by_ratio is not None and by_ratio.cost + cost < least
-
-    def plans(self) -> list[Plan]:
-        """Return what may be done next; path tracing is always there."""
-        samples, error, tier = self.halves.samples, self.error, self.shown.tier
-        most = MOST_SAMPLES - samples
-        further = min(path_tracing.needed_samples(self.now, samples, error), MOST_SAMPLES) - samples
-        plans = [Plan(further, path_tracing.NAME, further)]
-        if self._may_try(denoised.NAME, denoised.MOST_TRIES):
-            count = denoised.needed_samples(self.now.noise_bound, samples, self.scale, error)
-            if tried := self.tried.get(denoised.NAME):
-                count = math.ceil(max(denoised.CAUTION * count, MORE * tried[1]))
-            further = max(count - samples, 0)
-            if further <= most:
-                cost = denoised.cost_in_samples(samples + further, tier)
-                plans.append(Plan(further + cost, denoised.NAME, further))
-        if self.direct is None:
-            return plans
-        if by_rays := self._shadow_rays_plan():
-            plans.append(by_rays)
-        by_ratio = tier != "direct" and self.blocked is not None
-        if (
-            by_ratio
-            and self._may_try(ratio.NAME, ratio.MOST_TRIES)
-            and (plan := self._ratio_plan())
-        ):
-            plans.append(plan)
-        is_hopeless = blocked_light.is_too_much(self.blocked, self.error)
-        if closed_form.NAME in self.tried and not is_hopeless:
-            total = closed_form.needed_samples(*self.tried[closed_form.NAME], error)
-            if total is not None and total <= MOST_SAMPLES:
-                plans.append(Plan(total - samples, closed_form.NAME, total - samples))
-        return plans
-
-    def _measure_noise_left(self, smooth: Sequence[np.ndarray]) -> None:
+    def measure_noise_left(self, smooth: Sequence[np.ndarray]) -> None:
         """Measure how much noise the ratio's unbiased pictures have; smooth: for the slope."""
         slope = self.halves.slope_map(smooth)
         self.left = ratio.share_of_noise_left(
             self.halves.pictures, self.halves.unblocked_pictures(), slope
         )
 
-    def _ratio_plan(self) -> Plan | None:
-        """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
-        if self.left > ratio.MOST_LEFT:
-            return None
-        halves, least = self.halves, ratio.LEAST
-        if ratio.NAME in self.tried:
-            least = math.ceil(MORE * self.tried[ratio.NAME][1])
-        noise = self.left * self.now.noise_bound
-        count = ratio.needed_samples(
-            noise, halves.samples, self.ratio_scale, self.error, self._direct_light_error, least
-        )
-        if count > MOST_SAMPLES:
-            return None
-        further = max(count - halves.samples, 0)
-        total = halves.samples + further
-        rendered = further + total - halves.unblocked_samples
-        cost = rendered + 2 * denoised.cost_in_samples(total, self.shown.tier)
-        return Plan(cost, ratio.NAME, further)
-
-    def _shadow_rays_plan(self) -> Plan | None:
-        """Return the plan of a picture by shadow rays that keeps the limit by its law, if any."""
-        name, halves, least = shadow_rays.NAME, self.halves, shadow_rays.LEAST
-        if self.shown.tier == "direct" or not self._may_try(name, shadow_rays.MOST_TRIES):
-            return None
-        if name in self.tried:
-            least = math.ceil(MORE * self.tried[name][1])
-        noise = halves.noise_of_indirect_light().noise_bound
-        count = shadow_rays.needed_samples(
-            noise,
-            halves.samples,
-            self.rays_scale,
-            self.error,
-            self._shadowed_error(),
-            halves.energy_of_indirect_light(),
-            least,
-        )
-        if count > MOST_SAMPLES:
-            return None
-        further = max(count - halves.samples, 0)
-        cost = 0.0 if self.shadowed else shadow_rays.cost_in_samples(int(self.shown.mask.sum()))
-        if self.shown.tier == "full":
-            cost += denoised.cost_in_samples(halves.samples + further, self.shown.tier)
-        return Plan(further + cost, name, further)
-
-    def _shadowed_error(self) -> Estimate:
+    def shadowed_error(self) -> Estimate:
         """Return what direct light with shadows is off by, as far as it is known."""
         expected = shadow_rays.expected_error(self.expected)
         if self.shadowed is None:
             return expected
         return self.shadowed.error(self.halves.traced_direct_pictures(), expected)
 
-    def _direct_light_error(self, samples: int) -> Estimate:
+    def direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""
         halves = self.halves
         if self.closed_direct is None:
@@ -304,9 +195,6 @@ class Attempt:
             )
         tried = halves.unblocked_samples
         return ratio.error_with_more_samples(self.closed_direct, self.expected, tried, samples)
-
-    def _may_try(self, name: Estimator, most: int) -> bool:
-        return name in self.estimators and self.tries.get(name, 0) < most
 
     def run(self, plan: Plan) -> Picture | None:
         """Render a plan's samples, and return the picture if it keeps the error."""
@@ -339,7 +227,7 @@ class Attempt:
         radiance, unblocked = self.direct.radiance, halves.unblocked_pictures()
         self.closed_direct = self._error_in_direct_light(unblocked)
         pairs = zip(smooth, halves.denoised_unblocked_pictures(), strict=True)
-        self._measure_noise_left(smooth)
+        self.measure_noise_left(smooth)
         by_ratio = _Candidate(
             ratio.NAME,
             [ratio.multiply_by_ratio(radiance, *pair) for pair in pairs],
@@ -418,7 +306,7 @@ class Attempt:
         plain = self.halves.estimate_denoised(blend.pair)
         if closed_form.is_surely_above(plain, self.error):
             return plain, bias
-        known = self._shadowed_error() if name == shadow_rays.NAME else self.closed_direct
+        known = self.shadowed_error() if name == shadow_rays.NAME else self.closed_direct
         assert known is not None
         uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
         error = max(blend.estimate.error, 0.0) + known.error

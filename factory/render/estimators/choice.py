@@ -2,7 +2,7 @@
 
 Of an object that cannot shade itself direct light is rendered, which costs less per sample and is
 the same. Then the estimator that needs the fewest further samples by its model is tried
-(factory.render.estimators.attempt), until the error is at most the limit.
+(factory.render.estimators.plans), until the error is at most the limit.
 """
 
 from dataclasses import replace
@@ -10,6 +10,7 @@ from dataclasses import replace
 from factory.render.estimators import closed_form, denoised, path_tracing, ratio, shadow_rays
 from factory.render.estimators.attempt import Attempt
 from factory.render.estimators.picture import Picture
+from factory.render.estimators.plans import plans_of
 from factory.render.estimators.renderer import Shown
 from manifests.schema import Estimator
 
@@ -27,7 +28,7 @@ def render_within_error(
 ) -> Picture:
     """Return a picture whose estimated error is at most `error` with 95 % confidence.
 
-    The estimate is larger if attempt.MOST_SAMPLES do not suffice.
+    The estimate is larger if plans.MOST_SAMPLES do not suffice.
 
     estimators  that may be chosen; "path-tracing" is always one of them
     """
@@ -37,6 +38,6 @@ def render_within_error(
     while not attempt.is_over:
         if made := attempt.try_closed_form():
             return made
-        if made := attempt.run(min(attempt.plans())):
+        if made := attempt.run(min(plans_of(attempt))):
             return made
     return attempt.path_traced_picture()

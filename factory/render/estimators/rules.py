@@ -12,6 +12,7 @@ from factory.render.estimators import (
     denoised,
     halves,
     path_tracing,
+    plans,
     ratio,
     shadow_rays,
 )
@@ -25,7 +26,7 @@ def identity() -> list[object]:
     from shaders import direct_light  # and numba, which takes half a second
 
     return [
-        ["choice", VERSION, attempt.PILOT, attempt.MOST_SAMPLES, attempt.GROWTH, attempt.MORE],
+        ["choice", VERSION, attempt.PILOT, plans.MOST_SAMPLES, attempt.GROWTH, plans.MORE],
         ["halves", halves.OWN, halves.CONFIDENCE, halves.CURVE],
         [path_tracing.NAME, path_tracing.AIM],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
