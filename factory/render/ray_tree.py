@@ -57,8 +57,8 @@ class RayTree:
         from factory.render import ray_kernels
 
         out = np.zeros(len(origins), bool)
-        starts, directions = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
-        ray_kernels.are_blocked(starts, directions, *self.arrays, out)
+        origins, towards = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
+        ray_kernels.are_blocked(origins, towards, *self.arrays, out)
         return out
 
     def look(self, origins: np.ndarray, towards: np.ndarray) -> Met:

@@ -84,8 +84,8 @@ class SeenPoints:
         x = (columns + 0.5 - width * across / 2 + shift[0]) * step
         y = (height * across / 2 - rows - 0.5 + shift[1]) * step
         away = 2.0 * self._tree.radius
-        starts = np.stack([x, y, np.full(len(x), away)], axis=1) @ rotation
-        met = self._tree.look(starts, -rotation[2])
+        origins = np.stack([x, y, np.full(len(x), away)], axis=1) @ rotation
+        met = self._tree.look(origins, -rotation[2])
         seen = met.face >= 0
         face, place = met.face[seen], met.place[seen]
         mask[rows[seen], columns[seen]] = True

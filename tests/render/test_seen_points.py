@@ -18,14 +18,14 @@ def test_rays_meet_first_what_is_nearest_of_all_triangles():
     centres = RNG.uniform(-1, 1, (300, 1, 3))
     corners = (centres + RNG.normal(size=(300, 3, 3)) * 0.2).astype(np.float32)
     vertices, faces = corners.reshape(-1, 3), np.arange(900).reshape(300, 3)
-    starts = RNG.uniform(-1, 1, (400, 3)) + np.array([0, 0, 4])
+    origins = RNG.uniform(-1, 1, (400, 3)) + np.array([0, 0, 4])
     towards = np.array([0.1, -0.2, -1])
     towards /= np.linalg.norm(towards)
-    met = RayTree(vertices, faces).look(starts, towards)
+    met = RayTree(vertices, faces).look(origins, towards)
     a, b, c = (corners[:, k].astype(float)[None] for k in range(3))
     normal = np.cross(b - a, c - a)
-    t = (normal * (a - starts[:, None])).sum(-1) / (normal @ towards)
-    at = starts[:, None] + t[..., None] * towards
+    t = (normal * (a - origins[:, None])).sum(-1) / (normal @ towards)
+    at = origins[:, None] + t[..., None] * towards
     inside = t > 0
     for one, other in ((a, b), (b, c), (c, a)):
         inside &= (np.cross(other - one, at - one) * normal).sum(-1) >= 0
@@ -38,7 +38,7 @@ def test_rays_meet_first_what_is_nearest_of_all_triangles():
     u, v = met.place[same].T
     first, second, third = (corners[met.face[same], k] for k in range(3))
     there = first + u[:, None] * (second - first) + v[:, None] * (third - first)
-    place = starts[same] + met.distance[same][:, None] * towards
+    place = origins[same] + met.distance[same][:, None] * towards
     np.testing.assert_allclose(there, place, atol=2e-4)
 
 
