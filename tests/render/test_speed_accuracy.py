@@ -261,6 +261,7 @@ def measuring(monkeypatch):
             "longer_scenes": 0,
             "most_samples": 256,
             "no_adaptive": True,
+            "families": [],
             "bias": False,
             "rounds": 1,
         }
@@ -302,6 +303,32 @@ def test_a_measurement_that_was_stopped_renders_no_scene_twice(measuring, tmp_pa
     options.reference = 16
     with pytest.raises(InputError, match=r"scenes/0\.json"):
         speed_accuracy.measure(options)
+
+
+def test_families_that_are_not_named_are_left_out_and_limits_are_not(
+    measuring, tmp_path, monkeypatch
+):
+    seen = []
+
+    def families_of(**changes):
+        options = measuring(lambda scene: None, scenes=1, tier="full", meshes=None, **changes)
+
+        def measured(stage, known, scene, options, longer):
+            seen.append({family for family, _ in known})
+            return []
+
+        monkeypatch.setattr(speed_accuracy, "measure_scene", measured)
+        speed_accuracy.measure(options)
+        return seen[-1]
+
+    every = families_of(out=tmp_path / "all")
+    assert every == set(settings.FAMILIES) - {f for f in settings.FAMILIES if "adaptive" in f}
+    assert families_of(out=tmp_path / "some", families=["ratio"]) == {
+        "ratio",
+        speed_accuracy_report.LIMIT,
+    }
+    with pytest.raises(InputError, match=r"scenes/0\.json"):  # measured under other options
+        families_of(out=tmp_path / "some", families=["denoised"])
 
 
 def test_scenes_of_files_are_reported_without_their_folder(measuring, tmp_path):

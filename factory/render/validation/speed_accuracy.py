@@ -5,6 +5,7 @@ python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --blenderproc PYTHON
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --bare-loop
 python -m factory.render.validation.speed_accuracy --scenes 24 --out DIR --rounds 2
+python -m factory.render.validation.speed_accuracy --scenes 8 --out DIR --families "shadow rays"
 
 A measurement that was stopped is continued by the same command, scene by scene. --rounds measures
 all times again, once the scenes are there, for machines on which they vary.
@@ -60,6 +61,7 @@ from factory.render.validation.scenes import (
 )
 from factory.render.validation.speed_accuracy_report import LIMIT, chart, report, summary
 from factory.render.validation.speed_accuracy_settings import (
+    FAMILIES,
     MOST,
     SMALLER_LIMITS,
     Method,
@@ -96,7 +98,13 @@ def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each scene and setting; scenes that DIR has already are not repeated."""
     stage = Stage(options.size, 1)
-    known = methods(stage.studio, not options.no_adaptive, options.most_samples)
+    known = {
+        (family, name): method
+        for (family, name), method in methods(
+            stage.studio, not options.no_adaptive, options.most_samples
+        ).items()
+        if family in (*options.families, LIMIT) or not options.families
+    }
     rows: dict[int, list[dict[str, Any]]] = {}
     for turn in range(1, options.rounds + 1):
         for number, scene in enumerate(scenes(options, stage.materials)):
@@ -159,6 +167,7 @@ def _condition(options: argparse.Namespace) -> dict[str, Any]:
         "peer": bool(options.blenderproc),
         "bare_loop": options.bare_loop,
         "adaptive": not options.no_adaptive,
+        "families": sorted(options.families),
         "bias": options.bias,
         "rules": rules.VERSION,
     }
@@ -281,6 +290,14 @@ def main() -> None:
     )
     parser.add_argument(
         "--no-adaptive", action="store_true", help="leave Cycles' adaptive sampling out"
+    )
+    parser.add_argument(
+        "--families",
+        nargs="+",
+        default=[],
+        choices=FAMILIES,
+        metavar="NAME",
+        help=f"of our settings, besides limits, those named: {', '.join(FAMILIES)} (default: all)",
     )
     parser.add_argument(
         "--most-samples",

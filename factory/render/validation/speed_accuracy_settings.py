@@ -37,6 +37,16 @@ from manifests.errors import InputError
 from manifests.files import write_json
 from manifests.schema import Tier
 
+FAMILIES = (
+    "path tracing",
+    "adaptive sampling",
+    "adaptive sampling, denoised",
+    "denoised",
+    "ratio",
+    "shadow rays",
+    CLOSED,
+    LIMIT,
+)
 SAMPLES = (4, 16, 64, 256, 1024)
 MOST = 256  # samples, unless more are requested
 RATIO_SAMPLES = (4, 16, 64)
