@@ -133,6 +133,15 @@ class LightBlocks:
         )
         return np.concatenate(every).astype(np.float32)
 
+    def listed_energies(self, rows: int) -> np.ndarray:
+        """Return the energies (T,) float32 of what `listed_patches` lists, mean of the channels.
+
+        Each direction is listed twice: in a block or as a lamp, and in a texel.
+        """
+        lights, near = self.lights(rows), self.detail(1)[2]
+        texels = near[:, 6:].mean(1).reshape(-1)
+        return np.concatenate([lights[6:].mean(0), texels]).astype(np.float32)
+
     def _brightest(self) -> np.ndarray:
         """Return the numbers of the texels that count as lamps."""
         _, solid_angle = envmap.directions(*self.light.shape[:2])

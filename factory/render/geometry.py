@@ -41,6 +41,8 @@ class Surface(NamedTuple):
     normals   (P, 3) float32, camera frame, as they are interpolated: they may lean away
     facets    (P, 3) normals of the facets, with n_z ≥ 0: they face a distant viewer
     depth     (P,) as in Geometry; segments (P,) uint8
+    lift      (P,) float32, how far the smooth surface that normals imply lies above the facet; 0
+              where it is not known
     """
 
     mask: np.ndarray
@@ -48,6 +50,7 @@ class Surface(NamedTuple):
     facets: np.ndarray
     depth: np.ndarray
     segments: np.ndarray
+    lift: np.ndarray
 
     def paste(self) -> points.Seen:
         """Return the surface in the frame of its mask."""
@@ -89,6 +92,7 @@ def surface_of(
         facets=facets,
         depth=passes["Depth"][inside][:, 0] - np.float32(camera.distance(lens)),
         segments=np.rint(emitted[:, 0]).astype(np.uint8),
+        lift=np.zeros(len(world), np.float32),
     )
 
 

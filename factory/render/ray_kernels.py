@@ -213,6 +213,9 @@ def cast(
     members: np.ndarray,
     origins: np.ndarray,
     facets: np.ndarray,
+    normals: np.ndarray,
+    lift: np.ndarray,
+    grazing: np.float32,
     margin: np.float32,
     pixels: np.ndarray,
     turns: np.ndarray,
@@ -223,19 +226,27 @@ def cast(
     first: np.ndarray,
     count: np.ndarray,
     triangles: np.ndarray,
+    energies: np.ndarray,
     arrived: np.ndarray,
     sent: np.ndarray,
 ) -> None:
     """Cast rays from points towards the light that they reflect, and add what arrives.
 
-    Directions are drawn in proportion to the luminance of what each would add to the picture.
+    Directions are drawn in proportion to the luminance of what each would add to the picture. Below
+    a facet that its normal leans from, they count as much as Cycles keeps of the light there
+    (shaders.direct_light_kernels.add_leaning). The density with which Cycles would draw a direction
+    by the closures is taken to be in proportion to what these reflect of it.
 
     light     (G, 3, T) what each patch of the light adds to the picture at each group's normal
+    energies  (T,) of the patches, mean of the channels
     patches   (T, 4) as `_direction` takes them
     order     (T,) of the patches, in which neighbours are near
     rotation  (3, 3) from the light's frame to that of the triangles
     firsts    (G + 1,) of each group's points in members (P,), which numbers points
-    origins, facets  (P, 3) of points, in the triangles' frame; facets are the surface's own normals
+    origins, facets, normals  (P, 3) of points, in the triangles' frame; facets are the surface's own
+              normals, from which the interpolated ones may lean
+    lift      (P,) along the normals to the smooth surface, from which rays begin that are at most
+              `grazing` (a cosine) above the facet; those further above it begin nearer
     margin    by which rays begin beside the surface
     pixels    (P,) of points; turns (P,): their numbers 0 … strata − 1 within the pixel
     strata    (pixels,) points of each pixel, which with `rays` each divide the light equally
@@ -243,6 +254,10 @@ def cast(
     """
     many = light.shape[2]
     cumulated = np.empty(many, np.float64)
+    solid = (patches[:, 0] - patches[:, 1]) * (patches[:, 3] - patches[:, 2])
+    whole = 0.0  # energy of each direction, once; patches of both sizes hold it
+    for t in range(many):
+        whole += energies[t] / 2
     waiting = np.empty(DEEPEST, np.int32)
     inverse = np.empty(3, np.float32)
     d = np.empty(3, np.float32)
@@ -256,6 +271,11 @@ def cast(
             cumulated[k] = total
         if total <= 0:
             continue
+        reflected = ZERO  # of light from everywhere
+        for t in range(many):
+            if energies[t] > 0:
+                every = light[g, 0, t] + light[g, 1, t] + light[g, 2, t]
+                reflected += every / (3 * energies[t]) * solid[t]
         for member in range(firsts[g], firsts[g + 1]):
             i = members[member]
             p = pixels[i]
@@ -272,15 +292,28 @@ def cast(
                 v = _unit(random)
                 _direction(patches[t], v, _unit(_hash(random + np.uint32(1))), rotation, d)
                 side = facets[i, 0] * d[0] + facets[i, 1] * d[1] + facets[i, 2] * d[2]
-                step = margin if side >= 0 else -margin
+                above = normals[i, 0] * d[0] + normals[i, 1] * d[1] + normals[i, 2] * d[2]
+                amount = ONE - side / grazing
+                if above < grazing:
+                    amount += ONE - above / grazing
+                up = min(max(amount, ZERO), ONE) * lift[i]
+                step = margin
+                if side < 0:  # what is lifted may meet its own facet
+                    step = ZERO if up > 2 * margin else -margin
                 for axis in range(3):
-                    o[axis] = origins[i, axis] + step * facets[i, axis]
+                    o[axis] = origins[i, axis] + step * facets[i, axis] + up * normals[i, axis]
                 luminance = ZERO
                 for c in range(3):
                     luminance += LUMINANCE[c] * light[g, c, t]
+                kept = ONE
+                if side < 0:
+                    every = light[g, 0, t] + light[g, 1, t] + light[g, 2, t]
+                    by_closures = every / (3 * energies[t]) / reflected
+                    by_light = energies[t] / (np.float32(whole) * solid[t])
+                    kept = by_light**2 / (by_closures**2 + by_light**2)
                 blocked = _is_blocked(o, d, inverse, boxes, first, count, triangles, waiting)
                 for c in range(3):
-                    weight = total * light[g, c, t] / luminance
+                    weight = kept * total * light[g, c, t] / luminance
                     sent[p, c] += weight
                     if not blocked:
                         arrived[p, c] += weight

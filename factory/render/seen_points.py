@@ -28,6 +28,11 @@ class SeenPoints:
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
         self._facets = across.astype(np.float32)
+        # (F, 3, 3): how far corner j lies above the plane through corner k that its normal has
+        rising = np.einsum(
+            "fkjc,fkc->fkj", corners[:, None, :] - corners[:, :, None], mesh.corner_normals
+        )
+        self._rising = rising.astype(np.float32)
 
     def look(
         self,
@@ -91,7 +96,8 @@ class SeenPoints:
         mask[rows[seen], columns[seen]] = True
         weights = np.stack([1 - place.sum(1), place[:, 0], place[:, 1]], axis=1)
         normals = np.einsum("pk,pkc->pc", weights, self._normals[face])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.maximum(lengths, 1e-12)
         turn = rotation.T.astype(np.float32)
         facets = self._facets[face] @ turn
         side = np.where(facets[:, 2:] < 0, np.float32(-1), np.float32(1))
@@ -101,4 +107,20 @@ class SeenPoints:
             np.ascontiguousarray(facets * side, np.float32),
             (met.distance[seen] - np.float32(away)).astype(np.float32),
             self._segment[face].astype(np.uint8),
+            _lift(self._rising[face] * side[:, :, None], weights) * lengths[:, 0],
         )
+
+
+def _lift(rising: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return how far smooth surfaces lie above their facets (P,), along the interpolated normal.
+
+    A parabola through the corners says it, half of which is taken, and no less than the least of
+    the planes that the corners' normals have, each above all corners: by this Cycles lifts what
+    shadow rays leave, so that coarse meshes do not shade themselves at their edges.
+
+    rising   (P, 3, 3) how far corner j lies above the plane of corner k
+    weights  (P, 3) of the corners at the points
+    """
+    pairs = np.einsum("pk,pj,pkj->p", weights, weights, rising)
+    planes = np.maximum(rising.max(2), 0) - np.einsum("pkj,pj->pk", rising, weights)
+    return np.maximum(np.maximum(planes, 0).min(1), -pairs / 2).astype(np.float32)

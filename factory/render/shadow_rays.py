@@ -27,6 +27,9 @@ from shaders import frames
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
+# cosine between facets and rays below which rays begin above smooth facets, as in Cycles
+# (shadow_terminator_geometry_offset)
+GRAZING = 0.1
 MARGIN = 1e-4  # by which rays begin beside the surface, in units of the object's radius
 # steps of x and y per unit, by the least α of the lobes: normals that are equal when they are
 # rounded to these share one evaluation of the light
@@ -108,8 +111,9 @@ class ShadowRays:
         patches = direct.blocks.listed_patches(ROWS)
         order = _in_order_of_neighbours(patches)
         object_from_light = (rotation.T @ direct.camera_from_light).astype(np.float32)
-        origins, facets = (
-            np.ascontiguousarray(each @ rotation, np.float32) for each in (at.places, at.facets)
+        origins, facets, smooth = (
+            np.ascontiguousarray(each @ rotation, np.float32)
+            for each in (at.places, at.facets, at.normals)
         )
         some = max(1, AT_ONCE // (3 * len(patches)))
         for begin in range(0, len(normals), some):
@@ -123,6 +127,9 @@ class ShadowRays:
                 members,
                 origins,
                 facets,
+                smooth,
+                at.lift,
+                np.float32(GRAZING),
                 self._margin,
                 at.pixels,
                 turns,
@@ -130,6 +137,7 @@ class ShadowRays:
                 rays,
                 seed,
                 *self._tree.arrays,
+                direct.blocks.listed_energies(ROWS),
                 arrived,
                 sent,
             )
@@ -138,7 +146,7 @@ class ShadowRays:
 class _PointsSeen(NamedTuple):
     """Points of a picture that lie on the object: pixels and segments (P,), and in the camera frame
 
-    places, normals and facets (P, 3).
+    places, normals and facets (P, 3); lift (P,) as of Surface.
     """
 
     pixels: np.ndarray
@@ -146,6 +154,7 @@ class _PointsSeen(NamedTuple):
     places: np.ndarray
     normals: np.ndarray
     facets: np.ndarray
+    lift: np.ndarray
 
 
 def _points_seen(
@@ -166,7 +175,16 @@ def _points_seen(
         )
         places = np.stack([x + rightwards * step, y + upwards * step, -grid.depth[kept]], axis=-1)
         pixels = rows // across * width + columns // across
-        result.append([pixels, grid.segments[kept], places, grid.normals[kept], grid.facets[kept]])
+        result.append(
+            [
+                pixels,
+                grid.segments[kept],
+                places,
+                grid.normals[kept],
+                grid.facets[kept],
+                grid.lift[kept],
+            ]
+        )
     return _PointsSeen(*(np.concatenate(each) for each in zip(*result, strict=True)))
 
 
