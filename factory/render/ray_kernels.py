@@ -243,8 +243,8 @@ def cast(
     order     (T,) of the patches, in which neighbours are near
     rotation  (3, 3) from the light's frame to that of the triangles
     firsts    (G + 1,) of each group's points in members (P,), which numbers points
-    origins, facets, normals  (P, 3) of points, in the triangles' frame; facets are the surface's own
-              normals, from which the interpolated ones may lean
+    origins, facets, normals  (P, 3) of points, in the triangles' frame; facets are the surface's
+              own normals, from which the interpolated ones may lean
     lift      (P,) along the normals to the smooth surface, from which rays begin that are at most
               `grazing` (a cosine) above the facet; those further above it begin nearer
     margin    by which rays begin beside the surface

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from factory.render.ray_tree import RayTree
-from factory.render.seen_points import SeenPoints
+from factory.render.seen_points import SeenPoints, _lift
 from factory.shapes.catalogue import load
 from manifests.schema import Camera
 
@@ -76,6 +76,7 @@ def test_points_see_what_cycles_shows(studio, shape):
     assert (ours.mask != theirs.mask).sum() <= 2
     both = ours.mask & theirs.mask
     assert both.sum() > 2000
+    assert ours.lift.min() >= 0 and ours.lift.max() > 1e-4
     for name, most in (("normals", 3e-3), ("facets", 3e-3), ("depth", 1e-3), ("segments", 0)):
         off = np.abs(pasted(ours, name) - pasted(theirs, name))[both].reshape(both.sum(), -1)
         assert (off.max(1) > most).mean() <= 0.003, name
@@ -106,3 +107,18 @@ def test_a_seam_of_two_triangles_has_no_holes():
     rows, columns = np.nonzero(surface.mask)
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
     assert min(height, width) > 100 and surface.mask.sum() == height * width
+
+
+def test_points_are_lifted_to_the_planes_that_touch_the_smooth_surface():
+    """Of a tube of twelve sides, whose planes at the ends of a chord meet above its middle."""
+    corners = np.array([[1, 0], [np.cos(np.pi / 6), np.sin(np.pi / 6)]])
+    vertices = np.array([[*corners[0], 0], [*corners[1], 0], [*corners[1], 1]])
+    normals = np.array([[*corners[0], 0], [*corners[1], 0], [*corners[1], 0]])
+    rising = np.einsum("kjc,kc->kj", vertices[None] - vertices[:, None], normals)[None]
+    middle = np.array([[0.5, 0.5, 0.0]])
+    height = (1 - np.cos(np.pi / 6)) / 2
+    assert _lift(rising, middle)[0] == pytest.approx(height, rel=1e-5)
+    assert _lift(rising, np.eye(3)[:1])[0] == pytest.approx(0, abs=1e-6)  # at a corner
+    # in a hollow, too: so far lies the rim above the plane at a corner, less what the middle does
+    assert _lift(-rising, middle)[0] == pytest.approx(height, rel=1e-5)
+    assert _lift(0 * rising, middle)[0] == 0  # flat

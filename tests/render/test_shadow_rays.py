@@ -8,6 +8,7 @@ from factory.render.ray_tree import RayTree
 from factory.render.shadow_rays import LEAST, ROWS
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
+from shaders import envmap
 from shaders.direct_light import DirectLight
 from shaders.mixture import Mixture
 
@@ -91,6 +92,15 @@ def test_a_share_of_two_rounds_is_that_of_all_their_rays():
     assert Share(np.zeros((1, 1, 3)), np.zeros((1, 1, 3))).factor == pytest.approx(1)
 
 
+def test_energies_of_listed_lights_are_those_of_the_map():
+    light = RNG.gamma(0.3, size=(64, 128, 3)).astype(np.float32)
+    blocks = DirectLight(Mixture.lambert((1, 1, 1)), light, np.eye(3)).blocks
+    energies = blocks.listed_energies(ROWS)
+    assert len(energies) == len(blocks.listed_patches(ROWS))
+    total = float((light.mean(-1) * envmap.directions(64, 128)[1]).sum())
+    assert energies.sum() == pytest.approx(2 * total, rel=1e-4)  # blocks and lamps, and texels
+
+
 def wall_and_floor():
     """A floor in the plane z = 0 and a wall upon it that faces +y, as a mesh of the factory."""
     from factory.shapes.mesh import finish
@@ -127,6 +137,44 @@ def test_direct_light_times_the_share_is_what_cycles_shows(studio, material):
     assert abs(shadowed[mask].mean() - cycles[mask].mean()) < 0.05 * blocked
     off = np.abs(shadowed - cycles)[mask].mean()
     assert off < 0.15 * np.abs(direct.radiance - cycles)[mask].mean()
+
+
+def tube():
+    """An upright tube of ten sides whose normals are those of a round one."""
+    from factory.shapes.mesh import finish
+
+    turn = 2 * np.pi * np.arange(10) / 10
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    low, high = (np.c_[ring, np.full(10, z)] for z in (-1.0, 1.0))
+    k, after = np.arange(10), (np.arange(10) + 1) % 10
+    faces = np.concatenate([np.c_[k, after, after + 10], np.c_[k, after + 10, k + 10]])
+    caps = [[0, i + 1, i] for i in range(1, 9)] + [[10, 10 + i, 11 + i] for i in range(1, 9)]
+    faces = np.concatenate([faces, caps])
+    return finish("tube", "test", np.concatenate([low, high]), faces, crease_deg=60.0)
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("material", ["matte", "black-oxidized-steel"])
+def test_coarse_smooth_meshes_do_not_shade_themselves_at_their_edges(studio, material):
+    """Nor do they in Cycles, which lifts what shadow rays leave to the smooth surface."""
+    light = np.full((64, 128, 3), 0.05, np.float32)
+    light[28:36, 112:120] = 5.0  # from the side, so that it grazes facets
+    mixture = (
+        Mixture.lambert((0.6, 0.5, 0.4))
+        if material == "matte"
+        else load_catalogue()[material].mixture
+    )
+    studio.set_camera(Camera(size=(40, 40), elevation_deg=10.0))
+    studio.set_shape(tube())
+    studio.set_light(light, 0)
+    studio.set_materials([mixture])
+    studio.set_view(0.2)
+    mask = studio.geometry().mask
+    direct, shadow = (studio.picture(128, 7, tier)[0] for tier in ("direct", "shadow"))
+    assert shadow[mask].mean() == pytest.approx(direct[mask].mean(), rel=1e-3)
+    factor = studio.visible_share(64, 4, 1, 0).factor
+    arrived = (direct * factor)[mask].mean() / direct[mask].mean()
+    assert arrived == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.blender
