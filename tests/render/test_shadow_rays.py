@@ -101,6 +101,46 @@ def test_energies_of_listed_lights_are_those_of_the_map():
     assert energies.sum() == pytest.approx(2 * total, rel=1e-4)  # blocks and lamps, and texels
 
 
+@pytest.mark.parametrize(("elsewhere", "least", "most"), [(0.0, 0.79, 0.81), (1e4, 0.0, 0.01)])
+def test_below_a_facet_light_counts_that_cycles_finds_by_the_light(elsewhere, least, most):
+    """Directions below it are drawn by the light twice as densely as by the closures, or hardly."""
+    from factory.render import ray_kernels
+
+    # cosines of polar angles and azimuths in a frame whose y is the axis: above, below, elsewhere
+    patches = np.array([[0.6, 0.5, 0, 0.1], [-0.5, -0.6, 0, 0.1], [0.1, -0.1, 3, 3.1]], np.float32)
+    reflected = np.array([[[1.0, 1.0, 0.0]] * 3], np.float32)
+    energies = np.array([1, 1, elsewhere], np.float32)  # all of which are listed twice otherwise
+    one, up = np.ones(1, np.int64), np.array([[0, 1, 0]], np.float32)
+    far = np.array([[9, 9, 9], [9, 9.1, 9], [9.1, 9, 9]], np.float32)
+    arrived, sent = np.zeros((2, 1, 3))
+    ray_kernels.cast(
+        reflected,
+        patches,
+        np.arange(3),
+        np.eye(3, dtype=np.float32),
+        np.array([0, 1]),
+        0 * one,
+        0 * up,
+        up,
+        np.array([[0.6, 0.8, 0]], np.float32),
+        np.zeros(1, np.float32),
+        np.float32(0.1),
+        np.float32(1e-4),
+        0 * one,
+        0 * one,
+        one,
+        4096,
+        1,
+        *RayTree(far, np.arange(3)[None]).arrays,
+        energies,
+        arrived,
+        sent,
+    )
+    assert arrived == pytest.approx(sent)  # nothing is in the way
+    kept = sent[0] / 4096 - 1  # half of the rays go above the facet
+    assert (kept >= least).all() and (kept <= most).all()
+
+
 def wall_and_floor():
     """A floor in the plane z = 0 and a wall upon it that faces +y, as a mesh of the factory."""
     from factory.shapes.mesh import finish
