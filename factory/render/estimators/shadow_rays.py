@@ -9,9 +9,8 @@ bias      of the denoiser, on indirect light alone: the estimate contains it, an
           noisy one (`blends`) keeps it small. That of shadowed direct light is added: it is
           measured by the halves' direct light, and by what is expected before (`EXPECTED`)
 cost      the closed form, and the rays, which are cast again where the halves differ
-fails     shadows in mirror-like reflections narrower than shadow_rays.LEAST, which are blurred, and
-          coarse meshes whose interpolated normals lean from their facets, where Cycles starts
-          its rays elsewhere. The halves' direct light shows either as well as its noise allows
+fails     shadows in mirror-like reflections narrower than shadow_rays.LEAST, which are blurred. The
+          halves' direct light shows it as well as its noise allows
 """
 
 from __future__ import annotations
