@@ -36,6 +36,8 @@ MARGIN = 1e-4  # by which rays begin beside the surface, in units of the object'
 STEPS = ((0.1, 16), (0.0, 32))
 ROWS = 32  # of blocks of the light, of which wide lobes reflect each as one light
 LEAST = 0.02  # α of lobes: half a texel's width of half vectors
+SAMPLES = 48  # of each narrow lobe at a normal, for what lobes narrower than that reflect
+MOST_SCALE = 100.0  # by which it is more than what the wider ones do
 AT_ONCE = 1 << 19  # numbers of evaluated light in memory, 2 MB
 
 
@@ -119,7 +121,7 @@ class ShadowRays:
         for begin in range(0, len(normals), some):
             part = normals[begin : begin + some].astype(np.float32)
             ray_kernels.cast(
-                direct.each_light(part, ROWS, LEAST),
+                _listed_light(direct, part),
                 patches,
                 order,
                 object_from_light,
@@ -141,6 +143,25 @@ class ShadowRays:
                 arrived,
                 sent,
             )
+
+
+def _listed_light(direct: DirectLight, n: np.ndarray) -> np.ndarray:
+    """Return what a mixture reflects of each listed light at normals (P, 3): (P, 3, T) float32.
+
+    Lobes narrower than LEAST are spread, and would see a light's surroundings in place of the light
+    itself. What they reflect is scaled to what they reflect without that, which on a flat face is
+    another share of its light.
+    """
+    listed = direct.each_light(n, ROWS, LEAST)
+    if direct.narrowest >= LEAST:
+        return listed
+    first = direct.blocks.lights(ROWS).shape[1]  # of those that narrow lobes reflect
+    spread = listed[..., first:].sum(-1)
+    exact = direct.at(n, SAMPLES, misdirected=False) - listed[..., :first].sum(-1)
+    scale = np.ones_like(spread)
+    np.divide(exact, spread, out=scale, where=spread > 0)
+    listed[..., first:] *= np.clip(scale, 0, MOST_SCALE)[..., None]
+    return listed
 
 
 class _PointsSeen(NamedTuple):

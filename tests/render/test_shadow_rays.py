@@ -5,7 +5,7 @@ import pytest
 
 from factory.render.estimators.renderer import Share
 from factory.render.ray_tree import RayTree
-from factory.render.shadow_rays import LEAST, ROWS
+from factory.render.shadow_rays import LEAST, ROWS, _listed_light
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
 from shaders import envmap
@@ -69,6 +69,20 @@ def test_listed_lights_add_up_to_direct_light(name):
     assert listed.shape[2] == len(direct.blocks.listed_patches(ROWS))
     assert (listed >= 0).all()
     np.testing.assert_allclose(listed.sum(2).mean(0), direct.at(n).mean(0), rtol=0.05)
+
+
+@pytest.mark.parametrize("alpha", [0.004, 0.05])
+def test_listed_lights_of_one_normal_add_up_whatever_a_mirror_shows(alpha):
+    """On a flat face all points show the same of the light, which no other normal makes up for."""
+    light = RNG.gamma(0.3, size=(64, 128, 3)).astype(np.float32)
+    mixture = Mixture.constant("beckmann", alpha, [0.5] * 3)
+    direct = DirectLight(mixture, light, np.eye(3), misdirected=False)
+    n = np.array([[0, 0, 1], [0.3, 0.1, 0.95], [-0.2, 0.5, 0.84]], np.float32)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    exact = direct.at(n, 64)
+    np.testing.assert_allclose(_listed_light(direct, n).sum(2), exact, rtol=0.1)
+    spread = direct.each_light(n, ROWS, LEAST).sum(2)
+    assert (np.abs(spread / exact - 1).max() > 0.3) == (alpha < LEAST)
 
 
 def test_patches_hold_the_directions_of_their_lights():

@@ -53,7 +53,7 @@ def identity() -> list[object]:
             shadow_rays.MOST_LOST,
         ],
         [shadow_rays.MOST_TRIES, shadow_rays.LEAST, shadow_rays.GROUPS, shadow_rays.RAYS],
-        [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS, rays.LEAST],
+        [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS, rays.LEAST, rays.SAMPLES],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],
