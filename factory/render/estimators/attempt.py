@@ -178,10 +178,15 @@ class Attempt:
 
     def shadowed_error(self) -> Estimate:
         """Return what direct light with shadows is off by, as far as it is known."""
-        expected = shadow_rays.expected_error(self.expected)
+        expected = self._expected_by_rays()
         if self.shadowed is None:
             return expected
         return self.shadowed.error(self.halves.traced_direct_pictures(), expected)
+
+    def _expected_by_rays(self) -> Estimate:
+        """Return the same before samples have measured it."""
+        sampled = self.direct is not None and self.direct.sampled
+        return shadow_rays.expected_error(self.expected, sampled)
 
     def direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""
@@ -252,7 +257,7 @@ class Attempt:
             self.rays_scale,
             halves.samples,
             self.error,
-            shadow_rays.expected_error(self.expected),
+            self._expected_by_rays(),
         )
         return _Candidate(shadow_rays.NAME, smooth, predicted, noisy)
 

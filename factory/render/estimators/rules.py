@@ -48,6 +48,8 @@ def identity() -> list[object]:
             shadow_rays.MOST_RAYS,
             shadow_rays.EXPECTED.error,
             shadow_rays.EXPECTED.standard_error,
+            shadow_rays.BLURRED.error,
+            shadow_rays.BLURRED.standard_error,
             shadow_rays.SCALE,
             shadow_rays.POWER,
             shadow_rays.MOST_LOST,

@@ -41,8 +41,8 @@ ROUNDS = 3
 MOST_POINTS = 1 << 21  # of all pixels that have further ones
 MOST_RAYS = 16  # from each of the most points
 # what shadowed direct light is off by besides the closed form's own error, and by how much that
-# differs between shots
-EXPECTED = Estimate(0.15, 0.3)
+# differs between shots; the second is of lobes that are sampled, whose reflections are blurred
+EXPECTED, BLURRED = Estimate(0.15, 0.3), Estimate(1.0, 1.0)
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
 MOST_TRIES = 3
@@ -57,13 +57,15 @@ def cost_in_samples(pixels: int) -> float:
     return RAYS + GROUPS / max(pixels, 1)
 
 
-def expected_error(direct: Estimate) -> Estimate:
+def expected_error(direct: Estimate, sampled: bool) -> Estimate:
     """Return what shadowed direct light is off by, before samples have measured it.
 
-    direct  what the closed form is off by in the tier `direct`
+    direct   what the closed form is off by in the tier `direct`
+    sampled  whether lobes are so narrow that they are sampled
     """
-    spread = math.hypot(direct.standard_error, EXPECTED.standard_error)
-    return Estimate(direct.error + EXPECTED.error, spread)
+    rays = BLURRED if sampled else EXPECTED
+    spread = math.hypot(direct.standard_error, rays.standard_error)
+    return Estimate(direct.error + rays.error, spread)
 
 
 def expected_scale(pixels: int) -> float:
