@@ -59,7 +59,7 @@ class SeenPoints:
         some = max(1, AT_ONCE // across**2)
         parts = [
             self._part(lens, rotation, across, shift, pixels[k : k + some], inside, mask)
-            for k in range(0, len(pixels), some)
+            for k in range(0, max(len(pixels), 1), some)
         ]
         # in the order of the grid's rows, as masks have it
         values = [np.concatenate(each) for each in zip(*parts, strict=True)]
@@ -114,9 +114,10 @@ class SeenPoints:
 def _lift(rising: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return how far smooth surfaces lie above their facets (P,), along the interpolated normal.
 
-    A parabola through the corners says it, half of which is taken, and no less than the least of
-    the planes that the corners' normals have, each above all corners: by this Cycles lifts what
-    shadow rays leave, so that coarse meshes do not shade themselves at their edges.
+    It is half of the height of a parabola through the corners, and at least that of the lowest of
+    three planes: those that the corners' normals have, raised until no corner is above them. By
+    this Cycles lifts the origins of shadow rays, so that coarse meshes do not shade themselves at
+    their edges (shadow_terminator_geometry_offset).
 
     rising   (P, 3, 3) how far corner j lies above the plane of corner k
     weights  (P, 3) of the corners at the points

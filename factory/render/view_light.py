@@ -31,7 +31,7 @@ from shaders.mixture import Mixture
 if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
-MOST_KEPT = 1 << 23  # points on the object whose normals are kept, of 29 bytes each
+MOST_KEPT = 1 << 23  # points on the object whose normals are kept, of 33 bytes each
 
 
 class ShownView(NamedTuple):

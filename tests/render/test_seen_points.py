@@ -95,6 +95,14 @@ def test_pixels_that_are_named_see_the_same_as_all():
         np.testing.assert_array_equal(ours, theirs[fine[every.mask]])
 
 
+def test_no_pixels_see_nothing():
+    mesh = load("cube")
+    seen = SeenPoints(mesh, RayTree(mesh.vertices.astype(np.float32), mesh.faces))
+    lens = Camera(size=(SIZE, SIZE))
+    surface = seen.look(lens, 0.0, 4, (0.0, 0.0), np.zeros(lens.size, bool))
+    assert not surface.mask.any() and surface.normals.shape == (0, 3)
+
+
 def test_a_seam_of_two_triangles_has_no_holes():
     """Points of a grid lie on the diagonal of a square that fills the frame."""
     from factory.shapes.mesh import finish
