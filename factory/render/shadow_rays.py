@@ -16,15 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from factory.render import camera
-from factory.render.direct_light import Points
 from factory.render.estimators.renderer import Share
-from factory.render.geometry import Surface
 from factory.render.ray_tree import RayTree
 from manifests.schema import Camera
 from shaders import frames
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # Blender is not needed for the constants, which are part of fingerprints
+    from factory.render.direct_light import Points
+    from factory.render.geometry import Surface
     from shaders.direct_light import DirectLight
 
 # cosine between facets and rays below which rays begin above smooth facets, as in Cycles
@@ -53,7 +52,7 @@ class ShadowRays:
         direct: Sequence[DirectLight],
         grids: Sequence[Surface],
         lens: Camera,
-        azimuth: float,
+        rotation: np.ndarray,
         points: Points,
         rays: int,
         seed: int,
@@ -63,13 +62,12 @@ class ShadowRays:
 
         direct   of the segments' materials, in the order of their ids
         grids    the surface at the points of each of the grids of `points`
-        azimuth  of the view, radians
+        rotation (3, 3) from the object's frame to the camera's
         seed     of the directions
         where    (height, width) bool, the pixels that rays are cast for; None: all
         """
         height, width = lens.size
         at = _points_seen(grids, lens, points, where)
-        rotation = camera.camera_from_object(azimuth, lens)
         arrived, sent = np.zeros((2, height * width, 3))
         # numbers of the points within their pixels
         order = np.argsort(at.pixels, kind="stable")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from factory.render import camera
 from factory.render.direct_light import (
     DirectLights,
     Points,
@@ -150,7 +151,8 @@ class ViewLight:
         grids = self._grids_at(view, at, where)
         if len(grids) > 1:
             grids, at = grids[half::2], at._replace(shifts=at.shifts[half::2])
-        return self._rays.share(direct, grids, view.lens, view.azimuth, at, each, seed, where)
+        rotation = camera.camera_from_object(view.azimuth, view.lens)
+        return self._rays.share(direct, grids, view.lens, rotation, at, each, seed, where)
 
     def _grids_at(self, view: ShownView, at: Points, where: np.ndarray | None) -> list[Surface]:
         """Return what grids of points see in `where`; as many as MOST_KEPT allows are kept."""

@@ -610,6 +610,18 @@ def test_direct_light_is_rendered_of_what_cannot_shade_itself():
     assert choice.render_within_error(shown(other), 20.0).traced == "full"
 
 
+def test_rules_are_known_without_blender():
+    """Training and planning read fingerprints, and Blender leaves files in the home folder."""
+    import subprocess
+    import sys
+
+    script = (
+        "import sys\nfrom factory.render.estimators import choice, rules\nrules.identity()\n"
+        "assert 'bpy' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
 def test_constants_of_direct_light_are_part_of_the_fingerprint(monkeypatch):
     import json
 
