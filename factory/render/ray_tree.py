@@ -66,7 +66,7 @@ class RayTree:
         from factory.render import ray_kernels
 
         met, places = np.empty(len(origins), np.int32), np.zeros((len(origins), 3), np.float32)
-        start, direction = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
-        ray_kernels.look(start, direction, *self.arrays, met, places)
+        origins, towards = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
+        ray_kernels.look(origins, towards, *self.arrays, met, places)
         order = self._order_and_arrays[0]
         return Met(np.where(met < 0, -1, order[met]), places[:, 0], places[:, 1:])
