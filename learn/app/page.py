@@ -8,7 +8,9 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -45,6 +47,23 @@ def serve(
     wait   whether to return only when the server is ended, by Ctrl-C or a signal that ends programs
     Raises InputError: the port is taken
     """
+    if not wait:
+        return _launch(weights, device, host, port, open_browser)
+    with _ended_by_signals() as ended:  # at any moment a signal would leave the folder behind
+        address, end = _launch(weights, device, host, port, open_browser)
+        try:
+            print(f"Open {address} in a browser. Ctrl+C ends the server.", flush=True)
+            while not ended.wait(0.5):
+                pass
+        finally:
+            end()
+    return address, end
+
+
+def _launch(
+    weights: Path, device: str, host: str, port: int | None, open_browser: bool
+) -> tuple[str, Callable[[], None]]:
+    """Start the server; the arguments and the result are those of `serve`."""
     folder = Path(tempfile.mkdtemp(prefix="brdfactory-app-"))
     os.environ["GRADIO_TEMP_DIR"] = str(folder / "sent")
     sessions = Sessions(folder, Network(weights, device))
@@ -77,22 +96,33 @@ def serve(
     except OSError as error:
         end()
         raise InputError("--port", "a free port", str(error), "leave --port out") from None
-    if wait:
-        # kill, a service's stop or a closed terminal: without this, users' photographs would stay
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _interrupt)
-        print(f"Open {address} in a browser. Ctrl+C ends the server.", flush=True)
-        try:
-            blocks.block_thread()
-        finally:
-            end()
     return address, end
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """End the server as Ctrl-C does; the handler of a signal."""
-    raise KeyboardInterrupt
+@contextmanager
+def _ended_by_signals() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C, `kill`, services that stop and terminals that close set.
+
+    Their signals interrupt nothing: an exception could be raised anywhere, also while users'
+    photographs are deleted. Terminals that close often send two.
+    """
+    ended = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.set()
+
+    earlier = {
+        number: signal.getsignal(number)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+    }
+    for number in earlier:
+        signal.signal(number, end)
+    try:
+        yield ended
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
 
 
 def page(sessions: Sessions) -> gr.Blocks:

@@ -5,6 +5,8 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +23,7 @@ from manifests.errors import InputError
 from tests.support.known_ball import Knowing, ball, label_of
 
 gr = pytest.importorskip("gradio", reason="gradio is not installed (extra app)")
+from learn.app import page  # noqa: E402
 from learn.app.download_tab import DownloadTab  # noqa: E402
 from learn.app.edit_controls import FIRST, painting, share_of  # noqa: E402
 from learn.app.edit_view import UNCHANGED, exact_view, quick_view  # noqa: E402
@@ -162,11 +165,11 @@ def test_the_tab_key_stops_at_one_material() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_ends_the_server_deletes_what_was_sent(
     tmp_path: Path, number: signal.Signals
 ) -> None:
-    """SIGTERM comes from `kill` and from services that stop, SIGHUP from a terminal that closes."""
+    """SIGINT comes from Ctrl-C, SIGTERM from services that stop, SIGHUP from closed terminals."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     words = [sys.executable, "-m", "brdfactory", "app", "--port", str(port)]
@@ -181,3 +184,29 @@ def test_a_signal_that_ends_the_server_deletes_what_was_sent(
         server.communicate(timeout=60)
     assert server.returncode == 0
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("moment", ["launch", "print", "close"])
+def test_a_signal_at_any_moment_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, moment: str
+) -> None:
+    """While the page is launched, while its address is printed, and twice while it is closed."""
+
+    def reach(here: str) -> None:
+        if here in (moment, "close"):
+            os.kill(os.getpid(), number)
+
+    def launch(**options: object) -> tuple[None, str, None]:
+        reach("launch")
+        return None, "http://here", None
+
+    blocks = SimpleNamespace(launch=launch, close=lambda verbose: reach("close"))
+    monkeypatch.setattr("learn.app.page.page", lambda sessions: blocks)
+    monkeypatch.setattr("builtins.print", lambda *words, **options: reach("print"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("GRADIO_TEMP_DIR", "restored afterwards")
+    if moment == "close":
+        threading.Timer(0.3, os.kill, (os.getpid(), number)).start()
+    page.serve(tmp_path / "weights.safetensors")
+    assert not list(tmp_path.glob("brdfactory-app-*"))
