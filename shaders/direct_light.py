@@ -117,6 +117,14 @@ class DirectLight:
         return float(min(lobes, default=1.0))
 
     @property
+    def narrowest_listed(self) -> float:
+        """The least α of a closure with a lobe that is not narrow, 1 without one."""
+        lobes = [
+            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
+        ]
+        return float(min([a for a in lobes if a >= NARROW], default=1.0))
+
+    @property
     def narrow(self) -> int:
         """The number of narrow closures."""
         return sum(self._is_narrow(k) for k in range(len(self.mixture.kinds)))
@@ -186,14 +194,13 @@ class DirectLight:
             radiance[away] = self._leaning(towards, facets[first], away=True)[each]
         return radiance + self.mistaken(given, facets, cells, patches) if misdirected else radiance
 
-    def each_light(self, n: np.ndarray, rows: int, least: float) -> np.ndarray:
+    def each_light(self, n: np.ndarray, rows: int) -> np.ndarray:
         """Return what the mixture reflects of each light at normals (P, 3): (P, 3, T) float32.
 
-        What Cycles does at facets is no part of it. The T lights are those of
-        LightBlocks.listed_patches.
+        What `draw_narrow` draws is no part of it, nor what Cycles does at facets. The T lights are
+        those of LightBlocks.listed_patches.
 
-        rows   of blocks of the light, of which wide lobes reflect each as one light
-        least  α of lobes, at least: narrower ones would fall between the lights
+        rows  of blocks of the light, of which wide lobes reflect each as one light
         """
         lights, (centres, radii, near, _) = self.blocks.lights(rows), self.blocks.detail(1)
         out = np.empty((len(n), 3, lights.shape[1] + near.shape[0] * near.shape[2]), np.float32)
@@ -201,7 +208,7 @@ class DirectLight:
             np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
             n,
             np.stack(self._tables),
-            np.float32(least),
+            np.array([self._extent(k) for k in range(len(self.mixture.kinds))], np.float32),
             np.float32(WIDE),
             np.array([WITHIN.get(kind, 0.0) for kind in self.mixture.kinds], np.float32),
             lights,
@@ -211,6 +218,33 @@ class DirectLight:
             out,
         )
         return out
+
+    def draw_narrow(
+        self, n: np.ndarray, facets: np.ndarray, places: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw directions that narrow closures reflect light from at normals (P, 3).
+
+        facets  (P, 3) normals of the surface itself
+        places  (P, J, 2) in [0, 1), which give the directions of each closure
+        Returns  directions and radiance (K, P, J, 3) float32 of the `narrow` closures; the mean of
+                 radiance over J is what each adds to `at` near its mirrored direction
+        """
+        narrow = [k for k in range(len(self.mixture.kinds)) if self._is_narrow(k)]
+        w, radiance = np.empty((2, len(narrow), *places.shape[:2], 3), np.float32)
+        for number, k in enumerate(narrow):
+            direct_light_kernels.draw_samples(
+                direct_light_kernels.KINDS[self.mixture.kinds[k]],
+                np.ascontiguousarray(n, np.float32),
+                np.ascontiguousarray(facets, np.float32),
+                self._tables[k],
+                np.float32(self._extent(k)),
+                self.light,
+                np.ascontiguousarray(self.camera_from_light.T, np.float32),
+                np.ascontiguousarray(places, np.float32),
+                w[number],
+                radiance[number],
+            )
+        return w, radiance
 
     def mistaken(
         self,
@@ -266,15 +300,9 @@ class DirectLight:
 
     def _leaning(self, n: np.ndarray, facets: np.ndarray, away: bool) -> np.ndarray:
         """Return what add_leaning adds (P, 3) at normals and facets (P, 3)."""
-        lobes = [
-            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
-        ]
-        width = min([a for a in lobes if a >= NARROW], default=1.0)
+        width = self.narrowest_listed
         parts = 1 if away else next((parts for wide, parts in LEANING if width >= wide), 1)
-        extents = [
-            np.tan(EXTENT / 2) if self._is_narrow(k) and not away else 0
-            for k in range(len(self._least))
-        ]
+        extents = [0.0 if away else self._extent(k) for k in range(len(self._least))]
         radiance = np.zeros_like(n)
         direct_light_kernels.add_leaning(
             np.array([direct_light_kernels.KINDS[kind] for kind in self.mixture.kinds]),
@@ -290,6 +318,10 @@ class DirectLight:
 
     def _is_narrow(self, k: int) -> bool:
         return self.mixture.kinds[k] in LOBES and bool(self._least[k] < NARROW)
+
+    def _extent(self, k: int) -> float:
+        """Return tan θ_h up to which closure k is sampled, 0 where it is not."""
+        return float(np.tan(EXTENT / 2)) if self._is_narrow(k) else 0.0
 
     def _has_map(self, k: int) -> bool:
         """Whether a closure is wide, or reflects from beyond its extent."""
@@ -372,9 +404,9 @@ class DirectLight:
 
     def _sum(self, k: int, n: np.ndarray, in_blocks: bool, out: np.ndarray) -> None:
         """Add to out (N, 3) what `_summed` returns."""
-        kind, narrow = self.mixture.kinds[k], self._is_narrow(k)
+        kind = self.mixture.kinds[k]
         number, table, least = direct_light_kernels.KINDS[kind], self._tables[k], self._least[k]
-        extent = np.float32(np.tan(EXTENT / 2) if narrow else 0)
+        extent = np.float32(self._extent(k))
         if kind in LOBES and NARROW <= least < WIDE:
             parts = next(parts for width, parts in PARTS if least >= width)
             grazing = n[:, 2] < GRAZING
@@ -424,7 +456,7 @@ class DirectLight:
                 n[group.first],
                 facets[group.first],
                 self._tables[k],
-                np.float32(np.tan(EXTENT / 2)),
+                np.float32(self._extent(k)),
                 self.light,
                 np.ascontiguousarray(self.camera_from_light.T, np.float32),
                 count,

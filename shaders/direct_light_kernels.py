@@ -309,7 +309,7 @@ def list_lights(
     kinds: np.ndarray,
     n: np.ndarray,
     tables: np.ndarray,
-    least: np.float32,
+    extents: np.ndarray,
     narrow: np.float32,
     within: np.ndarray,
     lights: np.ndarray,
@@ -324,7 +324,7 @@ def list_lights(
     the B blocks near their axis. What a lobe reflects is in one of the two only.
 
     kinds    (K,) numbers of the closures; tables (K, S, 5) as of `add_lights`
-    least    α of lobes, at least: narrower ones would fall between the lights
+    extents  (K,) as of `add_samples`, whose share is left out; 0: nothing is
     narrow   α below which lobes are narrow
     within   (K,) tan θ_h / α of the half vectors that are near; 0: the closure has no lobe
     lights   (9, T) as of `add_lights`
@@ -339,10 +339,12 @@ def list_lights(
             _parameters(tables[k], n[i, 2], v)
             if v[2] + v[3] + v[4] < LEAST_WEIGHT:
                 continue
-            alpha, tilt = max(v[0], least), v[1]
-            is_narrow = within[k] > 0 and alpha < narrow
+            if extents[k] > 0 and kinds[k] != GGX:
+                continue
+            alpha, tilt, end = v[0], v[1], _end(v[0], extents[k])
+            is_narrow = within[k] > 0 and alpha < narrow and end == 0
             if not is_narrow or kinds[k] == GGX:
-                _evaluate(kinds[k], n[i], alpha, tilt, np.float32(0), lights, count, f)
+                _evaluate(kinds[k], n[i], alpha, tilt, end, lights, count, f)
             mx, my, mz = _mirrored(n[i], tilt)
             cone = np.float32(2) * np.float32(math.atan(within[k] * alpha))
             cos, sin = np.float32(math.cos(cone)), np.float32(math.sin(cone))
@@ -594,6 +596,87 @@ def add_samples(
             for c in range(3):
                 weight = table[low, 2 + c] + t * (table[low + 1, 2 + c] - table[low, 2 + c])
                 out[first + i, c] += r[OUT + c, i] * weight
+
+
+@_compiled
+def draw_samples(
+    kind: int,
+    n: np.ndarray,
+    facets: np.ndarray,
+    table: np.ndarray,
+    extent: np.float32,
+    light: np.ndarray,
+    to_light: np.ndarray,
+    places: np.ndarray,
+    w: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
+    """Draw directions that one narrow closure reflects from within its extent at normals (P, 3).
+
+    Half of them follow the closure, half a distribution with a longer tail, as in `add_samples`.
+
+    n, facets, table, extent, light, to_light  as of `add_samples`
+    places    (P, J, 2) in [0, 1), of which each gives a direction
+    w         (P, J, 3), set to the directions
+    radiance  (P, J, 3), set to what the closure reflects of each over its density: the mean over
+              all places is what `add_samples` adds
+    """
+    height, width = light.shape[0], light.shape[1]
+    rotation = _rows(to_light)
+    v = np.empty(5, np.float32)
+    for i in range(len(n)):
+        _parameters(table, n[i, 2], v)
+        alpha, a2 = v[0], v[0] * v[0]
+        ax, ay, az = _axis(n[i], v[1])
+        side = math.sqrt(ax * ax + ay * ay)
+        xx, xy = ONE, np.float32(0)
+        if side > np.float32(1e-6):
+            xx, xy = ay / side, -ax / side
+        yx, yy, yz = -az * xy, az * xx, ax * xy - ay * xx
+        end = _end(alpha, extent) if kind == GGX else SHORT_TAILED
+        most = end / (ONE + end) if kind == GGX else ONE - np.float32(math.exp(-end))
+        tail = ONE - ONE / math.sqrt(ONE + end)
+        for j in range(places.shape[1]):
+            u = np.float32(2) * places[i, j, 0]
+            if u >= ONE:
+                rest = ONE - (u - ONE) * tail
+                t = ONE / (rest * rest) - ONE
+            elif kind == GGX:
+                t = u * most / (ONE - u * most)
+            else:
+                t = -math.log(max(ONE - u * most, np.float32(1e-11)))
+            t = max(t, np.float32(0))
+            phi = np.float32(2) * PI * places[i, j, 1]
+            q = ONE / math.sqrt(ONE + t)
+            density = q * q * q * q if kind == GGX else math.exp(-t)
+            c2 = ONE / (ONE + a2 * t)
+            cos = math.sqrt(c2)
+            p = (density / most + HALF * q * q * q / tail) / (np.float32(2) * PI * a2 * cos * c2)
+            sin = alpha * math.sqrt(t) * cos
+            sx, sy = sin * math.cos(phi), sin * math.sin(phi)
+            hx = ax * cos + xx * sx + yx * sy
+            hy = ay * cos + xy * sx + yy * sy
+            hz = az * cos + yz * sy
+            wx, wy, wz = (
+                np.float32(2) * hz * hx,
+                np.float32(2) * hz * hy,
+                np.float32(2) * hz * hz - ONE,
+            )
+            cos_i = wx * n[i, 0] + wy * n[i, 1] + wz * n[i, 2]
+            ci = wx * ax + wy * ay + wz * az
+            above = wx * facets[i, 0] + wy * facets[i, 1] + wz * facets[i, 2] >= 0
+            w[i, j, 0], w[i, j, 1], w[i, j, 2] = wx, wy, wz
+            for c in range(3):
+                radiance[i, j, c] = 0
+            if not (cos_i > LEAST and ci > LEAST and hz > LEAST and above and az > LEAST):
+                continue
+            value = _value(kind, alpha, min(ci, ONE), min(az, ONE), min(cos, ONE), hz)
+            value *= ci * np.float32(4) * hz / p
+            if kind == GGX:
+                value *= _share(t, end)
+            row, column = _texel(rotation, wx, wy, wz, height, width)
+            for c in range(3):
+                radiance[i, j, c] = v[2 + c] * value * light[row, column, c]
 
 
 @_inlined

@@ -31,6 +31,7 @@ LOOSE = np.float32(1.00001)
 # the same between two triangles that share an edge, in units of the edges, for rays that see:
 # quads are divided along diagonals on which whole rows of a grid's points may lie
 BESIDE = np.float32(1e-6)
+GOLDEN = (math.sqrt(5) - 1) / 2
 LUMINANCE = tuple(np.float32(share) for share in tone.LUMINANCE)
 
 
@@ -203,6 +204,100 @@ def _direction(patch, u, v, rotation, d):
         d[axis] = rotation[axis, 0] * x + rotation[axis, 1] * height + rotation[axis, 2] * z
 
 
+@njit(inline="always")
+def _stratum(j, number, shift):
+    """Return which of so many strata a pixel's ray j is drawn from; each is drawn from once."""
+    step = 5 if number % 5 else 7 if number % 7 else 11 if number % 11 else 1
+    return (j * step + shift) % number
+
+
+@njit(cache=True, nogil=True)
+def draw_places(
+    pixels: np.ndarray, turns: np.ndarray, strata: np.ndarray, rays: int, seed: int, out: np.ndarray
+) -> None:
+    """Set out (P, rays, 2) to numbers in [0, 1) that cover them evenly in each pixel.
+
+    pixels, turns, strata, seed  as `cast` takes them
+    """
+    for i in range(len(pixels)):
+        p = pixels[i]
+        number = strata[p] * rays
+        shift = _hash(np.uint32(p) * np.uint32(0x9E3779B9) + np.uint32(seed))
+        turned = _unit(_hash(shift + np.uint32(1)))
+        for r in range(rays):
+            j = turns[i] * rays + r
+            random = _hash(shift + np.uint32(j) * np.uint32(0x85EBCA6B) + np.uint32(1))
+            out[i, r, 0] = (_stratum(j, number, int(shift)) + _unit(random)) / number
+            out[i, r, 1] = (turned + j * GOLDEN) % 1
+
+
+@njit(inline="always", fastmath=True, error_model="numpy")
+def _set_origin(o, origin, d, facet, normal, lift, grazing, margin):
+    """Set o (3,) to where a ray in direction d begins; the rest as `cast` has it of one point."""
+    side = facet[0] * d[0] + facet[1] * d[1] + facet[2] * d[2]
+    above = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
+    amount = ONE - side / grazing
+    if above < grazing:
+        amount += ONE - above / grazing
+    up = min(max(amount, ZERO), ONE) * lift
+    step = margin
+    if side < 0:  # what is lifted may meet its own facet
+        step = ZERO if up > 2 * margin else -margin
+    for axis in range(3):
+        o[axis] = origin[axis] + step * facet[axis] + up * normal[axis]
+    return side
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def cast_drawn(
+    towards: np.ndarray,
+    radiance: np.ndarray,
+    rotation: np.ndarray,
+    members: np.ndarray,
+    origins: np.ndarray,
+    facets: np.ndarray,
+    normals: np.ndarray,
+    lift: np.ndarray,
+    grazing: np.float32,
+    margin: np.float32,
+    pixels: np.ndarray,
+    boxes: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
+    triangles: np.ndarray,
+    arrived: np.ndarray,
+    sent: np.ndarray,
+) -> None:
+    """Cast rays of points in directions that are known, and add what arrives.
+
+    towards   (M, J, 3) directions of each of the points whose numbers are members (M,)
+    radiance  (M, J, 3) what each adds to the picture
+    rotation  (3, 3) from the directions' frame to that of the triangles
+    The rest as `cast` takes it.
+    """
+    waiting = np.empty(DEEPEST, np.int32)
+    inverse = np.empty(3, np.float32)
+    d = np.empty(3, np.float32)
+    o = np.empty(3, np.float32)
+    for m in range(len(members)):
+        i = members[m]
+        p = pixels[i]
+        for j in range(towards.shape[1]):
+            value = radiance[m, j]
+            if value[0] + value[1] + value[2] <= 0:
+                continue
+            w = towards[m, j]
+            for axis in range(3):
+                row = rotation[axis]
+                d[axis] = row[0] * w[0] + row[1] * w[1] + row[2] * w[2]
+            _set_origin(o, origins[i], d, facets[i], normals[i], lift[i], grazing, margin)
+            blocked = _is_blocked(o, d, inverse, boxes, first, count, triangles, waiting)
+            for c in range(3):
+                sent[p, c] += value[c]
+                if not blocked:
+                    arrived[p, c] += value[c]
+
+
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def cast(
     light: np.ndarray,
@@ -284,24 +379,15 @@ def cast(
             for r in range(rays):
                 j = turns[i] * rays + r
                 random = _hash(shift + np.uint32(j) * np.uint32(0x85EBCA6B) + np.uint32(1))
-                # an odd step visits all strata of a power of two once
-                stratum = (j * 5 + int(shift)) % number
+                stratum = _stratum(j, number, int(shift))
                 u = (stratum + _unit(random)) / number * total
                 t = order[min(np.searchsorted(cumulated, u, side="right"), many - 1)]
                 random = _hash(random + np.uint32(1))
                 v = _unit(random)
                 _direction(patches[t], v, _unit(_hash(random + np.uint32(1))), rotation, d)
-                side = facets[i, 0] * d[0] + facets[i, 1] * d[1] + facets[i, 2] * d[2]
-                above = normals[i, 0] * d[0] + normals[i, 1] * d[1] + normals[i, 2] * d[2]
-                amount = ONE - side / grazing
-                if above < grazing:
-                    amount += ONE - above / grazing
-                up = min(max(amount, ZERO), ONE) * lift[i]
-                step = margin
-                if side < 0:  # what is lifted may meet its own facet
-                    step = ZERO if up > 2 * margin else -margin
-                for axis in range(3):
-                    o[axis] = origins[i, axis] + step * facets[i, axis] + up * normals[i, axis]
+                side = _set_origin(
+                    o, origins[i], d, facets[i], normals[i], lift[i], grazing, margin
+                )
                 luminance = ZERO
                 for c in range(3):
                     luminance += LUMINANCE[c] * light[g, c, t]

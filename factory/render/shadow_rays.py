@@ -1,9 +1,10 @@
 """Which share of the direct light reaches what is visible, by rays towards the light.
 
 At each point, directions are drawn in proportion to what they would add to the picture: the
-material's closed form times the light, evaluated at a grid of normals. All noise is therefore that
-of visibility: where nothing or everything is blocked there is none. The points of a pixel divide
-the light equally between them.
+material's closed form times the light, evaluated at a grid of normals. Mirror-like lobes, which are
+narrower than that grid, have further rays that follow them at each point's own normal. Either way,
+all noise is that of visibility: where nothing or everything is blocked there is none. The points of
+a pixel divide the light equally between them.
 
 The share is a factor of the closed form's picture (factory.render.direct_light), which has neither
 shadows nor noise.
@@ -30,13 +31,10 @@ if TYPE_CHECKING:  # Blender is not needed for the constants, which are part of 
 # (shadow_terminator_geometry_offset)
 GRAZING = 0.1
 MARGIN = 1e-4  # by which rays begin beside the surface, in units of the object's radius
-# steps of x and y per unit, by the least α of the lobes: normals that are equal when they are
-# rounded to these share one evaluation of the light
+# steps of x and y per unit, by the least α of the lobes that are not mirror-like: normals that are
+# equal when they are rounded to these share one evaluation of the light
 STEPS = ((0.1, 16), (0.0, 32))
 ROWS = 32  # of blocks of the light, of which wide lobes reflect each as one light
-LEAST = 0.02  # α of lobes: half a texel's width of half vectors
-SAMPLES = 48  # of each narrow lobe at a normal, for what lobes narrower than that reflect
-MOST_SCALE = 100.0  # by which it is more than what the wider ones do
 AT_ONCE = 1 << 19  # numbers of evaluated light in memory, 2 MB
 
 
@@ -98,7 +96,7 @@ class ShadowRays:
         from factory.render import ray_kernels
         from shaders.normal_groups import turn_to_viewer
 
-        steps = next(steps for least, steps in STEPS if direct.narrowest >= least)
+        steps = next(steps for least, steps in STEPS if direct.narrowest_listed >= least)
         towards, _ = turn_to_viewer(at.normals[here], at.facets[here])
         cells = np.round(towards[:, :2] * steps).astype(np.int64) + steps
         _, group, counted = np.unique(
@@ -119,7 +117,7 @@ class ShadowRays:
         for begin in range(0, len(normals), some):
             part = normals[begin : begin + some].astype(np.float32)
             ray_kernels.cast(
-                _listed_light(direct, part),
+                direct.each_light(part, ROWS),
                 patches,
                 order,
                 object_from_light,
@@ -141,25 +139,29 @@ class ShadowRays:
                 arrived,
                 sent,
             )
-
-
-def _listed_light(direct: DirectLight, n: np.ndarray) -> np.ndarray:
-    """Return what a mixture reflects of each listed light at normals (P, 3): (P, 3, T) float32.
-
-    Lobes narrower than LEAST are spread, and would see a light's surroundings in place of the light
-    itself. What they reflect is scaled to what they reflect without that, which on a flat face is
-    another share of its light.
-    """
-    listed = direct.each_light(n, ROWS, LEAST)
-    if direct.narrowest >= LEAST:
-        return listed
-    first = direct.blocks.lights(ROWS).shape[1]  # of those that narrow lobes reflect
-    spread = listed[..., first:].sum(-1)
-    exact = direct.at(n, SAMPLES, misdirected=False) - listed[..., :first].sum(-1)
-    scale = np.ones_like(spread)
-    np.divide(exact, spread, out=scale, where=spread > 0)
-    listed[..., first:] *= np.clip(scale, 0, MOST_SCALE)[..., None]
-    return listed
+        some = max(1, AT_ONCE // (6 * rays * direct.narrow)) if direct.narrow else len(here)
+        for begin in range(0, len(here) if direct.narrow else 0, some):
+            part = here[begin : begin + some]
+            places = np.empty((len(part), rays, 2))
+            ray_kernels.draw_places(at.pixels[part], turns[part], counts, rays, seed, places)
+            drawn = direct.draw_narrow(towards[begin : begin + some], at.facets[part], places)
+            for lobe, radiance in zip(*drawn, strict=True):
+                ray_kernels.cast_drawn(
+                    lobe,
+                    radiance,
+                    np.ascontiguousarray(rotation.T, np.float32),
+                    part,
+                    origins,
+                    facets,
+                    smooth,
+                    at.lift,
+                    np.float32(GRAZING),
+                    self._margin,
+                    at.pixels,
+                    *self._tree.arrays,
+                    arrived,
+                    sent,
+                )
 
 
 class _PointsSeen(NamedTuple):

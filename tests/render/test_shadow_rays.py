@@ -5,11 +5,11 @@ import pytest
 
 from factory.render.estimators.renderer import Share
 from factory.render.ray_tree import RayTree
-from factory.render.shadow_rays import LEAST, ROWS, _listed_light
+from factory.render.shadow_rays import ROWS
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
 from shaders import envmap
-from shaders.direct_light import DirectLight
+from shaders.direct_light import NARROW, DirectLight
 from shaders.mixture import Mixture
 
 RNG = np.random.default_rng(3)
@@ -65,24 +65,47 @@ def test_listed_lights_add_up_to_direct_light(name):
     n = RNG.normal(size=(40, 3)) + np.array([0, 0, 2])
     n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
     n = n[n[:, 2] > 0.3]
-    listed = direct.each_light(n, ROWS, LEAST)
+    listed = direct.each_light(n, ROWS)
     assert listed.shape[2] == len(direct.blocks.listed_patches(ROWS))
     assert (listed >= 0).all()
-    np.testing.assert_allclose(listed.sum(2).mean(0), direct.at(n).mean(0), rtol=0.05)
+    drawn = direct.draw_narrow(n, n, RNG.random((len(n), 4000, 2)))[1].mean(2).sum(0)
+    total = listed.sum(2) + drawn
+    np.testing.assert_allclose(total.mean(0), direct.at(n).mean(0), rtol=0.05)
 
 
-@pytest.mark.parametrize("alpha", [0.004, 0.05])
-def test_listed_lights_of_one_normal_add_up_whatever_a_mirror_shows(alpha):
+@pytest.mark.parametrize("kind", ["beckmann", "ggx", "ashikhmin_shirley"])
+@pytest.mark.parametrize("alpha", [0.004, 0.025, 0.05])
+def test_listed_and_drawn_light_add_up_at_each_normal(kind, alpha):
     """On a flat face all points show the same of the light, which no other normal makes up for."""
     light = RNG.gamma(0.3, size=(64, 128, 3)).astype(np.float32)
-    mixture = Mixture.constant("beckmann", alpha, [0.5] * 3)
+    mixture = Mixture.constant(kind, alpha, [0.5] * 3)
     direct = DirectLight(mixture, light, np.eye(3), misdirected=False)
     n = np.array([[0, 0, 1], [0.3, 0.1, 0.95], [-0.2, 0.5, 0.84]], np.float32)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    exact = direct.at(n, 64)
-    np.testing.assert_allclose(_listed_light(direct, n).sum(2), exact, rtol=0.1)
-    spread = direct.each_light(n, ROWS, LEAST).sum(2)
-    assert (np.abs(spread / exact - 1).max() > 0.3) == (alpha < LEAST)
+    exact = direct.at(n, 4096)
+    listed = direct.each_light(n, ROWS).sum(2)
+    u = (np.arange(4096) + RNG.random((3, 4096))) / 4096
+    places = np.stack([u, np.arange(4096) * (np.sqrt(5) - 1) / 2 % 1 + 0 * u], axis=-1)
+    w, radiance = direct.draw_narrow(n, n, places)
+    assert len(w) == direct.narrow == (alpha < NARROW)
+    np.testing.assert_allclose(np.linalg.norm(w, axis=-1), 1, atol=1e-5)
+    np.testing.assert_allclose(listed + radiance.mean(2).sum(0), exact, rtol=0.1)
+    if alpha < NARROW:
+        assert (listed < (0.5 if kind == "ggx" else 0.01) * exact).all()
+
+
+def test_places_cover_the_unit_square_in_each_pixel():
+    from factory.render import ray_kernels
+
+    pixels = np.repeat([3, 4], [35, 64])
+    turns = np.concatenate([np.arange(35), np.arange(64)])
+    out = np.empty((99, 2, 2))
+    ray_kernels.draw_places(pixels, turns, np.bincount(pixels), 2, 7, out)
+    assert out.min() >= 0 and out.max() < 1
+    for pixel in (3, 4):
+        for across in (0, 1):
+            values = np.sort(out[pixels == pixel][..., across].ravel())
+            assert np.diff(values).max() < 2.7 / len(values)
 
 
 def test_patches_hold_the_directions_of_their_lights():

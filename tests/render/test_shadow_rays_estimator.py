@@ -76,18 +76,3 @@ def test_wide_limits_of_large_frames_have_fewer_points():
     points = [shadow_rays.points_of(limit, 64 * 64) for limit in (5.0, 20.0, 60.0)]
     assert points == [many, many, few]
     assert shadow_rays.points_of(20.0, 256 * 256) == few
-
-
-def test_more_error_is_expected_where_reflections_are_blurred():
-    direct = Estimate(0.2, 0.3)
-    sharp, blurred = (shadow_rays.expected_error(direct, sampled) for sampled in (False, True))
-    assert direct.bound < sharp.bound < blurred.bound
-    known = Rays()
-    picture = known.direct_light
-    made = []
-    for sampled in (False, True):
-        known.direct_light = lambda *words, sampled=sampled, **more: picture(
-            *words, **more
-        )._replace(sampled=sampled)
-        made.append(render_within_error(shown(known), 5.0))
-    assert made[1].estimated.error > made[0].estimated.error or made[1].samples > made[0].samples

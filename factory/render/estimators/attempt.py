@@ -185,8 +185,7 @@ class Attempt:
 
     def _expected_by_rays(self) -> Estimate:
         """Return the same before samples have measured it."""
-        sampled = self.direct is not None and self.direct.sampled
-        return shadow_rays.expected_error(self.expected, sampled)
+        return shadow_rays.expected_error(self.expected)
 
     def direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""

@@ -18,7 +18,7 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.renderer import EFFORTS
 
-VERSION = 17  # a change makes new pictures
+VERSION = 18  # a change makes new pictures
 
 
 def identity() -> list[object]:
@@ -48,22 +48,12 @@ def identity() -> list[object]:
             shadow_rays.MOST_RAYS,
             shadow_rays.EXPECTED.error,
             shadow_rays.EXPECTED.standard_error,
-            shadow_rays.BLURRED.error,
-            shadow_rays.BLURRED.standard_error,
             shadow_rays.SCALE,
             shadow_rays.POWER,
             shadow_rays.MOST_LOST,
         ],
         [shadow_rays.MOST_TRIES, shadow_rays.LEAST, shadow_rays.GROUPS, shadow_rays.RAYS],
-        [
-            rays.MARGIN,
-            rays.GRAZING,
-            rays.STEPS,
-            rays.ROWS,
-            rays.LEAST,
-            rays.SAMPLES,
-            rays.MOST_SCALE,
-        ],
+        [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS, closed_form.ENOUGH],

@@ -9,8 +9,8 @@ bias      of the denoiser, on indirect light alone: the estimate contains it, an
           noisy one (`blends`) keeps it small. That of shadowed direct light is added: it is
           measured by the halves' direct light, and by what is expected before (`EXPECTED`)
 cost      the closed form, and the rays, which are cast again where the halves differ
-fails     shadows in mirror-like reflections narrower than shadow_rays.LEAST, which are blurred. The
-          halves' direct light shows it as well as its noise allows
+fails     where a small lamp is seen in part by a mirror-like surface: noise that more rays reduce
+          slowly, and that the halves show
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ ROUNDS = 3
 MOST_POINTS = 1 << 21  # of all pixels that have further ones
 MOST_RAYS = 16  # from each of the most points
 # what shadowed direct light is off by besides the closed form's own error, and by how much that
-# differs between shots; the second is of lobes that are sampled, whose reflections are blurred
-EXPECTED, BLURRED = Estimate(0.15, 0.3), Estimate(1.0, 1.0)
+# differs between shots
+EXPECTED = Estimate(0.15, 0.3)
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
 MOST_TRIES = 3
@@ -57,15 +57,13 @@ def cost_in_samples(pixels: int) -> float:
     return RAYS + GROUPS / max(pixels, 1)
 
 
-def expected_error(direct: Estimate, sampled: bool) -> Estimate:
+def expected_error(direct: Estimate) -> Estimate:
     """Return what shadowed direct light is off by, before samples have measured it.
 
-    direct   what the closed form is off by in the tier `direct`
-    sampled  whether lobes are so narrow that they are sampled
+    direct  what the closed form is off by in the tier `direct`
     """
-    rays = BLURRED if sampled else EXPECTED
-    spread = math.hypot(direct.standard_error, rays.standard_error)
-    return Estimate(direct.error + rays.error, spread)
+    spread = math.hypot(direct.standard_error, EXPECTED.standard_error)
+    return Estimate(direct.error + EXPECTED.error, spread)
 
 
 def expected_scale(pixels: int) -> float:
