@@ -525,7 +525,7 @@ def test_no_pixel_is_given_fewer_points_than_it_has():
     assert not any(each.where[counts >= each.points].any() for each in finer)
     # nor are those that it has left out of the error
     parts, own, levels = np.array([1.0, 1e-9]), np.array([16, 64]), np.array([16, 32])
-    assert (closed_form._points_per_pixel(parts, own, levels, 1e-3) == [32, 64]).all()
+    assert (closed_form.points_per_pixel(parts, own, levels, 1e-3) == [32, 64]).all()
 
 
 @pytest.mark.parametrize("factor", [1.0, 50.0])
@@ -661,10 +661,10 @@ def test_points_are_enough_and_do_not_depend_on_the_last_bits_of_their_parts(rng
         parts = rng.lognormal(0, 2, 200)
         own = np.full(200, 16)
         most = rng.uniform(0.05, 0.5) * parts.mean()
-        points = closed_form._points_per_pixel(parts, own, levels, most)
+        points = closed_form.points_per_pixel(parts, own, levels, most)
         assert (parts * 16 / points).mean() <= most
         rounded = parts * (1 + 1e-7 * rng.standard_normal(200))
-        assert np.array_equal(closed_form._points_per_pixel(rounded, own, levels, most), points)
+        assert np.array_equal(closed_form.points_per_pixel(rounded, own, levels, most), points)
 
 
 def test_a_measurement_counts_as_much_as_it_is_certain_or_beyond_doubt():

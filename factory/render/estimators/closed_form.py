@@ -132,7 +132,7 @@ def plan_more_points(
         steps = np.array([points * times for times in (1, *levels)])
         if steps[-1] > MOST_PER_PIXEL:
             continue
-        known = _points_per_pixel(parts, counts, steps, most)
+        known = points_per_pixel(parts, counts, steps, most)
         left = float((parts * points / known).mean())
         more = known > counts
         used = steps[1:][[bool((known[more] == count).any()) for count in steps[1:]]]
@@ -165,7 +165,7 @@ def with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result * (values.sum() / max(result.sum(), 1e-12))
 
 
-def _points_per_pixel(
+def points_per_pixel(
     parts: np.ndarray, counts: np.ndarray, levels: np.ndarray, most: float
 ) -> np.ndarray:
     """Return points per pixel (P,) by which the mean of the parts is `most`: its own, or a level.

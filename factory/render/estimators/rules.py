@@ -42,10 +42,9 @@ def identity() -> list[object]:
             shadow_rays.ENOUGH,
             shadow_rays.FURTHER,
             shadow_rays.ROUNDS,
-            shadow_rays.MOST_POINTS,
+            shadow_rays.GOAL,
         ],
         [
-            shadow_rays.MOST_RAYS,
             shadow_rays.EXPECTED.error,
             shadow_rays.EXPECTED.standard_error,
             shadow_rays.SCALE,

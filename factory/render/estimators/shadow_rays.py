@@ -34,12 +34,11 @@ FEW_POINTS = 16  # the same where the limit allows it
 # they miss lies at edges
 MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
-# points per pixel of further rounds, where the halves differ: what lies at edges is noise of where
-# the points are, which more rays from each leave as it is
-FURTHER = (64, 256, 1024)
+# points per pixel of further rounds, where the halves differ, and rays from each: what lies at
+# edges is noise of where the points are, which more rays from each leave as it is
+FURTHER = ((64, 1), (256, 1), (1024, 1), (1024, 4), (1024, 16))
 ROUNDS = 3
-MOST_POINTS = 1 << 21  # of all pixels that have further ones
-MOST_RAYS = 16  # from each of the most points
+GOAL = 0.7  # of the noise that is enough, which a round is planned for
 # what shadowed direct light is off by besides the closed form's own error, and by how much that
 # differs between shots
 EXPECTED = Estimate(0.15, 0.3)
@@ -165,35 +164,27 @@ class ShadowedLight:
         """Cast rays until the halves differ by little; where they do not, no more are cast."""
         if self.shares:
             return
-        mask, budget = self.shown.mask, ENOUGH * self.limit
-        last = points_of(self.limit, mask.size)
-        self.shares = self._round(0, last, 1, None)
-        cast = np.full(int(mask.sum()), float(last))  # rays of each pixel
+        mask, enough = self.shown.mask, ENOUGH * self.limit
+        first = points_of(self.limit, mask.size)
+        self.shares = self._round(0, first, 1, None)
+        cast = np.full(int(mask.sum()), first)  # rays of each pixel
+        levels = np.array([first, *(points * rays for points, rays in FURTHER)])
+        levels = levels[levels >= first]
         for number in range(1, ROUNDS + 1):
             parts = self._parts()
-            if parts.mean() <= budget:
+            if parts.mean() <= enough:
                 return
-            likely = closed_form.with_neighbours(parts, mask)
-            order = np.argsort(likely)
-            # what lies in the pixels of least noise stays as it is, up to half of what is allowed
-            stays = np.cumsum(likely[order]) <= budget / 2 * len(parts)
-            more = np.ones(len(parts), bool)
-            more[order[stays]] = False
-            left = float(likely[more].sum()) / (budget / 2 * len(parts))
-            further = max(left - 1, 0.0) * float(cast[more].mean())
-            most = MOST_POINTS / more.sum()
-            levels = [each for each in FURTHER if last < each <= most] or [last]
-            last = next((each for each in levels if each >= further), levels[-1])
-            rays = int(np.clip(math.ceil(further / last), 1, min(MOST_RAYS, max(most / last, 1))))
-            where = np.zeros_like(mask)
-            where[mask] = more
-            self.shares = [
-                one.add(other)
-                for one, other in zip(
-                    self.shares, self._round(number, last, rays, where), strict=True
-                )
-            ]
-            cast[more] += last * rays
+            by_first = closed_form.with_neighbours(parts * cast / first, mask)
+            known = closed_form.points_per_pixel(by_first, cast, levels, GOAL * enough)
+            for level, (points, rays) in enumerate(FURTHER):
+                where = np.zeros_like(mask)
+                where[mask] = (known > cast) & (known == points * rays)
+                if where.any():
+                    further = self._round(number * len(FURTHER) + level, points, rays, where)
+                    self.shares = [
+                        one.add(other) for one, other in zip(self.shares, further, strict=True)
+                    ]
+            cast = np.where(known > cast, cast + known, cast)
 
     def _round(self, number: int, points: int, rays: int, where: np.ndarray | None) -> list[Share]:
         """Return both halves' shares by rays from points per pixel, of seeds of their own."""
