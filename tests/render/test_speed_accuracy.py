@@ -142,9 +142,10 @@ def test_what_would_take_too_long_is_left_out_and_the_page_says_on_how_many_scen
     [
         (None, 1.0, []),
         (1.5, 1.0, []),
-        (0.4, 1.0, ["0.5"]),
-        (0.1, 1.0, ["0.5", "0.125"]),
-        (0.1, 100.0, ["0.5"]),
+        (0.8, 1.0, ["1"]),
+        (0.4, 1.0, ["1", "0.5"]),
+        (0.1, 1.0, ["1", "0.5", "0.125"]),
+        (0.1, 100.0, ["1"]),
     ],
 )
 def test_smaller_limits_are_measured_until_one_is_as_good_as_the_other_program(
