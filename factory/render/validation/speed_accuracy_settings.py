@@ -54,7 +54,8 @@ RATIO_SAMPLES = (4, 16, 64)
 SHADOW_RAYS = ((4, 1), (16, 2), (64, 8))
 CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
 LIMITS = (60.0, 20.0, 5.0, 2.0)
-SMALLER_LIMITS = (1.0, 0.5, 0.125)  # tried until a limit's picture is as good as the other program's
+# tried until a limit's picture is as good as the other program's
+SMALLER_LIMITS = (1.0, 0.5, 0.125)
 LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
 THRESHOLDS = (0.1, 0.03, 0.01)
 MOST_ADAPTIVE = 1024
