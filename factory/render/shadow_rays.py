@@ -96,40 +96,27 @@ class ShadowRays:
         from factory.render import ray_kernels
         from shaders.normal_groups import turn_to_viewer
 
-        steps = next(steps for least, steps in STEPS if direct.narrowest_listed >= least)
         towards, _ = turn_to_viewer(at.normals[here], at.facets[here])
-        cells = np.round(towards[:, :2] * steps).astype(np.int64) + steps
-        _, group, counted = np.unique(
-            cells[:, 0] * (2 * steps + 1) + cells[:, 1], return_inverse=True, return_counts=True
-        )
-        members = here[np.argsort(group, kind="stable")]
-        firsts = np.concatenate([[0], np.cumsum(counted)])
-        sums = np.stack([np.bincount(group, towards[:, k]) for k in range(3)], axis=1)
-        normals = sums / np.linalg.norm(sums, axis=1, keepdims=True)
-        patches = direct.blocks.listed_patches(ROWS)
-        order = _in_order_of_neighbours(patches)
-        object_from_light = (rotation.T @ direct.camera_from_light).astype(np.float32)
         origins, facets, smooth = (
             np.ascontiguousarray(each @ rotation, np.float32)
             for each in (at.places, at.facets, at.normals)
         )
+        begun = (origins, facets, smooth, at.lift, np.float32(GRAZING), self._margin, at.pixels)
+        normals, firsts, grouped = _similar_normals(direct, towards)
+        members = here[grouped]
+        patches = direct.blocks.listed_patches(ROWS)
+        order = _in_order_of_neighbours(patches)
         some = max(1, AT_ONCE // (3 * len(patches)))
         for begin in range(0, len(normals), some):
-            part = normals[begin : begin + some].astype(np.float32)
+            part = normals[begin : begin + some]
             ray_kernels.cast(
                 direct.each_light(part, ROWS),
                 patches,
                 order,
-                object_from_light,
+                (rotation.T @ direct.camera_from_light).astype(np.float32),
                 firsts[begin : begin + len(part) + 1],
                 members,
-                origins,
-                facets,
-                smooth,
-                at.lift,
-                np.float32(GRAZING),
-                self._margin,
-                at.pixels,
+                *begun,
                 turns,
                 counts,
                 rays,
@@ -139,8 +126,10 @@ class ShadowRays:
                 arrived,
                 sent,
             )
-        some = max(1, AT_ONCE // (6 * rays * direct.narrow)) if direct.narrow else len(here)
-        for begin in range(0, len(here) if direct.narrow else 0, some):
+        if not direct.narrow:
+            return
+        some = max(1, AT_ONCE // (6 * rays * direct.narrow))
+        for begin in range(0, len(here), some):
             part = here[begin : begin + some]
             places = np.empty((len(part), rays, 2))
             ray_kernels.draw_places(at.pixels[part], turns[part], counts, rays, seed, places)
@@ -151,17 +140,29 @@ class ShadowRays:
                     radiance,
                     np.ascontiguousarray(rotation.T, np.float32),
                     part,
-                    origins,
-                    facets,
-                    smooth,
-                    at.lift,
-                    np.float32(GRAZING),
-                    self._margin,
-                    at.pixels,
+                    *begun,
                     *self._tree.arrays,
                     arrived,
                     sent,
                 )
+
+
+def _similar_normals(
+    direct: DirectLight, n: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return groups of similar normals of n (P, 3), each of which shares an evaluated light.
+
+    Returns  their means (G, 3) float32; where each begins, and the last ends, (G + 1,) in an order
+             (P,) of the normals
+    """
+    steps = next(steps for least, steps in STEPS if direct.narrowest_listed >= least)
+    cells = np.round(n[:, :2] * steps).astype(np.int64) + steps
+    _, group, counted = np.unique(
+        cells[:, 0] * (2 * steps + 1) + cells[:, 1], return_inverse=True, return_counts=True
+    )
+    sums = np.stack([np.bincount(group, n[:, k]) for k in range(3)], axis=1)
+    means = (sums / np.linalg.norm(sums, axis=1, keepdims=True)).astype(np.float32)
+    return means, np.concatenate([[0], np.cumsum(counted)]), np.argsort(group, kind="stable")
 
 
 class _PointsSeen(NamedTuple):

@@ -168,8 +168,8 @@ class ShadowedLight:
         first = points_of(self.limit, mask.size)
         self.shares = self._round(0, first, 1, None)
         cast = np.full(int(mask.sum()), first)  # rays of each pixel
-        levels = np.array([first, *(points * rays for points, rays in FURTHER)])
-        levels = levels[levels >= first]
+        further = [points * rays for points, rays in FURTHER if points * rays > first]
+        levels = np.array([first, *further])
         for number in range(1, ROUNDS + 1):
             parts = self._parts()
             if parts.mean() <= enough:
@@ -180,9 +180,9 @@ class ShadowedLight:
                 where = np.zeros_like(mask)
                 where[mask] = (known > cast) & (known == points * rays)
                 if where.any():
-                    further = self._round(number * len(FURTHER) + level, points, rays, where)
+                    more = self._round(number * len(FURTHER) + level, points, rays, where)
                     self.shares = [
-                        one.add(other) for one, other in zip(self.shares, further, strict=True)
+                        one.add(other) for one, other in zip(self.shares, more, strict=True)
                     ]
             cast = np.where(known > cast, cast + known, cast)
 
