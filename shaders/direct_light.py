@@ -111,18 +111,18 @@ class DirectLight:
     @property
     def narrowest(self) -> float:
         """The least α of a closure with a lobe, 1 without one."""
-        lobes = [
-            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
-        ]
-        return float(min(lobes, default=1.0))
+        return min(self._lobes, default=1.0)
 
     @property
     def narrowest_listed(self) -> float:
         """The least α of a closure with a lobe that is not narrow, 1 without one."""
-        lobes = [
-            a for a, kind in zip(self._least, self.mixture.kinds, strict=True) if kind in LOBES
-        ]
-        return float(min([a for a in lobes if a >= NARROW], default=1.0))
+        return min([a for a in self._lobes if a >= NARROW], default=1.0)
+
+    @property
+    def _lobes(self) -> list[float]:
+        """The least α of each closure with a lobe."""
+        kinds = self.mixture.kinds
+        return [float(a) for a, kind in zip(self._least, kinds, strict=True) if kind in LOBES]
 
     @property
     def narrow(self) -> int:

@@ -31,7 +31,7 @@ LOOSE = np.float32(1.00001)
 # the same between two triangles that share an edge, in units of the edges, for rays that see:
 # quads are divided along diagonals on which whole rows of a grid's points may lie
 BESIDE = np.float32(1e-6)
-GOLDEN = (math.sqrt(5) - 1) / 2
+GOLDEN = (math.sqrt(5) - 1) / 2  # whose multiples cover a circle evenly
 LUMINANCE = tuple(np.float32(share) for share in tone.LUMINANCE)
 
 
