@@ -193,8 +193,12 @@ def _settings(studio: Studio, config: WorkerConfig) -> dict[str, Any]:
 
 
 def _studio(config: WorkerConfig) -> Studio:
+    from factory.render.blender_threads import importing_blender
+
     module, name = config.studio.split(":")
-    return getattr(importlib.import_module(module), name)(config.device, config.threads)
+    with importing_blender(config.threads):
+        studio = getattr(importlib.import_module(module), name)
+    return studio(config.device, config.threads)
 
 
 if __name__ == "__main__":

@@ -45,6 +45,7 @@ SHIFTS = {
     2: ((-0.25, -0.25), (0.25, 0.25)),
     4: ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)),
 }
+R2 = 0.7548776662466927, 0.5698402909980532
 # cells across a pixel, in each of which light near the horizon is summed once for similar normals:
 # those whose x and y are equal when they are rounded to SIMILAR steps per unit
 CELLS, SIMILAR = 2, 8
@@ -118,6 +119,22 @@ def points_of(
         if few and count * looked_at <= MOST_POINTS and count * pixels <= most_places:
             return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // min(count, USUAL)))
     return None
+
+
+def turn_points(points: Points, turn: int) -> Points:
+    """Return as many points at other places of their pixels: those of each turn are their own.
+
+    Grids are shifted by multiples of the fractions that fill a square most evenly (R2: Roberts,
+    The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
+    """
+    shifts = tuple(
+        (
+            (rightwards + 0.5 + turn * R2[0]) % 1 - 0.5,
+            (upwards + 0.5 + turn * R2[1]) % 1 - 0.5,
+        )
+        for rightwards, upwards in points.shifts
+    )
+    return points._replace(shifts=shifts)
 
 
 def picture_of(

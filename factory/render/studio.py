@@ -361,15 +361,23 @@ class Studio:
         return self._direct_light.picture(self._shown_view(), points, known, where)
 
     def visible_share(
-        self, points: int, rays: int, seed: int, half: int, where: np.ndarray | None = None
+        self,
+        points: int,
+        rays: int,
+        seed: int,
+        half: int,
+        where: np.ndarray | None = None,
+        turn: int = 0,
     ) -> Share | None:
         """Return the share of `direct_light` that the object does not block; None where that is.
 
         points  per pixel, of which either half has every other grid
         rays    from each point, by this seed
         where   (height, width) bool, the pixels that rays are cast for; None: all
+        turn    points of each turn lie between those of the others
         """
-        return self._direct_light.share(self._shown_view(), points, rays, seed, half, where)
+        view = self._shown_view()
+        return self._direct_light.share(view, points, rays, seed, half, where, turn)
 
     def forget_grids(self) -> None:
         """Forget what `direct_light` has seen of the view, as another view makes it do."""

@@ -19,6 +19,7 @@ from factory.render.direct_light import (
     merge_pictures,
     picture_of,
     points_of,
+    turn_points,
 )
 from factory.render.estimators.renderer import DirectPicture, DirectWork, Share
 from factory.render.geometry import Surface
@@ -137,17 +138,21 @@ class ViewLight:
         seed: int,
         half: int,
         where: np.ndarray | None = None,
+        turn: int = 0,
     ) -> Share | None:
         """Return the share of direct light that arrives; None where `picture` is.
 
         points  per pixel, every other grid of which is one half's
         each    rays from each point
         where   (height, width) bool, the pixels that rays are cast for; None: all
+        turn    points of each turn lie between those of the others
         """
         direct = self.closed_forms(view)
         at = points_of(direct, view.lens, points, where) if direct else None
         if at is None or self._rays is None:
             return None
+        if turn:
+            at = turn_points(at, turn)
         grids = self._grids_at(view, at, where)
         if len(grids) > 1:
             grids, at = grids[half::2], at._replace(shifts=at.shifts[half::2])

@@ -56,7 +56,7 @@ def test_most_rays_are_cast_where_the_halves_differ_most():
     known.share[:] = np.where(columns < 20, 0.5, 0.9)[None, :, None]
     loud = known.visible_share
 
-    def visible_share(points, rays, seed, half, where=None):
+    def visible_share(points, rays, seed, half, where=None, turn=0):
         share = loud(points, rays, seed, half, where)
         quiet = share.sent * known.share
         calm = (columns >= 20)[None, :, None]

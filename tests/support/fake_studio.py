@@ -104,7 +104,7 @@ class Studio:
     def direct_light(self, points, known=None, where=None):
         return None
 
-    def visible_share(self, points, rays, seed, half, where=None):
+    def visible_share(self, points, rays, seed, half, where=None, turn=0):
         return None
 
 

@@ -44,7 +44,7 @@ class Known:
     def direct_light(self, points, known=None, where=None):
         return None
 
-    def visible_share(self, points, rays, seed, half, where=None):
+    def visible_share(self, points, rays, seed, half, where=None, turn=0):
         return None
 
 
@@ -97,7 +97,7 @@ class Rays(Shaded):
         super().__init__(**words)
         self.off, self.spread, self.rays = off, spread, []
 
-    def visible_share(self, points, rays, seed, half, where=None):
+    def visible_share(self, points, rays, seed, half, where=None, turn=0):
         self.rays.append((rays, half, where))
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         shape = self.truth.shape

@@ -119,7 +119,8 @@ class Renderer(Protocol):
                           None also where so many points of them do not fit
     direct_light_work     what it takes; None as above
     visible_share         of the direct light, which the object does not block: by `rays` rays from
-                          each of a half's points. None where no closed form holds
+                          each of a half's points, which are others with each `turn`. None where
+                          no closed form holds
     forget_grids          makes `direct_light` see the shape again, as it does in another view
     may_shade_itself      False where the tiers `shadow` and `full` show nothing but direct light
     """
@@ -133,7 +134,13 @@ class Renderer(Protocol):
     ) -> DirectPicture | None: ...
 
     def visible_share(
-        self, points: int, rays: int, seed: int, half: int, where: np.ndarray | None = None
+        self,
+        points: int,
+        rays: int,
+        seed: int,
+        half: int,
+        where: np.ndarray | None = None,
+        turn: int = 0,
     ) -> Share | None: ...
 
     def direct_light_work(self, points: int) -> DirectWork | None: ...

@@ -191,7 +191,7 @@ class ShadowedLight:
         shares = []
         for half in (0, 1):
             seed = half_seed(half_seed(self.shown.seed, half) + number, 1)
-            share = self.shown.renderer.visible_share(points, rays, seed, half, where)
+            share = self.shown.renderer.visible_share(points, rays, seed, half, where, number)
             assert share is not None  # there is a closed form
             shares.append(share)
         return shares

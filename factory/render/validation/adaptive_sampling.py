@@ -21,12 +21,11 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
-from factory.render.studio import Studio
 from factory.render.validation import command_line
 from factory.render.validation.sample_division import (
     TILE,
@@ -38,6 +37,9 @@ from factory.render.validation.sample_division import (
 )
 from factory.render.validation.scenes import TIERS, Scene, Stage, compare, draw_scene
 from manifests.provenance import provenance
+
+if TYPE_CHECKING:
+    from factory.render.studio import Studio
 
 PORTIONS, EACH = 16, 8  # pictures that say how noisy pixels are, and their samples
 THRESHOLDS = (0.1, 0.03, 0.01)

@@ -16,6 +16,7 @@ settings  properties of Cycles by name, {"samples": 16, "use_denoising": False};
 
 import contextlib
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -86,8 +87,23 @@ def radiance(file: Path) -> Any:
     return np.ascontiguousarray(pixels.reshape(height, width, 4)[::-1, :, :3])
 
 
+def import_on_one_core() -> None:
+    """Import bpy so that it starts no threads that wait: Cycles is given one thread.
+
+    factory.render.blender_threads says why, and is not imported here.
+    """
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if cores:
+        os.sched_setaffinity(0, {min(cores)})
+    import bpy  # noqa: F401
+
+    if cores:
+        os.sched_setaffinity(0, cores)
+
+
 def main(order: Path) -> None:
     """Render every scene of an order under each of its settings."""
+    import_on_one_core()
     import numpy as np
 
     words = json.loads(order.read_text())

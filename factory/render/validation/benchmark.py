@@ -212,8 +212,10 @@ def memory(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _studio(options: argparse.Namespace) -> Studio:
-    from factory.render.studio import Studio
+    from factory.render.blender_threads import importing_blender
 
+    with importing_blender(options.threads):
+        from factory.render.studio import Studio
     return Studio(options.device, options.threads)
 
 

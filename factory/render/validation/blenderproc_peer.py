@@ -48,8 +48,23 @@ def check() -> None:
         blenderproc()
 
 
+def import_on_one_core() -> None:
+    """Import bpy so that it starts no threads that wait: Cycles is given one thread.
+
+    factory.render.blender_threads says why, and is not imported here.
+    """
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if cores:
+        os.sched_setaffinity(0, {min(cores)})
+    import bpy  # noqa: F401
+
+    if cores:
+        os.sched_setaffinity(0, cores)
+
+
 def main(order: Path) -> None:
     """Render every scene of an order under each of its settings."""
+    import_on_one_core()
     import bpy
     import numpy as np
 

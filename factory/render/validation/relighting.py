@@ -28,7 +28,7 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,12 +37,14 @@ from factory.render import light as worlds
 from factory.render.estimators import ratio
 from factory.render.estimators.relighting import sum_basis_pictures
 from factory.render.estimators.renderer import Shown
-from factory.render.studio import Studio
 from factory.render.validation import command_line, scenes, speed_accuracy
 from factory.render.validation.light_bases import Basis, cells, factors, harmonics
 from factory.render.validation.relighting_report import chart, figures, report
 from manifests.line_files import Lines
 from manifests.provenance import provenance
+
+if TYPE_CHECKING:
+    from factory.render.studio import Studio
 
 LIGHTS = 64
 SHOWN = (0, 27)  # of them, of which errors are measured

@@ -11,7 +11,7 @@ import numpy as np
 from factory.lights import load as load_light
 from factory.render.estimators.halves import Estimate, Halves, mean_over
 from factory.render.estimators.renderer import Shown
-from factory.render.studio import Studio
+from factory.render.blender_threads import importing_blender
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
@@ -70,6 +70,8 @@ class Stage:
     """A studio that shows scenes, and a clock."""
 
     def __init__(self, size: int, threads: int):
+        with importing_blender(threads):
+            from factory.render.studio import Studio
         self.studio = Studio("cpu", threads)
         self.studio.set_camera(Camera(size=(size, size)))
         self._catalogue = load_catalogue()

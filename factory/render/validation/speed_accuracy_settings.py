@@ -16,16 +16,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import bpy
 import numpy as np
 
 from factory.render.estimators import choice, ratio, shadow_rays
 from factory.render.estimators.adaptive_sampling import stop_where_noise_is_below
 from factory.render.estimators.halves import half_seed
 from factory.render.estimators.renderer import Shown, effort
-from factory.render.studio import Studio
 from factory.render.validation.speed_accuracy_report import (
     BARE_LOOP,
     CLOSED,
@@ -36,6 +34,9 @@ from factory.render.validation.speed_accuracy_report import (
 from manifests.errors import InputError
 from manifests.files import write_json
 from manifests.schema import Tier
+
+if TYPE_CHECKING:
+    from factory.render.studio import Studio
 
 FAMILIES = (
     "path tracing",
@@ -190,6 +191,8 @@ def of_tier(known: dict[tuple[str, str], Method], tier: Tier) -> dict[tuple[str,
 
 def save(shown: Shown, path: Path) -> None:
     """Write what is shown as a picture, with the light map inside, into a .blend file."""
+    import bpy
+
     # a closed form that was accepted at once has left the segments emitting their numbers
     shown.renderer.portion(0, 1, shown.seed, shown.tier)
     for image in bpy.data.images:
