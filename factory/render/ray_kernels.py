@@ -121,55 +121,163 @@ def are_blocked(
         )
 
 
+@njit(inline="always", fastmath=True, error_model="numpy")
+def _nearest(o, d, inverse, boxes, first, count, triangles, waiting, entries):
+    """Return the number of the triangle that a ray from o in direction d meets first, −1: none.
+
+    Returns  the number; the distance; and u and v, the places along the triangle's two edges
+    """
+    met, nearest, at_u, at_v = -1, HUGE, ZERO, ZERO
+    waits, node = 0, 0
+    while True:
+        if count[node]:
+            for t in range(first[node], first[node] + count[node]):
+                far, u, v = _meet(triangles[t], o, d)
+                inside = u >= -BESIDE and v >= -BESIDE and u + v <= ONE + BESIDE
+                if inside and ZERO < far < nearest:
+                    met, nearest, at_u, at_v = t, far, u, v
+        else:
+            a, b = first[node], first[node] + 1
+            to_a, to_b = _distance(a, boxes, o, inverse), _distance(b, boxes, o, inverse)
+            if to_b < to_a:
+                a, b, to_a, to_b = b, a, to_b, to_a
+            if to_a < HUGE and to_a <= nearest * LOOSE:
+                if to_b < HUGE:
+                    waiting[waits], entries[waits] = b, to_b
+                    waits += 1
+                node = a
+                continue
+        while waits and entries[waits - 1] > nearest * LOOSE:
+            waits -= 1
+        if waits == 0:
+            break
+        waits -= 1
+        node = waiting[waits]
+    return met, nearest, at_u, at_v
+
+
+@njit(inline="always", fastmath=True, error_model="numpy")
+def _lift(rising, side, weights):
+    """Return how far a smooth surface lies above its facet, along the interpolated normal.
+
+    It is half of the height of a parabola through the corners, and at least that of the lowest of
+    three planes: those that the corners' normals have, raised until no corner is above them. By
+    this Cycles lifts the origins of shadow rays, so that coarse meshes do not shade themselves at
+    their edges (shadow_terminator_geometry_offset).
+
+    rising   (3, 3) how far corner j lies above the plane of corner k, seen from the side 1
+    side     that is seen, 1 or −1
+    weights  (3,) of the corners at the point
+    """
+    pairs, lowest = ZERO, HUGE
+    for k in range(3):
+        highest, here = ZERO, ZERO
+        for j in range(3):
+            above = side * rising[k, j]
+            highest = max(highest, above)
+            here += weights[j] * above
+        pairs += weights[k] * here
+        lowest = min(lowest, max(highest - here, ZERO))
+    return max(lowest, -pairs / 2)
+
+
+@njit(cache=True, nogil=True)
+def lift(rising: np.ndarray, side: np.float32, weights: np.ndarray) -> float:
+    """Return what `_lift` does, for one point."""
+    return _lift(rising, side, weights)
+
+
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def look(
-    origins: np.ndarray,
-    d: np.ndarray,
+    columns: np.ndarray,
+    row: int,
+    across: int,
+    corner: np.ndarray,
+    step: np.float32,
+    rotation: np.ndarray,
     boxes: np.ndarray,
     first: np.ndarray,
     count: np.ndarray,
     triangles: np.ndarray,
-    met: np.ndarray,
-    places: np.ndarray,
-) -> None:
-    """Find what rays from origins (R, 3) in one direction d (3,) meet first.
+    corner_normals: np.ndarray,
+    facet_normals: np.ndarray,
+    rising: np.ndarray,
+    segment: np.ndarray,
+    mask: np.ndarray,
+    normals: np.ndarray,
+    facets: np.ndarray,
+    depth: np.ndarray,
+    segments: np.ndarray,
+    lifts: np.ndarray,
+) -> int:
+    """Find what the points of some pixels of one row see; return how many see anything.
 
-    met     (R,) set to the triangle's number, −1: none
-    places  (R, 3) set to the distance, and to the places along the triangle's two edges
+    Points are a grid, in whose order those that see something are written to normals, facets,
+    depth, segments and lifts, as factory.render.geometry.Surface has them.
+
+    columns   (N,) of the pixels, rising; row: theirs
+    across    points along each side of a pixel
+    corner    (3,) place of the grid's first point, x and y in the camera frame, and how far away
+              the rays begin
+    step      between points
+    rotation  (3, 3) from the object's frame to the camera's
+    corner_normals (F, 3, 3), facet_normals (F, 3), rising (F, 3, 3) as `_lift` has them, and
+              segment (F,) of the triangles, in the object's frame
+    mask      (height · across, width · across) bool, set where points see something
     """
     waiting = np.empty(DEEPEST, np.int32)
     entries = np.empty(DEEPEST, np.float32)
-    inverse = np.empty(3, np.float32)
+    inverse, o, d, weights = (
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+    )
+    for axis in range(3):
+        d[axis] = -rotation[2, axis]
     _inverse(d, inverse)
-    for i in range(len(origins)):
-        o = origins[i]
-        met[i], nearest = -1, HUGE
-        waits, node = 0, 0
-        while True:
-            if count[node]:
-                for t in range(first[node], first[node] + count[node]):
-                    far, u, v = _meet(triangles[t], o, d)
-                    inside = u >= -BESIDE and v >= -BESIDE and u + v <= ONE + BESIDE
-                    if inside and ZERO < far < nearest:
-                        met[i], nearest = t, far
-                        places[i, 0], places[i, 1], places[i, 2] = far, u, v
-            else:
-                a, b = first[node], first[node] + 1
-                to_a, to_b = _distance(a, boxes, o, inverse), _distance(b, boxes, o, inverse)
-                if to_b < to_a:
-                    a, b, to_a, to_b = b, a, to_b, to_a
-                if to_a < HUGE and to_a <= nearest * LOOSE:
-                    if to_b < HUGE:
-                        waiting[waits], entries[waits] = b, to_b
-                        waits += 1
-                    node = a
+    seen = 0
+    for fine_row in range(row * across, (row + 1) * across):
+        y = corner[1] - np.float32(fine_row) * step
+        for column in columns:
+            for fine_column in range(column * across, (column + 1) * across):
+                x = corner[0] + np.float32(fine_column) * step
+                for axis in range(3):
+                    o[axis] = (
+                        x * rotation[0, axis]
+                        + y * rotation[1, axis]
+                        + corner[2] * rotation[2, axis]
+                    )
+                t, far, u, v = _nearest(
+                    o, d, inverse, boxes, first, count, triangles, waiting, entries
+                )
+                if t < 0:
                     continue
-            while waits and entries[waits - 1] > nearest * LOOSE:
-                waits -= 1
-            if waits == 0:
-                break
-            waits -= 1
-            node = waiting[waits]
+                mask[fine_row, fine_column] = True
+                weights[0], weights[1], weights[2] = ONE - u - v, u, v
+                side = ZERO
+                for axis in range(3):
+                    side += rotation[2, axis] * facet_normals[t, axis]
+                side = -ONE if side < 0 else ONE
+                square = ZERO
+                for axis in range(3):
+                    o[axis] = ZERO
+                    for k in range(3):
+                        o[axis] += weights[k] * corner_normals[t, k, axis]
+                    square += o[axis] ** 2
+                length = max(math.sqrt(square), np.float32(1e-12))
+                for axis in range(3):
+                    normal, facet = ZERO, ZERO
+                    for k in range(3):
+                        normal += rotation[axis, k] * o[k]
+                        facet += rotation[axis, k] * facet_normals[t, k]
+                    normals[seen, axis] = normal * side / length
+                    facets[seen, axis] = facet * side
+                depth[seen] = far - corner[2]
+                segments[seen] = segment[t]
+                lifts[seen] = _lift(rising[t], side, weights) * length
+                seen += 1
+    return seen
 
 
 @njit(inline="always")

@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 # boxes, first, count and triangles, as factory.render.ray_kernels takes them
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-class Met(NamedTuple):
-    """What rays met: the numbers of faces (R,), −1 where none, and of the others
-
-    distance  (R,) along the ray
-    place     (R, 2) shares of the face's second and third corner
-    """
-
-    face: np.ndarray
-    distance: np.ndarray
-    place: np.ndarray
 
 
 class RayTree:
@@ -48,6 +35,11 @@ class RayTree:
         return order, (boxes[:nodes].copy(), first[:nodes].copy(), held[:nodes].copy(), triangles)
 
     @property
+    def order(self) -> np.ndarray:
+        """The faces' numbers (F,) in the order of the tree's triangles."""
+        return self._order_and_arrays[0]
+
+    @property
     def arrays(self) -> Arrays:
         """The tree and its triangles, for kernels."""
         return self._order_and_arrays[1]
@@ -60,13 +52,3 @@ class RayTree:
         origins, towards = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
         ray_kernels.are_blocked(origins, towards, *self.arrays, out)
         return out
-
-    def look(self, origins: np.ndarray, towards: np.ndarray) -> Met:
-        """Return what rays from origins (R, 3) in one unit direction (3,) meet first."""
-        from factory.render import ray_kernels
-
-        met, places = np.empty(len(origins), np.int32), np.zeros((len(origins), 3), np.float32)
-        origins, towards = (np.ascontiguousarray(x, np.float32) for x in (origins, towards))
-        ray_kernels.look(origins, towards, *self.arrays, met, places)
-        order = self._order_and_arrays[0]
-        return Met(np.where(met < 0, -1, order[met]), places[:, 0], places[:, 1:])

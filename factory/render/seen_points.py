@@ -7,6 +7,8 @@ corners' are interpolated, and turned round with a face whose inner side is seen
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from factory.render import camera
@@ -15,24 +17,26 @@ from factory.render.ray_tree import RayTree
 from factory.shapes.mesh import Mesh
 from manifests.schema import Camera
 
-AT_ONCE = 1 << 20  # rays in memory, of 60 bytes each
-
 
 class SeenPoints:
     """The surface of one shape, seen by a distant viewer."""
 
     def __init__(self, mesh: Mesh, tree: RayTree):
-        self._tree, self._segment = tree, mesh.segment
-        self._normals = mesh.corner_normals.astype(np.float32)
-        corners = mesh.vertices[mesh.faces]
+        self._mesh, self._tree = mesh, tree
+
+    @cached_property
+    def _faces(self) -> tuple[np.ndarray, ...]:
+        """Corners' and faces' normals, how far corners rise and segments, in the tree's order."""
+        mesh, order = self._mesh, self._tree.order
+        corners, normals = mesh.vertices[mesh.faces[order]], mesh.corner_normals[order]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        self._facets = across.astype(np.float32)
         # (F, 3, 3): how far corner j lies above the plane through corner k that its normal has
-        rising = np.einsum(
-            "fkjc,fkc->fkj", corners[:, None, :] - corners[:, :, None], mesh.corner_normals
+        rising = np.einsum("fkjc,fkc->fkj", corners[:, None, :] - corners[:, :, None], normals)
+        return (
+            *(np.ascontiguousarray(each, np.float32) for each in (normals, across, rising)),
+            mesh.segment[order].astype(np.uint8),
         )
-        self._rising = rising.astype(np.float32)
 
     def look(
         self,
@@ -49,79 +53,57 @@ class SeenPoints:
         shift    of the grid, in steps between its points: rightwards, upwards
         where    (height, width) bool, the pixels that are looked at; None: all
         """
+        from factory.render import ray_kernels  # and numba, which takes half a second
+
         height, width = lens.size
         mask = np.zeros((height * across, width * across), bool)
-        rotation = camera.camera_from_object(azimuth, lens)
         if where is None:
-            where = np.ones(lens.size, bool)
-        pixels = np.flatnonzero(where)
-        inside = np.indices((across, across)).reshape(2, -1)
-        some = max(1, AT_ONCE // across**2)
-        parts = [
-            self._part(lens, rotation, across, shift, pixels[k : k + some], inside, mask)
-            for k in range(0, max(len(pixels), 1), some)
-        ]
-        # in the order of the grid's rows, as masks have it
-        values = [np.concatenate(each) for each in zip(*parts, strict=True)]
-        order = np.argsort(values[0], kind="stable")
-        return Surface(mask, *(each[order] for each in values[1:]))
-
-    def _part(
-        self,
-        lens: Camera,
-        rotation: np.ndarray,
-        across: int,
-        shift: tuple[float, float],
-        pixels: np.ndarray,
-        inside: np.ndarray,
-        mask: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """Return numbers of points in the grid, and what they see; the mask is set there.
-
-        pixels  (N,) numbers of pixels in the frame; inside (2, K) points' rows and columns in them
-        """
-        height, width = lens.size
-        rows, columns = (
-            (first[:, None] * across + within).ravel()
-            for first, within in zip(np.divmod(pixels, width), inside, strict=True)
-        )
+            where = self._pixels_near(lens, azimuth)
         step = 2 * lens.half_extent / (max(lens.size) * across)
-        x = (columns + 0.5 - width * across / 2 + shift[0]) * step
-        y = (height * across / 2 - rows - 0.5 + shift[1]) * step
-        away = 2.0 * self._tree.radius
-        origins = np.stack([x, y, np.full(len(x), away)], axis=1) @ rotation
-        met = self._tree.look(origins, -rotation[2])
-        seen = met.face >= 0
-        face, place = met.face[seen], met.place[seen]
-        mask[rows[seen], columns[seen]] = True
-        weights = np.stack([1 - place.sum(1), place[:, 0], place[:, 1]], axis=1)
-        normals = np.einsum("pk,pkc->pc", weights, self._normals[face])
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals /= np.maximum(lengths, 1e-12)
-        turn = rotation.T.astype(np.float32)
-        facets = self._facets[face] @ turn
-        side = np.where(facets[:, 2:] < 0, np.float32(-1), np.float32(1))
-        return (
-            rows[seen] * (width * across) + columns[seen],
-            np.ascontiguousarray(normals @ turn * side, np.float32),
-            np.ascontiguousarray(facets * side, np.float32),
-            (met.distance[seen] - np.float32(away)).astype(np.float32),
-            self._segment[face].astype(np.uint8),
-            _lift(self._rising[face] * side[:, :, None], weights) * lengths[:, 0],
+        corner = np.array(
+            [
+                (0.5 - width * across / 2 + shift[0]) * step,
+                (height * across / 2 - 0.5 + shift[1]) * step,
+                2.0 * self._tree.radius,
+            ],
+            np.float32,
         )
+        rotation = np.ascontiguousarray(camera.camera_from_object(azimuth, lens), np.float32)
+        shapes = ((3,), (3,), (), (), ())
+        types = (np.float32, np.float32, np.float32, np.uint8, np.float32)
+        parts: list[list[np.ndarray]] = []
+        for row in np.flatnonzero(where.any(1)):
+            columns = np.flatnonzero(where[row])
+            most = len(columns) * across**2
+            found = [np.empty((most, *s), t) for s, t in zip(shapes, types, strict=True)]
+            seen = ray_kernels.look(
+                columns,
+                int(row),
+                across,
+                corner,
+                np.float32(step),
+                rotation,
+                *self._tree.arrays,
+                *self._faces,
+                mask,
+                *found,
+            )
+            parts.append([each[:seen].copy() for each in found])
+        if not parts:
+            return Surface(
+                mask, *(np.empty((0, *s), t) for s, t in zip(shapes, types, strict=True))
+            )
+        return Surface(mask, *(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-
-def _lift(rising: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return how far smooth surfaces lie above their facets (P,), along the interpolated normal.
-
-    It is half of the height of a parabola through the corners, and at least that of the lowest of
-    three planes: those that the corners' normals have, raised until no corner is above them. By
-    this Cycles lifts the origins of shadow rays, so that coarse meshes do not shade themselves at
-    their edges (shadow_terminator_geometry_offset).
-
-    rising   (P, 3, 3) how far corner j lies above the plane of corner k
-    weights  (P, 3) of the corners at the points
-    """
-    pairs = np.einsum("pk,pj,pkj->p", weights, weights, rising)
-    planes = np.maximum(rising.max(2), 0) - np.einsum("pkj,pj->pk", rising, weights)
-    return np.maximum(np.maximum(planes, 0).min(1), -pairs / 2).astype(np.float32)
+    def _pixels_near(self, lens: Camera, azimuth: float) -> np.ndarray:
+        """Return the pixels (height, width) bool of the rectangle around the shape."""
+        height, width = lens.size
+        seen = camera.vertices_from_camera(self._mesh.vertices, azimuth, lens)
+        pixels = max(lens.size) / (2 * lens.half_extent)  # per unit
+        result = np.zeros(lens.size, bool)
+        left, bottom = seen[:, :2].min(0) * pixels
+        right, top = seen[:, :2].max(0) * pixels
+        rows = slice(max(int(height / 2 - top) - 1, 0), max(int(height / 2 - bottom) + 2, 0))
+        columns = slice(max(int(width / 2 + left) - 1, 0), max(int(width / 2 + right) + 2, 0))
+        result[rows, columns] = True
+        return result

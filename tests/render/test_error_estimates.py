@@ -243,7 +243,7 @@ def test_blocked_light_shows_what_the_noise_of_few_samples_hides(share):
     seen = blocked_light.raise_error(lucky, attempt.blocked)
     assert seen.estimate.error == seen.bias == pytest.approx(50 * (1 - share) ** 2)
     assert seen.estimate.standard_error == 9
-    attempt.tried[closed_form.NAME] = Estimate(25.0, 9.0), 4
+    attempt.tried[closed_form.NAME] = Estimate(15.0, 9.0), 4
     assert closed_form.NAME not in {plan.estimator for plan in _plans_with_direct_light(attempt)}
     attempt.blocked = Estimate(0.0, 1.0)
     assert blocked_light.raise_error(lucky, attempt.blocked).bias == 0
@@ -451,6 +451,7 @@ def test_the_closed_form_is_out_only_beyond_doubt():
     assert closed_form.is_surely_above(Estimate(30.0, 5.0), 20.0)
     assert not closed_form.is_surely_above(Estimate(25.0, 5.0), 20.0)
     assert closed_form.needed_samples(Estimate(30.0, 5.0), 4, 20.0) is None
+    assert closed_form.needed_samples(Estimate(21.0, 20.0), 4, 20.0) is None
     assert closed_form.needed_samples(Estimate(10.0, 20.0), 4, 20.0) == 14
     few = closed_form.cost_in_samples(10_000, DirectWork(16, 0.0, 400.0))
     assert closed_form.cost_in_samples(1000, DirectWork(16, 0.0, 400.0)) > few

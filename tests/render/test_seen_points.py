@@ -4,8 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from factory.render.camera import vertices_from_camera
 from factory.render.ray_tree import RayTree
-from factory.render.seen_points import SeenPoints, _lift
+from factory.render.seen_points import SeenPoints
 from factory.shapes.catalogue import load
 from manifests.schema import Camera
 
@@ -14,32 +15,45 @@ RNG = np.random.default_rng(4)
 SIZE = 32
 
 
-def test_rays_meet_first_what_is_nearest_of_all_triangles():
+def test_points_see_what_is_nearest_of_all_triangles():
+    """Of 300 triangles in a heap, by the plain formula: depth, facet and segment."""
+    from factory.shapes.mesh import finish
+
     centres = RNG.uniform(-1, 1, (300, 1, 3))
-    corners = (centres + RNG.normal(size=(300, 3, 3)) * 0.2).astype(np.float32)
-    vertices, faces = corners.reshape(-1, 3), np.arange(900).reshape(300, 3)
-    origins = RNG.uniform(-1, 1, (400, 3)) + np.array([0, 0, 4])
-    towards = np.array([0.1, -0.2, -1])
-    towards /= np.linalg.norm(towards)
-    met = RayTree(vertices, faces).look(origins, towards)
-    a, b, c = (corners[:, k].astype(float)[None] for k in range(3))
+    corners = (centres + RNG.normal(size=(300, 3, 3)) * 0.2).reshape(-1, 3)
+    faces, segment = np.arange(900).reshape(300, 3), RNG.integers(1, 4, 300)
+    mesh = finish("heap", "test", corners, faces, segment=segment, parts=("a", "b", "c"))
+    lens, azimuth, across, shift = Camera(size=(10, 12), elevation_deg=20.0), 0.4, 2, (0.25, -0.1)
+    seen = SeenPoints(mesh, RayTree(mesh.vertices.astype(np.float32), mesh.faces))
+    surface = seen.look(lens, azimuth, across, shift)
+    there = vertices_from_camera(mesh.vertices, azimuth, lens)
+    a, b, c = (there[mesh.faces[:, k]][None] for k in range(3))
+    step = 2 * lens.half_extent / (12 * across)
+    columns, rows = np.meshgrid(np.arange(12 * across), np.arange(10 * across))
+    x = (columns.ravel() + 0.5 - 12 * across / 2 + shift[0]) * step
+    y = (10 * across / 2 - rows.ravel() - 0.5 + shift[1]) * step
+    origins = np.stack([x, y, np.zeros(len(x))], axis=1)[:, None]
     normal = np.cross(b - a, c - a)
-    t = (normal * (a - origins[:, None])).sum(-1) / (normal @ towards)
-    at = origins[:, None] + t[..., None] * towards
-    inside = t > 0
+    z = (normal * (a - origins)).sum(-1) / normal[..., 2]
+    at = origins + z[..., None] * np.array([0, 0, 1.0])
+    inside = np.ones(z.shape, bool)
     for one, other in ((a, b), (b, c), (c, a)):
         inside &= (np.cross(other - one, at - one) * normal).sum(-1) >= 0
-    t = np.where(inside, t, np.inf)
-    nearest = np.where(inside.any(1), t.argmin(1), -1)
-    assert (nearest < 0).any() and (nearest >= 0).mean() > 0.3
-    assert (met.face != nearest).mean() <= 0.005  # a ray along an edge may count to either side
-    same = (met.face == nearest) & (nearest >= 0)
-    np.testing.assert_allclose(met.distance[same], t.min(1)[same], rtol=1e-4)
-    u, v = met.place[same].T
-    first, second, third = (corners[met.face[same], k] for k in range(3))
-    there = first + u[:, None] * (second - first) + v[:, None] * (third - first)
-    place = origins[same] + met.distance[same][:, None] * towards
-    np.testing.assert_allclose(there, place, atol=2e-4)
+    z = np.where(inside, z, -np.inf)
+    nearest, hit = z.argmax(1), inside.any(1)
+    mask = surface.mask.ravel()
+    assert 0.3 < hit.mean() < 1
+    assert (mask != hit).mean() <= 0.005  # a ray along an edge may count to either side
+    depth = np.full(len(hit), np.nan)
+    depth[mask] = surface.depth
+    same = np.abs(depth + z.max(1)) < 1e-4
+    assert (same | ~hit).mean() >= 0.995
+    facet, segments = np.zeros((len(hit), 3)), np.zeros(len(hit), int)
+    facet[mask], segments[mask] = surface.facets, surface.segments
+    unit = normal[0] / np.linalg.norm(normal[0], axis=1, keepdims=True)
+    unit *= np.where(unit[:, 2:] < 0, -1, 1)
+    np.testing.assert_allclose(facet[same], unit[nearest[same]], atol=2e-4)
+    np.testing.assert_array_equal(segments[same], mesh.segment[nearest[same]])
 
 
 def pasted(surface, name):
@@ -119,14 +133,17 @@ def test_a_seam_of_two_triangles_has_no_holes():
 
 def test_points_are_lifted_to_the_planes_that_touch_the_smooth_surface():
     """Of a tube of twelve sides, whose planes at the ends of a chord meet above its middle."""
+    from factory.render.ray_kernels import lift
+
     corners = np.array([[1, 0], [np.cos(np.pi / 6), np.sin(np.pi / 6)]])
     vertices = np.array([[*corners[0], 0], [*corners[1], 0], [*corners[1], 1]])
     normals = np.array([[*corners[0], 0], [*corners[1], 0], [*corners[1], 0]])
-    rising = np.einsum("kjc,kc->kj", vertices[None] - vertices[:, None], normals)[None]
-    middle = np.array([[0.5, 0.5, 0.0]])
+    rising = np.einsum("kjc,kc->kj", vertices[None] - vertices[:, None], normals)
+    rising, one = rising.astype(np.float32), np.float32(1)
+    middle, corner = np.array([[0.5, 0.5, 0.0], [1, 0, 0]], np.float32)
     height = (1 - np.cos(np.pi / 6)) / 2
-    assert _lift(rising, middle)[0] == pytest.approx(height, rel=1e-5)
-    assert _lift(rising, np.eye(3)[:1])[0] == pytest.approx(0, abs=1e-6)  # at a corner
+    assert lift(rising, one, middle) == pytest.approx(height, rel=1e-5)
+    assert lift(rising, one, corner) == pytest.approx(0, abs=1e-6)
     # in a hollow, too: so far lies the rim above the plane at a corner, less what the middle does
-    assert _lift(-rising, middle)[0] == pytest.approx(height, rel=1e-5)
-    assert _lift(0 * rising, middle)[0] == 0  # flat
+    assert lift(rising, -one, middle) == pytest.approx(height, rel=1e-5)
+    assert lift(0 * rising, one, middle) == 0  # flat

@@ -271,15 +271,16 @@ def is_surely_above(estimate: Estimate, error: float) -> bool:
 
 
 def needed_samples(estimate: Estimate, samples: int, error: float) -> int | None:
-    """Return the samples of each half that show whether the error is kept, or None if it is not.
+    """Return the samples of each half that show that the error is kept, or None if it seems not so.
+
+    An error that seems above the limit may be below it, but further samples for that alone are a
+    bad bet: those of whatever else is tried show it at no cost.
 
     estimate  by `samples` of each half; its uncertainty falls in proportion to 1/samples
     """
-    if is_surely_above(estimate, error):
-        return None
     if estimate.bound <= error:  # its bias may be too large: a look that is twice as close
         return 2 * samples
     left = error - max(estimate.error, 0.0)
-    if left <= 0:  # above the limit, but not beyond doubt: a closer look decides
-        left = error / 4
+    if left <= 0:
+        return None
     return max(samples + 1, math.ceil(samples * CONFIDENCE * estimate.standard_error / left))

@@ -18,7 +18,7 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.renderer import EFFORTS
 
-VERSION = 18  # a change makes new pictures
+VERSION = 19  # a change makes new pictures
 
 
 def identity() -> list[object]:
@@ -40,6 +40,7 @@ def identity() -> list[object]:
             shadow_rays.FEW_POINTS,
             shadow_rays.MUCH,
             shadow_rays.ENOUGH,
+            shadow_rays.TOLERATED,
             shadow_rays.FURTHER,
             shadow_rays.ROUNDS,
             shadow_rays.GOAL,

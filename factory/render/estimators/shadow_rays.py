@@ -34,6 +34,7 @@ FEW_POINTS = 16  # the same where the limit allows it
 # they miss lies at edges
 MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
+TOLERATED = 0.35  # the same once pixels have been given rays in proportion to their noise
 # points per pixel of further rounds, where the halves differ, and rays from each: what lies at
 # edges is noise of where the points are, which more rays from each leave as it is
 FURTHER = ((64, 1), (256, 1), (1024, 1), (1024, 4), (1024, 16))
@@ -166,13 +167,13 @@ class ShadowedLight:
             return
         mask, enough = self.shown.mask, ENOUGH * self.limit
         first = points_of(self.limit, mask.size)
-        self.shares = self._round(0, first, 1, None)
+        self.shares = self._round(0, first, 1, self.direct.alpha > 0)
         cast = np.full(int(mask.sum()), first)  # rays of each pixel
         further = [points * rays for points, rays in FURTHER if points * rays > first]
         levels = np.array([first, *further])
         for number in range(1, ROUNDS + 1):
             parts = self._parts()
-            if parts.mean() <= enough:
+            if parts.mean() <= (enough if number == 1 else TOLERATED * self.limit):
                 return
             by_first = closed_form.with_neighbours(parts * cast / first, mask)
             known = closed_form.points_per_pixel(by_first, cast, levels, GOAL * enough)
@@ -186,7 +187,7 @@ class ShadowedLight:
                     ]
             cast = np.where(known > cast, cast + known, cast)
 
-    def _round(self, number: int, points: int, rays: int, where: np.ndarray | None) -> list[Share]:
+    def _round(self, number: int, points: int, rays: int, where: np.ndarray) -> list[Share]:
         """Return both halves' shares by rays from points per pixel, of seeds of their own."""
         shares = []
         for half in (0, 1):

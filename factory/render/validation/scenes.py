@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from factory.lights import load as load_light
+from factory.render.blender_threads import importing_blender
 from factory.render.estimators.halves import Estimate, Halves, mean_over
 from factory.render.estimators.renderer import Shown
-from factory.render.blender_threads import importing_blender
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
