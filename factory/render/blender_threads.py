@@ -2,9 +2,9 @@
 
 Blender starts a thread for each further core. Once Cycles has been limited to one thread, one of
 them gives its turn away again and again for as long as the process lives (TBB's worker, in
-`sched_yield`). It takes a whole core that is idle, and up to a third of the time of processes that
-render beside it (docs/log/rendering.md, "A thread that waits"). A process that has as few cores as
-threads when Blender is imported starts no such threads, and keeps it so with all cores.
+`sched_yield`). It takes a whole core that is idle, and where none is idle some of the others' time
+(docs/log/rendering.md, "A thread that waits"). A process that has as few cores as threads when
+Blender is imported starts no such threads, and keeps it so with all cores.
 """
 
 from __future__ import annotations

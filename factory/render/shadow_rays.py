@@ -20,7 +20,6 @@ import numpy as np
 from factory.render.estimators.renderer import Share
 from factory.render.ray_tree import RayTree
 from manifests.schema import Camera
-from shaders import frames
 
 if TYPE_CHECKING:  # Blender is not needed for the constants, which are part of fingerprints
     from factory.render.direct_light import Points
@@ -185,28 +184,21 @@ def _points_seen(
     """Return what all grids see inside `where`."""
     height, width = lens.size
     across = points.across
-    fine = None if where is None else where.repeat(across, 0).repeat(across, 1)
     step = 2 * lens.half_extent / (max(lens.size) * across)
     result: list[list[np.ndarray]] = []
     for grid, (rightwards, upwards) in zip(grids, points.shifts, strict=True):
-        kept = slice(None) if fine is None else fine[grid.mask]
-        rows, columns = (each[kept] for each in np.nonzero(grid.mask))
-        x, y = (
-            each[grid.mask][kept] * lens.half_extent
-            for each in frames.pixel_grid(height * across, width * across)
-        )
-        places = np.stack([x + rightwards * step, y + upwards * step, -grid.depth[kept]], axis=-1)
+        # masks of a grid have many pixels, of which few may be seen
+        rows, columns = np.divmod(np.flatnonzero(grid.mask), width * across)
         pixels = rows // across * width + columns // across
-        result.append(
-            [
-                pixels,
-                grid.segments[kept],
-                places,
-                grid.normals[kept],
-                grid.facets[kept],
-                grid.lift[kept],
-            ]
-        )
+        seen: list[np.ndarray] = [grid.segments, grid.depth, grid.normals, grid.facets, grid.lift]
+        if where is not None:
+            kept = where.ravel()[pixels]
+            rows, columns, pixels = rows[kept], columns[kept], pixels[kept]
+            seen = [each[kept] for each in seen]
+        segments, depth, *others = seen
+        x = (columns + (0.5 + rightwards - width * across / 2)) * step
+        y = (height * across / 2 - 0.5 + upwards - rows) * step
+        result.append([pixels, segments, np.stack([x, y, -depth], axis=-1), *others])
     return _PointsSeen(*(np.concatenate(each) for each in zip(*result, strict=True)))
 
 

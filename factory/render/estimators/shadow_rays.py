@@ -49,7 +49,7 @@ MOST_TRIES = 3
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 # samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
-GROUPS, RAYS = 12000.0, 30.0
+GROUPS, RAYS = 12000.0, 20.0
 
 
 def cost_in_samples(pixels: int) -> float:
