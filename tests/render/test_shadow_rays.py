@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from factory.render import direct_light
 from factory.render.estimators.renderer import Share
 from factory.render.ray_tree import RayTree
 from factory.render.shadow_rays import ROWS
@@ -275,6 +276,42 @@ def test_coarse_smooth_meshes_do_not_shade_themselves_at_their_edges(studio, mat
     factor = studio.visible_share(64, 4, 1, 0).factor
     arrived = (direct * factor)[mask].mean() / direct[mask].mean()
     assert arrived == pytest.approx(1, abs=1e-3)
+
+
+def test_points_of_further_turns_fill_the_gaps_between_the_others():
+    points = direct_light.Points(16, direct_light.SHIFTS[4], samples=1)
+    turns = [np.array(direct_light.turn_points(points, turn).shifts) for turn in range(16)]
+    np.testing.assert_allclose(turns[0], direct_light.SHIFTS[4])
+    every = np.concatenate(turns)
+    assert ((every >= -0.5) & (every < 0.5)).all()
+    cells = np.floor((every + 0.5) * 4).astype(int)
+    assert len({tuple(cell) for cell in cells}) == 16  # of each quarter of a step, either way
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("turn", [0, 3])
+def test_either_half_has_points_of_its_own_in_every_turn(studio, turn, monkeypatch):
+    from factory.render.shadow_rays import ShadowRays
+    from factory.shapes.catalogue import load
+
+    studio.set_camera(Camera(size=(8, 8)))
+    studio.set_shape(load("cube"))
+    studio.set_light(np.ones((64, 128, 3), np.float32), 0)
+    studio.set_materials([Mixture.lambert((0.6, 0.5, 0.4))])
+    studio.set_view(0.4)
+    places = []
+    real = ShadowRays.share
+
+    def share(self, direct, grids, lens, rotation, points, *others):
+        places.append(set(points.shifts))
+        return real(self, direct, grids, lens, rotation, points, *others)
+
+    monkeypatch.setattr(ShadowRays, "share", share)
+    for half in (0, 1):
+        studio.visible_share(64, 1, 1, half, None, turn)
+    assert len(places[0]) == len(places[1]) == 2 and not places[0] & places[1]
+    plain = set(direct_light.SHIFTS[4])
+    assert (places[0] | places[1] == plain) == (turn == 0)
 
 
 @pytest.mark.blender
