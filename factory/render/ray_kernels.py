@@ -265,7 +265,7 @@ def look(
                     for k in range(3):
                         o[axis] += weights[k] * corner_normals[t, k, axis]
                     square += o[axis] ** 2
-                length = max(math.sqrt(square), np.float32(1e-12))
+                length = np.float32(max(math.sqrt(square), 1e-12))
                 for axis in range(3):
                     normal, facet = ZERO, ZERO
                     for k in range(3):
@@ -273,7 +273,7 @@ def look(
                         facet += rotation[axis, k] * facet_normals[t, k]
                     normals[seen, axis] = normal * side / length
                     facets[seen, axis] = facet * side
-                depth[seen] = far - corner[2]
+                depth[seen] = -corner[2] + far
                 segments[seen] = segment[t]
                 lifts[seen] = _lift(rising[t], side, weights) * length
                 seen += 1

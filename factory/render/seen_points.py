@@ -8,6 +8,7 @@ corners' are interpolated, and turned round with a face whose inner side is seen
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,23 @@ from factory.shapes.mesh import Mesh
 from manifests.schema import Camera
 
 
+class _Found(NamedTuple):
+    """What points see, as Surface has it."""
+
+    normals: np.ndarray
+    facets: np.ndarray
+    depth: np.ndarray
+    segments: np.ndarray
+    lift: np.ndarray
+
+
+def _empty(count: int) -> _Found:
+    """Return room for what so many points see."""
+    normals, facets = np.empty((2, count, 3), np.float32)
+    depth, lift = np.empty((2, count), np.float32)
+    return _Found(normals, facets, depth, np.empty(count, np.uint8), lift)
+
+
 class SeenPoints:
     """The surface of one shape, seen by a distant viewer."""
 
@@ -25,7 +43,7 @@ class SeenPoints:
         self._mesh, self._tree = mesh, tree
 
     @cached_property
-    def _faces(self) -> tuple[np.ndarray, ...]:
+    def _faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Corners' and faces' normals, how far corners rise and segments, in the tree's order."""
         mesh, order = self._mesh, self._tree.order
         corners, normals = mesh.vertices[mesh.faces[order]], mesh.corner_normals[order]
@@ -33,10 +51,10 @@ class SeenPoints:
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
         # (F, 3, 3): how far corner j lies above the plane through corner k that its normal has
         rising = np.einsum("fkjc,fkc->fkj", corners[:, None, :] - corners[:, :, None], normals)
-        return (
-            *(np.ascontiguousarray(each, np.float32) for each in (normals, across, rising)),
-            mesh.segment[order].astype(np.uint8),
+        normals, facets, rising = (
+            np.ascontiguousarray(each, np.float32) for each in (normals, across, rising)
         )
+        return normals, facets, rising, mesh.segment[order].astype(np.uint8)
 
     def look(
         self,
@@ -69,13 +87,10 @@ class SeenPoints:
             np.float32,
         )
         rotation = np.ascontiguousarray(camera.camera_from_object(azimuth, lens), np.float32)
-        shapes = ((3,), (3,), (), (), ())
-        types = (np.float32, np.float32, np.float32, np.uint8, np.float32)
-        parts: list[list[np.ndarray]] = []
+        parts = [_empty(0)]
         for row in np.flatnonzero(where.any(1)):
             columns = np.flatnonzero(where[row])
-            most = len(columns) * across**2
-            found = [np.empty((most, *s), t) for s, t in zip(shapes, types, strict=True)]
+            found = _empty(len(columns) * across**2)
             seen = ray_kernels.look(
                 columns,
                 int(row),
@@ -88,11 +103,7 @@ class SeenPoints:
                 mask,
                 *found,
             )
-            parts.append([each[:seen].copy() for each in found])
-        if not parts:
-            return Surface(
-                mask, *(np.empty((0, *s), t) for s, t in zip(shapes, types, strict=True))
-            )
+            parts.append(_Found(*(each[:seen].copy() for each in found)))
         return Surface(mask, *(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _pixels_near(self, lens: Camera, azimuth: float) -> np.ndarray:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from factory.render.estimators import shadow_rays
+from factory.render.estimators.attempt import Attempt
 from factory.render.estimators.choice import ALL, render_within_error
 from factory.render.estimators.halves import Estimate
 from factory.render.estimators.shadow_rays import ShadowedLight
@@ -101,7 +102,7 @@ def test_most_rays_are_cast_where_the_halves_differ_most():
 def test_what_is_left_of_a_limit_decides_how_many_samples_are_needed():
     scale, small = shadow_rays.expected_scale(128 * 128), Estimate(0.1, 0.1)
     needed = [
-        shadow_rays.needed_samples(noise, 4, scale, limit, small)
+        shadow_rays.needed_samples(noise, 4, scale, limit, lambda _: small)
         for noise, limit in ((0.0, 5.0), (50.0, 20.0), (50.0, 5.0), (200.0, 5.0))
     ]
     assert needed == sorted(needed) and needed[0] == shadow_rays.LEAST
@@ -109,13 +110,27 @@ def test_what_is_left_of_a_limit_decides_how_many_samples_are_needed():
     # no samples help where direct light is too uncertain, or its own error is more than the bias
     # that is allowed
     for known in (Estimate(0.1, 3.0), Estimate(2.0, 0.0)):
-        assert shadow_rays.needed_samples(0.0, 4, scale, 5.0, known) > shadow_rays.MOST_SAMPLES
+        assert (
+            shadow_rays.needed_samples(0.0, 4, scale, 5.0, lambda _, off=known: off)
+            > shadow_rays.MOST_SAMPLES
+        )
+
+
+def test_more_samples_are_planned_where_they_make_direct_light_certain():
+    """A limit of 1 that 4 samples cannot show to be kept, because they leave doubt of 1."""
+    scale = shadow_rays.expected_scale(128 * 128)
+    count = shadow_rays.needed_samples(0.0, 4, scale, 1.0, lambda n: Estimate(0.2, 4.0 / n))
+    assert 1.645 * 4.0 / count <= 0.8 - 0.2 < 1.645 * 4.0 / (count / 1.2)
+    errors = Attempt(shown(Rays(noise=0.05)), 2.0, ALL).shadowed_errors()
+    doubts = [errors(samples).standard_error for samples in (4, 64, 1024)]
+    assert doubts == sorted(doubts, reverse=True) and doubts[2] < 0.7 * doubts[0]
 
 
 def test_indirect_light_that_is_dim_has_no_more_bias_than_energy():
     scale, known = shadow_rays.expected_scale(128 * 128), Estimate(0.1, 0.1)
     bright, dim = (
-        shadow_rays.needed_samples(20.0, 4, scale, 5.0, known, energy) for energy in (1e4, 1.0)
+        shadow_rays.needed_samples(20.0, 4, scale, 5.0, lambda _: known, energy)
+        for energy in (1e4, 1.0)
     )
     assert dim < bright
 

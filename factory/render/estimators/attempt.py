@@ -9,7 +9,7 @@ bias alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -178,14 +178,30 @@ class Attempt:
 
     def shadowed_error(self) -> Estimate:
         """Return what direct light with shadows is off by, as far as it is known."""
-        expected = self._expected_by_rays()
+        return self.shadowed_errors()(self.halves.samples)
+
+    def shadowed_errors(self) -> Callable[[int], Estimate]:
+        """Return a function that says the same as so many samples of a half show it."""
+        expected, have = self._expected_by_rays(), self.halves.samples
         if self.shadowed is None:
-            return expected
-        return self.shadowed.error(self.halves.traced_direct_pictures(), expected)
+            # the uncertainty of the picture is taken for that of direct light, of which a half
+            # alone has twice as much
+            measured = Estimate(expected.error, 2 * self.now.standard_error)
+        else:
+            measured = self.shadowed.measure(self.halves.traced_direct_pictures())
+
+        def at(samples: int) -> Estimate:
+            uncertain = measured.standard_error * have / samples
+            return closed_form.combine_with_expectation(
+                Estimate(measured.error, uncertain), expected
+            )
+
+        return at
 
     def _expected_by_rays(self) -> Estimate:
         """Return the same before samples have measured it."""
-        return shadow_rays.expected_error(self.expected)
+        sampled = self.direct is not None and self.direct.sampled
+        return shadow_rays.expected_error(self.expected, sampled)
 
     def direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""

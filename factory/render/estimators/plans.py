@@ -124,7 +124,7 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
         halves.samples,
         attempt.rays_scale,
         attempt.error,
-        attempt.shadowed_error(),
+        attempt.shadowed_errors(),
         halves.energy_of_indirect_light(),
         least,
     )
