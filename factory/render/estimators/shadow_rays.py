@@ -45,7 +45,7 @@ GOAL = 0.7  # of the noise that is enough, which a round is planned for
 # differs between shots; and which share of the spread that is expected of the closed form is seen.
 # By whether lobes are so narrow that they are sampled; measured on own shapes and other meshes
 # (docs/log/rendering.md, "What shadowed direct light is off by")
-EXPECTED = {False: Estimate(0.0, 0.1), True: Estimate(0.15, 0.3)}
+EXPECTED = {False: Estimate(0.0, 0.1), True: Estimate(0.0, 0.3)}
 SPREAD = {False: 0.6, True: 1.0}
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
