@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 
 @contextlib.contextmanager
@@ -28,8 +28,14 @@ def importing_blender(threads: int | None) -> Iterator[None]:
         yield
         return
     cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, sorted(cores)[:threads])
+    os.sched_setaffinity(0, cores_of(os.getpid(), sorted(cores), threads))
     try:
         yield
     finally:
         os.sched_setaffinity(0, cores)
+
+
+def cores_of(process: int, cores: Sequence[int], threads: int) -> set[int]:
+    """Return so many of the cores, others for the next process: workers are started together."""
+    first = process * threads
+    return {cores[(first + k) % len(cores)] for k in range(threads)}

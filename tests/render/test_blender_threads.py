@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from factory.render.blender_threads import cores_of
+
 # renders a sphere on one thread, and prints the share of a core that half a second of sleep takes
 RENDER_AND_SLEEP = """
 import os, time
@@ -38,3 +40,11 @@ def test_one_thread_takes_no_time_while_it_waits_and_has_all_cores_again():
     _, share, cores = line.split()
     assert float(share) < 0.3  # 1.0 to 1.2 without the limit
     assert int(cores) == len(os.sched_getaffinity(0))
+
+
+def test_workers_that_start_together_have_cores_of_their_own():
+    cores = [2, 3, 5, 7]
+    assert [cores_of(number, cores, 1) for number in range(40, 44)] == [{2}, {3}, {5}, {7}]
+    assert [cores_of(number, cores, 2) for number in (40, 41)] == [{2, 3}, {5, 7}]
+    assert cores_of(1, cores, 3) == {7, 2, 3}
+    assert cores_of(7, cores, 9) == set(cores)

@@ -41,8 +41,8 @@ TOLERATED = 0.35  # the same once pixels have been given rays in proportion to t
 FURTHER = ((64, 1), (256, 1), (1024, 1), (1024, 4), (1024, 16))
 ROUNDS = 3
 GOAL = 0.7  # of the noise that is enough, which a round is planned for
-# what shadowed direct light is off by besides the closed form's own error, and by how much that
-# differs between shots; and which share of the spread that is expected of the closed form is seen.
+# what shadowed direct light is off by besides the closed form's own error, with its spread between
+# shots, and the share of the spread that the closed form is expected to have which counts besides.
 # By whether lobes are so narrow that they are sampled; measured on own shapes and other meshes
 # (docs/log/rendering.md, "What shadowed direct light is off by")
 EXPECTED = {False: Estimate(0.0, 0.1), True: Estimate(0.0, 0.3)}
