@@ -46,8 +46,8 @@ def identity() -> list[object]:
             shadow_rays.GOAL,
         ],
         [
-            *((off.error, off.standard_error) for off in shadow_rays.EXPECTED.values()),
-            *shadow_rays.SPREAD.values(),
+            shadow_rays.SPREAD,
+            sorted(shadow_rays.DOUBT.items()),
             shadow_rays.SCALE,
             shadow_rays.POWER,
             shadow_rays.MOST_LOST,
