@@ -53,11 +53,15 @@ def test_more_rays_are_cast_where_the_halves_differ():
     assert error(light.picture, known) == pytest.approx(light.noise.error, rel=0.3)
 
 
-@pytest.mark.parametrize(("left", "rounds"), [(0.3, 1), (0.4, 2)])
-def test_noise_that_rays_leave_where_they_count_is_tolerated(monkeypatch, left, rounds):
-    """A third of the limit, of which the first rays of all pixels may leave a fifth."""
+@pytest.mark.parametrize(
+    ("left", "off", "rounds"), [(0.3, 0.0, 1), (0.4, 0.0, 2), (0.3, 5.0, 2), (0.2, 9.0, 1)]
+)
+def test_noise_that_rays_leave_where_they_count_is_tolerated(monkeypatch, left, off, rounds):
+    """A third of the limit, of which the first rays of all pixels may leave a fifth, and half of
+    what is left beside what else is expected.
+    """
     known, limit = Rays(spread=0.4), 10.0
-    light = ShadowedLight(shown(known), known.direct_light(), limit)
+    light = ShadowedLight(shown(known), known.direct_light(), limit, Estimate(off, 0.0))
     noise = iter([0.3, left, 0.3])
     monkeypatch.setattr(light, "_parts", lambda: np.full(int(MASK.sum()), limit * next(noise)))
     numbers = set()

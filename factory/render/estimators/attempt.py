@@ -261,7 +261,9 @@ class Attempt:
         halves = self.halves
         assert self.direct is not None
         if self.shadowed is None:
-            self.shadowed = shadow_rays.ShadowedLight(self.shown, self.direct, self.error)
+            self.shadowed = shadow_rays.ShadowedLight(
+                self.shown, self.direct, self.error, self._expected_by_rays()
+            )
         shadowed = self.shadowed.pictures
         smooth, noisy = (
             [a + b for a, b in zip(shadowed, halves.indirect_pictures(denoised), strict=True)]

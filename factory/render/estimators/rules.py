@@ -41,6 +41,7 @@ def identity() -> list[object]:
             shadow_rays.MUCH,
             shadow_rays.ENOUGH,
             shadow_rays.TOLERATED,
+            shadow_rays.OF_THE_REST,
             shadow_rays.FURTHER,
             shadow_rays.ROUNDS,
             shadow_rays.GOAL,

@@ -35,7 +35,8 @@ FEW_POINTS = 16  # the same where the limit allows it
 # they miss lies at edges
 MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
-TOLERATED = 0.35  # the same once pixels have been given rays in proportion to their noise
+# the same once pixels have been given rays in proportion to their noise; and of what the limit leaves
+TOLERATED, OF_THE_REST = 0.35, 0.5
 # points per pixel of further rounds, where the halves differ, and rays from each: what lies at
 # edges is noise of where the points are, which more rays from each leave as it is
 FURTHER = ((64, 1), (256, 1), (1024, 1), (1024, 4), (1024, 16))
@@ -134,12 +135,14 @@ class ShadowedLight:
 
     direct  the closed form's picture
     limit   on the error, by which rays are cast
+    known   what it is expected to be off by besides
     shares  of both halves; [] before they are cast
     """
 
     shown: Shown
     direct: DirectPicture
     limit: float
+    known: Estimate = field(default_factory=lambda: Estimate(0.0, 0.0))
     shares: list[Share] = field(default_factory=list)
 
     @property
@@ -171,6 +174,8 @@ class ShadowedLight:
         if self.shares:
             return
         mask, enough = self.shown.mask, ENOUGH * self.limit
+        rest = OF_THE_REST * (self.limit - self.known.bound)
+        tolerated = max(min(TOLERATED * self.limit, rest), enough)
         first = points_of(self.limit, mask.size)
         self.shares = self._round(0, first, 1, self.direct.alpha > 0)
         cast = np.full(int(mask.sum()), first)  # rays of each pixel
@@ -178,7 +183,7 @@ class ShadowedLight:
         levels = np.array([first, *further])
         for number in range(1, ROUNDS + 1):
             parts = self._parts()
-            if parts.mean() <= (enough if number == 1 else TOLERATED * self.limit):
+            if parts.mean() <= (enough if number == 1 else tolerated):
                 return
             by_first = closed_form.with_neighbours(parts * cast / first, mask)
             known = closed_form.points_per_pixel(by_first, cast, levels, GOAL * enough)
