@@ -35,7 +35,8 @@ FEW_POINTS = 16  # the same where the limit allows it
 # they miss lies at edges
 MUCH = 25.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
-# the same once pixels have been given rays in proportion to their noise; and of what the limit leaves
+# the same once pixels have been given rays in proportion to their noise; and of what is left of the
+# limit beside what else is expected
 TOLERATED, OF_THE_REST = 0.35, 0.5
 # points per pixel of further rounds, where the halves differ, and rays from each: what lies at
 # edges is noise of where the points are, which more rays from each leave as it is
