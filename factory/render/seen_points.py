@@ -19,7 +19,7 @@ from factory.shapes.mesh import Mesh
 from manifests.schema import Camera
 
 
-class _Found(NamedTuple):
+class _Seen(NamedTuple):
     """What points see, as Surface has it."""
 
     normals: np.ndarray
@@ -29,11 +29,11 @@ class _Found(NamedTuple):
     lift: np.ndarray
 
 
-def _empty(count: int) -> _Found:
+def _empty(count: int) -> _Seen:
     """Return room for what so many points see."""
     normals, facets = np.empty((2, count, 3), np.float32)
     depth, lift = np.empty((2, count), np.float32)
-    return _Found(normals, facets, depth, np.empty(count, np.uint8), lift)
+    return _Seen(normals, facets, depth, np.empty(count, np.uint8), lift)
 
 
 class SeenPoints:
@@ -90,7 +90,7 @@ class SeenPoints:
         parts = [_empty(0)]
         for row in np.flatnonzero(where.any(1)):
             columns = np.flatnonzero(where[row])
-            found = _empty(len(columns) * across**2)
+            written = _empty(len(columns) * across**2)
             seen = ray_kernels.look(
                 columns,
                 int(row),
@@ -101,9 +101,9 @@ class SeenPoints:
                 *self._tree.arrays,
                 *self._faces,
                 mask,
-                *found,
+                *written,
             )
-            parts.append(_Found(*(each[:seen].copy() for each in found)))
+            parts.append(_Seen(*(each[:seen].copy() for each in written)))
         return Surface(mask, *(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _pixels_near(self, lens: Camera, azimuth: float) -> np.ndarray:
