@@ -301,6 +301,8 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
 
 def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str, str]) -> None:
     """Draw a line for each family, of its settings that all scenes have."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     most = max(each["scenes"] for each in figures)
     figures = [each for each in figures if each["scenes"] == most]
     for family in dict.fromkeys(each["family"] for each in figures):
@@ -329,6 +331,10 @@ def _draw(axes: Any, figures: list[dict[str, Any]], key: str, colours: dict[str,
                     color=colour,
                 )
     axes.set(xscale="log", yscale="log", xlabel="pictures per second and core")
+    for axis in (axes.xaxis, axes.yaxis):  # plain numbers, few enough for less than a decade
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     axes.grid(alpha=0.3, which="both")
 
 
