@@ -31,6 +31,9 @@ LOOSE = np.float32(1.00001)
 # the same between two triangles that share an edge, in units of the edges, for rays that see:
 # quads are divided along diagonals on which whole rows of a grid's points may lie
 BESIDE = np.float32(1e-6)
+# of light at a group's normal, below which a point's own counts as the group's; and how many times
+# as much the light counts at most
+LEAST_COSINE, MOST_TIMES = np.float32(0.01), np.float32(4)
 GOLDEN = (math.sqrt(5) - 1) / 2  # whose multiples cover a circle evenly
 LUMINANCE = tuple(np.float32(share) for share in tone.LUMINANCE)
 
@@ -430,18 +433,22 @@ def cast(
     count: np.ndarray,
     triangles: np.ndarray,
     energies: np.ndarray,
+    groups: np.ndarray,
     arrived: np.ndarray,
     sent: np.ndarray,
 ) -> None:
     """Cast rays from points towards the light that they reflect, and add what arrives.
 
-    Directions are drawn in proportion to the luminance of what each would add to the picture. Below
+    Directions are drawn in proportion to the luminance of what each would add to the picture at the
+    group's normal. What is drawn counts by the cosine at the point's own, which matters where light
+    grazes the surface. Below
     a facet that its normal leans from, they count as much as Cycles keeps of the light there
     (shaders.direct_light_kernels.add_leaning). The density with which Cycles would draw a direction
     by the closures is taken to be in proportion to what these reflect of it.
 
     light     (G, 3, T) what each patch of the light adds to the picture at each group's normal
     energies  (T,) of the patches, mean of the channels
+    groups    (G, 3) the groups' normals, in the triangles' frame
     patches   (T, 4) as `_direction` takes them
     order     (T,) of the patches, in which neighbours are near
     rotation  (3, 3) from the light's frame to that of the triangles
@@ -505,6 +512,12 @@ def cast(
                     by_closures = every / (3 * energies[t]) / reflected
                     by_light = energies[t] / (np.float32(whole) * solid[t])
                     kept = by_light**2 / (by_closures**2 + by_light**2)
+                of_group, of_point = ZERO, ZERO
+                for axis in range(3):
+                    of_group += groups[g, axis] * d[axis]
+                    of_point += normals[i, axis] * d[axis]
+                if of_group > LEAST_COSINE:
+                    kept *= min(max(of_point, ZERO) / of_group, MOST_TIMES)
                 blocked = _is_blocked(o, d, inverse, boxes, first, count, triangles, waiting)
                 for c in range(3):
                     weight = kept * total * light[g, c, t] / luminance

@@ -122,6 +122,7 @@ class ShadowRays:
                 seed,
                 *self._tree.arrays,
                 direct.blocks.listed_energies(ROWS),
+                np.ascontiguousarray(part @ rotation, np.float32),
                 arrived,
                 sent,
             )

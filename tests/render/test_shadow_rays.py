@@ -149,6 +149,7 @@ def test_below_a_facet_light_counts_that_cycles_finds_by_the_light(elsewhere, le
     reflected = np.array([[[1.0, 1.0, 0.0]] * 3], np.float32)
     energies = np.array([1, 1, elsewhere], np.float32)  # all of which are listed twice otherwise
     one, up = np.ones(1, np.int64), np.array([[0, 1, 0]], np.float32)
+    normal = np.array([[0.6, 0.8, 0]], np.float32)
     far = np.array([[9, 9, 9], [9, 9.1, 9], [9.1, 9, 9]], np.float32)
     arrived, sent = np.zeros((2, 1, 3))
     ray_kernels.cast(
@@ -160,7 +161,7 @@ def test_below_a_facet_light_counts_that_cycles_finds_by_the_light(elsewhere, le
         0 * one,
         0 * up,
         up,
-        np.array([[0.6, 0.8, 0]], np.float32),
+        normal,
         np.zeros(1, np.float32),
         np.float32(0.1),
         np.float32(1e-4),
@@ -171,12 +172,54 @@ def test_below_a_facet_light_counts_that_cycles_finds_by_the_light(elsewhere, le
         1,
         *RayTree(far, np.arange(3)[None]).arrays,
         energies,
+        normal,
         arrived,
         sent,
     )
     assert arrived == pytest.approx(sent)  # nothing is in the way
     kept = sent[0] / 4096 - 1  # half of the rays go above the facet
     assert (kept >= least).all() and (kept <= most).all()
+
+
+@pytest.mark.parametrize("lean", [-0.05, 0.0, 0.05])
+def test_light_that_grazes_counts_by_each_points_own_normal(lean):
+    """A lamp near the horizon, ten times as bright as one above, which a triangle hides."""
+    from factory.render import ray_kernels
+
+    patches = np.array([[0.101, 0.099, 0, 0.01], [1.0, 0.999, 0, 0.1]], np.float32)
+    reflected = np.array([[[1.0, 1.0]] * 3], np.float32)  # at the group's normal
+    one, up = np.ones(1, np.int64), np.array([[0, 1, 0]], np.float32)
+    normal = np.array([[np.sin(lean), np.cos(lean), 0]], np.float32)
+    beside = np.array([[5, -9, -9], [5, 9, -9], [5, 0, 90]], np.float32)
+    arrived, sent = np.zeros((2, 1, 3))
+    ray_kernels.cast(
+        reflected,
+        patches,
+        np.arange(2),
+        np.eye(3, dtype=np.float32),
+        np.array([0, 1]),
+        0 * one,
+        0 * up,
+        up,
+        normal,
+        np.zeros(1, np.float32),
+        np.float32(0.1),
+        np.float32(1e-4),
+        0 * one,
+        0 * one,
+        one,
+        4096,
+        1,
+        *RayTree(beside, np.arange(3)[None]).arrays,
+        np.ones(2, np.float32),
+        up,
+        arrived,
+        sent,
+    )
+    lamp = np.array([np.sqrt(1 - 0.1**2), 0.1, 0])
+    hidden = 10 * float(normal[0] @ lamp)
+    expected = np.cos(lean) / (np.cos(lean) + hidden)
+    np.testing.assert_allclose(arrived / sent, expected, atol=0.01)
 
 
 def wall_and_floor():
