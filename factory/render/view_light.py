@@ -151,7 +151,9 @@ class ViewLight:
         at = points_of(direct, view.lens, points, where) if direct else None
         if at is None or self._rays is None:
             return None
-        if turn:
+        if (
+            turn and view.lens.pixel != "centre"
+        ):  # else the one point of a pixel stays in its centre
             at = turn_points(at, turn)
         grids = self._grids_at(view, at, where)
         if len(grids) > 1:

@@ -358,6 +358,21 @@ def test_either_half_has_points_of_its_own_in_every_turn(studio, turn, monkeypat
 
 
 @pytest.mark.blender
+def test_the_point_of_a_pixel_stays_in_its_centre_in_every_turn(studio):
+    """A cube, seen at pixels' centres: no ray meets the surface that it leaves."""
+    from factory.shapes.catalogue import load
+
+    studio.set_camera(Camera(size=(24, 24), pixel="centre"))
+    studio.set_shape(load("cube"))
+    studio.set_light(np.ones((64, 128, 3), np.float32), 0)
+    studio.set_materials([Mixture.lambert((0.6, 0.5, 0.4))])
+    studio.set_view(0.4)
+    mask = studio.geometry().mask
+    for turn in (0, 1, 7):
+        assert studio.visible_share(64, 16, 1, 0, None, turn).factor[mask].mean() >= 0.999
+
+
+@pytest.mark.blender
 @pytest.mark.parametrize(("shape", "least"), [("cube", 0.999), ("sphere", 0.97)])
 def test_no_ray_meets_the_surface_that_it_leaves(studio, shape, least):
     """Both are convex; a sphere's facets lean a little from its normals."""
