@@ -84,8 +84,12 @@ class _GrowingPicture:
         if self.mean is not None:
             share = np.float32(count / (self.samples + count))
             part = Portion(*(a + share * (b - a) for a, b in zip(self.mean, part, strict=True)))
-        self.mean, self._denoised, self._denoised_indirect = part, None, None
-        self.samples += count
+        self.resume(self.samples + count, part)
+
+    def resume(self, samples: int, mean: Portion) -> None:
+        """Continue from the mean of so many samples of the same seed."""
+        self.mean, self._denoised, self._denoised_indirect = mean, None, None
+        self.samples = samples
 
     def denoised_picture(self, prefilter: bool) -> np.ndarray:
         """Return radiance (height, width, 3) of all samples, denoised."""
@@ -130,6 +134,16 @@ class Halves:
         """Render `count` further samples of each half."""
         for half in self._shown:
             half.grow(count)
+
+    @property
+    def means(self) -> list[Portion]:
+        """The mean of each half's samples."""
+        return [half.mean for half in self._shown if half.mean is not None]
+
+    def resume(self, samples: int, means: Sequence[Portion]) -> None:
+        """Continue from the means of samples that were rendered earlier with the same seeds."""
+        for half, mean in zip(self._shown, means, strict=True):
+            half.resume(samples, mean)
 
     def denoised_pictures(self) -> list[np.ndarray]:
         """Return both halves' radiance (height, width, 3), each of all its samples, denoised."""

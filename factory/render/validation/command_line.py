@@ -21,6 +21,7 @@ def parser(
     size: int,
     reference: int | None = None,
     meshes: bool = False,
+    references: bool = False,
 ) -> argparse.ArgumentParser:
     """Return a parser with the options that say what is rendered; `parse` adds --out.
 
@@ -28,6 +29,7 @@ def parser(
     seed       from which they come, unless it is given; size: of a picture, in pixels
     reference  samples of each half of a reference; None: without that option
     meshes     whether files may be shown instead of the program's shapes
+    references  whether references may be kept for the next measurement
     """
     result = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawTextHelpFormatter
@@ -48,6 +50,14 @@ def parser(
     if meshes:
         result.add_argument(
             "--meshes", type=Path, metavar="FOLDER", help="of .obj files, as shapes"
+        )
+    if references:
+        result.add_argument(
+            "--references",
+            type=Path,
+            metavar="FOLDER",
+            help="keep references there, and use those that an earlier measurement of the same "
+            "scenes has kept",
         )
     return result
 

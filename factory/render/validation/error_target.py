@@ -4,7 +4,8 @@ python -m factory.render.validation.error_target law --shots 60
 python -m factory.render.validation.error_target check --shots 300 --out DIR
 python -m factory.render.validation.error_target check --shots 100 --meshes FOLDER --out DIR
 
-A check that was stopped is continued by the same command.
+A check that was stopped is continued by the same command. With --references FOLDER, the references
+are kept, and a check of changed rules takes only the time of its pictures.
 
 shots    drawn from a seed: shape, material, light, view, tier and, in turn, the error requested
 law      of the denoiser (validation.denoiser_law)
@@ -168,11 +169,13 @@ def may_be_closer(row: dict[str, Any]) -> bool:
 
 def main() -> None:
     """Measure what the arguments name; print the figures, or write them."""
-    parser = command_line.parser(__doc__, "shots", 60, seed=0, size=64, meshes=True)
+    parser = command_line.parser(
+        __doc__, "shots", 60, seed=0, size=64, meshes=True, references=True
+    )
     parser.add_argument("measure", choices=("law", "check"))
     parser.add_argument("--threads", type=positive, default=2, metavar="N")
     options = command_line.parse(parser, out_required=False)
-    stage = Stage(options.size, options.threads)
+    stage = Stage(options.size, options.threads, options.references)
     figures = (law if options.measure == "law" else check)(stage, options)
     result = {"size": options.size, **provenance(), "figures": figures}
     if options.out:

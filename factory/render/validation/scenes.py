@@ -12,6 +12,7 @@ from factory.lights import load as load_light
 from factory.render.blender_threads import importing_blender
 from factory.render.estimators.halves import Estimate, Halves, mean_over
 from factory.render.estimators.renderer import Shown
+from factory.render.validation.kept_references import KeptReference, path_of
 from factory.shapes.catalogue import load as load_shape
 from manifests.errors import InputError
 from manifests.materials import load_catalogue
@@ -67,13 +68,17 @@ def meshes_of(folder: Path | None) -> list[Path]:
 
 
 class Stage:
-    """A studio that shows scenes, and a clock."""
+    """A studio that shows scenes.
 
-    def __init__(self, size: int, threads: int):
+    references  folder in which their references are kept for the next measurement; None: in none
+    """
+
+    def __init__(self, size: int, threads: int, references: Path | None = None):
         with importing_blender(threads):
             from factory.render.studio import Studio
         self.studio = Studio("cpu", threads)
         self.studio.set_camera(Camera(size=(size, size)))
+        self._size, self._references = size, references
         self._catalogue = load_catalogue()
         self.materials = sorted(self._catalogue)
 
@@ -89,9 +94,15 @@ class Stage:
         return mask
 
     def reference(self, scene: Scene, mask: np.ndarray, samples: int) -> Halves:
-        """Return halves of many samples by a seed that no picture has."""
-        halves = Halves(Shown(self.studio, (scene.seed + 1) % 2**31, scene.tier, mask))
-        halves.grow(samples)
+        """Return halves of at least so many samples, by a seed that no picture has."""
+        shown = Shown(self.studio, (scene.seed + 1) % 2**31, scene.tier, mask)
+        halves = (
+            KeptReference(shown, path_of(self._references, scene, self._size))
+            if self._references
+            else Halves(shown)
+        )
+        if halves.samples < samples:
+            halves.grow(samples - halves.samples)
         return halves
 
 

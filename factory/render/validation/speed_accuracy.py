@@ -97,7 +97,7 @@ def scenes(options: argparse.Namespace, materials: list[str]) -> list[Scene]:
 
 def measure(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each scene and setting; scenes that DIR has already are not repeated."""
-    stage = Stage(options.size, 1)
+    stage = Stage(options.size, 1, options.references)
     known = {
         (family, name): method
         for (family, name), method in methods(
@@ -281,7 +281,7 @@ def _count(options: argparse.Namespace) -> int:
 def main() -> None:
     """Measure, and write report.json, report.md and chart.png."""
     parser = command_line.parser(
-        __doc__, "scenes", 24, seed=7, size=128, reference=512, meshes=True
+        __doc__, "scenes", 24, seed=7, size=128, reference=512, meshes=True, references=True
     )
     parser.add_argument("--tier", choices=TIERS, help="of all scenes (default: each in turn)")
     parser.add_argument("--blenderproc", metavar="PYTHON", help="compare with BlenderProc, too")
