@@ -48,7 +48,7 @@ NARROW = 0.03  # α below which a lobe is sampled
 WIDE = 0.1  # α from which blocks of texels may count as one light
 LEAST_NODES = 64  # of a map across the hemisphere
 SPACING = 0.5  # of nodes, in units of the lobe's α
-BLOCKS = ((0.45, 16), (0.2, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
+BLOCKS = ((0.3, 16), (0.05, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
 PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
 GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
@@ -60,8 +60,8 @@ MOST_TOGETHER = 16384
 KEPT_FACES = 1 << 14  # sums of faces that are remembered
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow
-LEANING = ((0.2, 1), (0.08, 2), (0.0, 3))
-HALF_VECTORS = 512  # per normal, of those that Cycles turns round
+LEANING = ((0.05, 1), (0.0, 2))
+HALF_VECTORS = 128  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
 
@@ -453,8 +453,8 @@ class DirectLight:
             radiance = np.zeros((len(group.first), 3), np.float32)
             direct_light_kernels.add_samples(
                 direct_light_kernels.KINDS[self.mixture.kinds[k]],
-                n[group.first],
-                facets[group.first],
+                n.take(group.first, axis=0),
+                facets.take(group.first, axis=0),
                 self._tables[k],
                 np.float32(self._extent(k)),
                 self.light,
@@ -462,7 +462,7 @@ class DirectLight:
                 count,
                 radiance,
             )
-            out[group.points] += radiance[group.each]
+            direct_light_kernels.add_rows(group.points, radiance, group.each, out)
 
 
 def _table(mixture: Mixture, k: int) -> np.ndarray:

@@ -599,6 +599,14 @@ def add_samples(
 
 
 @_compiled
+def add_rows(points: np.ndarray, values: np.ndarray, each: np.ndarray, out: np.ndarray) -> None:
+    """Add rows `each` (P,) of values (N, 3) to rows `points` (P,) of out, all of them others."""
+    for i in range(len(points)):
+        for c in range(3):
+            out[points[i], c] += values[each[i], c]
+
+
+@_compiled
 def draw_samples(
     kind: int,
     n: np.ndarray,

@@ -48,7 +48,7 @@ SHIFTS = {
 R2 = 0.7548776662466927, 0.5698402909980532
 # cells across a pixel, in each of which light near the horizon is summed once for similar normals:
 # those whose x and y are equal when they are rounded to SIMILAR steps per unit
-CELLS, SIMILAR = 2, 8
+CELLS, SIMILAR = 1, 8
 FACET_STEPS = 1024  # of x and of y, by which facets of one pixel are distinguished
 MIRROR_LIKE = 0.03  # α below which a lobe counts as mirror-like
 MOST_DIRECT = 32  # maps of direct light in memory, of 1 to 2 MB each

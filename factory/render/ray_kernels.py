@@ -441,10 +441,9 @@ def cast(
 
     Directions are drawn in proportion to the luminance of what each would add to the picture at the
     group's normal. What is drawn counts by the cosine at the point's own, which matters where light
-    grazes the surface. Below
-    a facet that its normal leans from, they count as much as Cycles keeps of the light there
-    (shaders.direct_light_kernels.add_leaning). The density with which Cycles would draw a direction
-    by the closures is taken to be in proportion to what these reflect of it.
+    grazes the surface. Below a facet that its normal leans from, they count as much as Cycles keeps
+    of the light there (shaders.direct_light_kernels.add_leaning). The density with which Cycles
+    would draw a direction by the closures is taken to be in proportion to what these reflect of it.
 
     light     (G, 3, T) what each patch of the light adds to the picture at each group's normal
     energies  (T,) of the patches, mean of the channels

@@ -18,7 +18,7 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.renderer import EFFORTS
 
-VERSION = 19  # a change makes new pictures
+VERSION = 20  # a change makes new pictures
 
 
 def identity() -> list[object]:

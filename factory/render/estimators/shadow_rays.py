@@ -33,7 +33,7 @@ POINTS = 64  # per pixel, of which either half has half
 FEW_POINTS = 16  # the same where the limit allows it
 # limit, times the root of the frame's pixels in units of denoised.STANDARD, from which few do: what
 # they miss lies at edges
-MUCH = 25.0
+MUCH = 6.0
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
 # the same once pixels have been given rays in proportion to their noise; and of what is left of the
 # limit beside what else is expected
@@ -54,7 +54,7 @@ MOST_TRIES = 3
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 # samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
-GROUPS, RAYS = 12000.0, 20.0
+GROUPS, RAYS = 12000.0, 14.0
 
 
 def cost_in_samples(pixels: int) -> float:
