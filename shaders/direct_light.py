@@ -61,7 +61,7 @@ KEPT_FACES = 1 << 14  # sums of faces that are remembered
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow
 LEANING = ((0.05, 1), (0.0, 2))
-HALF_VECTORS = 128  # per normal, of those that Cycles turns round
+HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
 

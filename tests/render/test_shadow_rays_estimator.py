@@ -54,7 +54,7 @@ def test_more_rays_are_cast_where_the_halves_differ():
 
 
 @pytest.mark.parametrize(
-    ("left", "off", "rounds"), [(0.3, 0.0, 1), (0.4, 0.0, 2), (0.3, 5.0, 2), (0.2, 9.0, 1)]
+    ("left", "off", "rounds"), [(0.3, 0.0, 1), (0.4, 0.0, 2), (0.3, 5.0, 3), (0.2, 9.0, 1)]
 )
 def test_noise_that_rays_leave_where_they_count_is_tolerated(monkeypatch, left, off, rounds):
     """A third of the limit, of which the first rays of all pixels may leave a fifth, and half of
@@ -142,5 +142,5 @@ def test_indirect_light_that_is_dim_has_no_more_bias_than_energy():
 def test_wide_limits_of_large_frames_have_fewer_points():
     few, many = shadow_rays.FEW_POINTS, shadow_rays.POINTS
     points = [shadow_rays.points_of(limit, 64 * 64) for limit in (5.0, 20.0, 60.0)]
-    assert points == [many, many, few]
-    assert shadow_rays.points_of(20.0, 256 * 256) == few
+    assert points == [many, few, few]
+    assert shadow_rays.points_of(2.0, 256 * 256) == few

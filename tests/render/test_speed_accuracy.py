@@ -242,7 +242,7 @@ def measuring(monkeypatch):
     class Unset:
         materials, studio = ["brass"], None
 
-        def __init__(self, size, threads):
+        def __init__(self, size, threads, references):
             pass
 
     def options_of(watch, **changes):
@@ -265,6 +265,7 @@ def measuring(monkeypatch):
             "families": [],
             "bias": False,
             "rounds": 1,
+            "references": None,
         }
         return Namespace(**usual | changes)
 
