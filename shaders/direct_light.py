@@ -220,30 +220,30 @@ class DirectLight:
         return out
 
     def draw_narrow(
-        self, n: np.ndarray, facets: np.ndarray, places: np.ndarray
+        self, number: int, n: np.ndarray, facets: np.ndarray, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw directions that narrow closures reflect light from at normals (P, 3).
+        """Draw directions that one of the `narrow` closures reflects light from at normals (P, 3).
 
+        number  of the closure, 0 … narrow − 1
         facets  (P, 3) normals of the surface itself
-        places  (P, J, 2) in [0, 1), which give the directions of each closure
-        Returns  directions and radiance (K, P, J, 3) float32 of the `narrow` closures; the mean of
-                 radiance over J is what each adds to `at` near its mirrored direction
+        places  (P, J, 2) in [0, 1), which give the directions
+        Returns  directions and radiance (P, J, 3) float32; the mean of radiance over J is what the
+                 closure adds to `at` near its mirrored direction
         """
-        narrow = [k for k in range(len(self.mixture.kinds)) if self._is_narrow(k)]
-        w, radiance = np.empty((2, len(narrow), *places.shape[:2], 3), np.float32)
-        for number, k in enumerate(narrow):
-            direct_light_kernels.draw_samples(
-                direct_light_kernels.KINDS[self.mixture.kinds[k]],
-                np.ascontiguousarray(n, np.float32),
-                np.ascontiguousarray(facets, np.float32),
-                self._tables[k],
-                np.float32(self._extent(k)),
-                self.light,
-                np.ascontiguousarray(self.camera_from_light.T, np.float32),
-                np.ascontiguousarray(places, np.float32),
-                w[number],
-                radiance[number],
-            )
+        k = [k for k in range(len(self.mixture.kinds)) if self._is_narrow(k)][number]
+        w, radiance = np.empty((2, *places.shape[:2], 3), np.float32)
+        direct_light_kernels.draw_samples(
+            direct_light_kernels.KINDS[self.mixture.kinds[k]],
+            np.ascontiguousarray(n, np.float32),
+            np.ascontiguousarray(facets, np.float32),
+            self._tables[k],
+            np.float32(self._extent(k)),
+            self.light,
+            np.ascontiguousarray(self.camera_from_light.T, np.float32),
+            np.ascontiguousarray(places, np.float32),
+            w,
+            radiance,
+        )
         return w, radiance
 
     def mistaken(

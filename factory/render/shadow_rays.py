@@ -2,9 +2,10 @@
 
 At each point, directions are drawn in proportion to what they would add to the picture: the
 material's closed form times the light, evaluated at a grid of normals. Mirror-like lobes, which are
-narrower than that grid, have further rays that follow them at each point's own normal. Either way,
-all noise is that of visibility: where nothing or everything is blocked there is none. The points of
-a pixel divide the light equally between them.
+narrower than that grid, have further rays that follow them at each point's own normal; where a
+material has several, each point follows one of them and counts for all. Either way, all noise is
+that of visibility: where nothing or everything is blocked there is none. The points of a pixel
+divide the light equally between them.
 
 The share is a factor of the closed form's picture (factory.render.direct_light), which has neither
 shadows nor noise.
@@ -126,18 +127,24 @@ class ShadowRays:
                 arrived,
                 sent,
             )
-        if not direct.narrow:
-            return
-        some = max(1, AT_ONCE // (6 * rays * direct.narrow))
-        for begin in range(0, len(here), some):
-            part = here[begin : begin + some]
-            places = np.empty((len(part), rays, 2))
-            ray_kernels.draw_places(at.pixels[part], turns[part], counts, rays, seed, places)
-            drawn = direct.draw_narrow(towards[begin : begin + some], at.facets[part], places)
-            for lobe, radiance in zip(*drawn, strict=True):
+        # a point follows one of the narrow closures, and the pixel's next points follow others.
+        # Where a pixel has fewer points than there are closures, each follows all of them
+        some = max(1, AT_ONCE // (6 * rays))
+        few = counts[at.pixels[here]] < direct.narrow
+        weights = np.where(few, 1, direct.narrow).astype(np.float32)
+        for number in range(direct.narrow):
+            (follow,) = np.nonzero(few | (turns[here] % direct.narrow == number))
+            for begin in range(0, len(follow), some):
+                chosen = follow[begin : begin + some]
+                part = here[chosen]
+                places = np.empty((len(part), rays, 2))
+                ray_kernels.draw_places(at.pixels[part], turns[part], counts, rays, seed, places)
+                drawn, radiance = direct.draw_narrow(
+                    number, towards[chosen], at.facets[part], places
+                )
                 ray_kernels.cast_drawn(
-                    lobe,
-                    radiance,
+                    drawn,
+                    radiance * weights[chosen, None, None],
                     np.ascontiguousarray(rotation.T, np.float32),
                     part,
                     *begun,

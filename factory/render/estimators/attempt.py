@@ -32,6 +32,12 @@ from manifests.schema import Estimator
 from shaders import tone
 
 PILOT = 4  # samples of each half
+# of the unbiased pictures, by estimator
+SHARES = {
+    denoised.NAME: blends.SHARES,
+    ratio.NAME: ratio.SHARES,
+    shadow_rays.NAME: shadow_rays.SHARES,
+}
 GROWTH = 8  # a few samples say too little to ask for more than so many times their number at once
 
 
@@ -284,15 +290,22 @@ class Attempt:
         Its law's scale is measured.
         """
         halves, name = self.halves, tried.estimator
-        shares = ratio.SHARES if name == ratio.NAME else blends.SHARES
+        shares = SHARES[name]
         # pictures by rays need few samples, which say little of the exposure
         exposure = (
             tone.auto_exposure((tried.pair[0] + tried.pair[1]) / 2, self.shown.mask)
             if name == shadow_rays.NAME
             else None
         )
+        known = self._known_error(name)
         blend = blends.choose_blend(
-            halves, tried.pair, tried.unbiased, self.error, shares, exposure
+            halves,
+            tried.pair,
+            tried.unbiased,
+            self.error,
+            shares,
+            exposure,
+            known.error if known else 0.0,
         )
         estimate, bias = self._estimate(name, blend)
         self.tried[name] = blends.add_bias(estimate, bias), halves.samples
@@ -316,6 +329,12 @@ class Attempt:
             traced=self.shown.tier,
         )
 
+    def _known_error(self, name: Estimator) -> Estimate | None:
+        """Return the closed form's error as part of an estimator's pictures; None: it is none."""
+        if name == shadow_rays.NAME:
+            return self.shadowed_error()
+        return self.closed_direct if name == ratio.NAME else None
+
     def _estimate(self, name: Estimator, blend: blends.Blend) -> tuple[Estimate, float]:
         """Return the error of pictures of both halves, and the squared bias that is part of it.
 
@@ -323,13 +342,12 @@ class Attempt:
         added, unless the samples as rendered show beyond doubt that it is more.
         """
         bias = blends.bias_with_doubt(blend.bias, blend.estimate)
-        if name not in (ratio.NAME, shadow_rays.NAME):
+        known = self._known_error(name)
+        if known is None:
             return blend.estimate, bias
         plain = self.halves.estimate_denoised(blend.pair)
         if closed_form.is_surely_above(plain, self.error):
             return plain, bias
-        known = self.shadowed_error() if name == shadow_rays.NAME else self.closed_direct
-        assert known is not None
         uncertainty = math.hypot(blend.estimate.standard_error, known.standard_error)
         error = max(blend.estimate.error, 0.0) + known.error
         return Estimate(error, uncertainty), max(bias, 0.0) + known.error

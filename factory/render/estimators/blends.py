@@ -65,6 +65,7 @@ def choose_blend(
     error: float,
     shares: Sequence[float] = SHARES,
     exposure: float | None = None,
+    known_bias: float = 0.0,
 ) -> Blend:
     """Return the blend of least error among those whose bias is small enough, or among all.
 
@@ -73,6 +74,7 @@ def choose_blend(
     error     the limit
     shares    of the unbiased pictures that are tried; the first is 0
     exposure  under which errors count; None: as the halves say it
+    known_bias  squared, which every blend has besides
     """
     slope = halves.slope(smooth, exposure)
     blends: list[Blend] = []
@@ -85,7 +87,6 @@ def choose_blend(
         estimate, bias = halves.error_and_bias(pair, unbiased, slope)
         alone = blends[0].bias if blends else bias
         blends.append(Blend(pair, estimate, bias, alone, share))
-    allowed = [
-        each for each in blends if bias_with_doubt(each.bias, each.estimate) <= MOST_BIAS * error
-    ]
+    most = MOST_BIAS * error - known_bias
+    allowed = [each for each in blends if bias_with_doubt(each.bias, each.estimate) <= most]
     return min(allowed or blends, key=lambda each: each.estimate.bound)

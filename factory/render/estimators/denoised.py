@@ -12,6 +12,7 @@ fails     sharp reflections, whose detail no guide shows: there it saves no samp
 """
 
 import math
+from collections.abc import Sequence
 
 from factory.render.estimators import blends
 from factory.render.estimators.blends import Blend
@@ -61,15 +62,21 @@ def measure_scale(blend: Blend, noise: float, samples: int, power: float = POWER
 
 
 def predict_error(
-    noise: float, scale: float, samples: int, limit: float, power: float = POWER
+    noise: float,
+    scale: float,
+    samples: int,
+    limit: float,
+    power: float = POWER,
+    shares: Sequence[float] = blends.SHARES,
 ) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all.
 
     noise    error of the same samples without denoiser
     samples  of each half
     power    of the law
+    shares   of the noisy picture that are tried
     """
-    known = blends_of(noise, scale, samples, power)
+    known = blends_of(noise, scale, samples, power, shares)
     allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
     return min(allowed or [error for error, _ in known])
 
@@ -92,11 +99,15 @@ def needed_samples(
 
 
 def blends_of(
-    noise: float, scale: float, samples: int, power: float = POWER
+    noise: float,
+    scale: float,
+    samples: int,
+    power: float = POWER,
+    shares: Sequence[float] = blends.SHARES,
 ) -> list[tuple[float, float]]:
     """Return error and squared bias of each blend of so many samples of each half, by the law."""
     bias = scale * noise**power * effort(samples).leaves
     return [
         ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
-        for share in blends.SHARES
+        for share in shares
     ]

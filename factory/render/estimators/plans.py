@@ -117,8 +117,8 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
         return None
     if not _may_try(attempt, name, shadow_rays.MOST_TRIES):
         return None
-    if name in attempt.tried:
-        least = math.ceil(MORE * attempt.tried[name][1])
+    if tried := attempt.tried.get(name):
+        least = math.ceil(shadow_rays.growth_after(tried[0], attempt.error) * tried[1])
     count = shadow_rays.needed_samples(
         halves.noise_of_indirect_light().noise_bound,
         halves.samples,

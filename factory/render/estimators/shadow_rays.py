@@ -6,7 +6,8 @@ what      closed form · share of the light that arrives (factory.render.shadow_
           the part of the halves that is left to be denoised, and in most shots a small one
 halves    each has rays of its own from points of its own, and its own indirect light
 bias      of the denoiser, on indirect light alone: the estimate contains it, and a share of the
-          noisy one (`blends`) keeps it small. That of shadowed direct light is added: it is
+          noisy one (`SHARES`) keeps it small; where mirror-like surfaces see each other, the
+          noisy one alone may be best. That of shadowed direct light is added: it is
           measured by the halves' direct light, and by what is expected before (`DOUBT`)
 cost      the closed form, and the rays, which are cast again where the halves differ
 fails     where a small lamp is seen in part by a mirror-like surface: noise that more rays reduce
@@ -23,7 +24,7 @@ import numpy as np
 
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
-from factory.render.estimators.halves import Estimate, half_seed, mean_over
+from factory.render.estimators.halves import CONFIDENCE, Estimate, half_seed, mean_over
 from factory.render.estimators.renderer import DirectPicture, Share, Shown, effort
 from manifests.schema import Estimator
 from shaders import tone
@@ -50,7 +51,9 @@ GOAL = 0.7  # of the noise that is enough, which a round is planned for
 SPREAD, DOUBT = 0.6, {False: 0.1, True: 0.15}
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
-MOST_TRIES = 3
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # of noisy indirect light
+MOST_TRIES = 6
+MORE = 1.5  # times the samples of a try that failed, at least
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 # samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
@@ -94,7 +97,7 @@ def predict_error(noise: float, scale: float, samples: int, limit: float, known:
     noise  of indirect light, of so many samples of each half
     known  what shadowed direct light is off by
     """
-    return known.error + denoised.predict_error(noise, scale, samples, limit, POWER)
+    return known.error + denoised.predict_error(noise, scale, samples, limit, POWER, SHARES)
 
 
 def needed_samples(
@@ -123,11 +126,21 @@ def needed_samples(
         now = noise * samples / count
         law = scale * now**POWER * effort(count).leaves
         capped = scale * min(1.0, MOST_LOST * energy / max(law, 1e-9))
-        for error, bias in denoised.blends_of(now, capped, count, POWER):
+        for error, bias in denoised.blends_of(now, capped, count, POWER, SHARES):
             if error <= left and bias <= most_bias:
                 return count
         count = math.ceil(1.1 * count)
     return count
+
+
+def growth_after(failed: Estimate, limit: float) -> float:
+    """Return how many times the samples of a try that failed the next one has, at least.
+
+    What is above the limit beyond doubt is noise of indirect light that few paths find. Few samples
+    show too little of it, so that the law asks for too few again and again.
+    """
+    surely = failed.error - CONFIDENCE * failed.standard_error
+    return max(MORE, math.sqrt(max(surely, 0.0) / limit))
 
 
 @dataclass
