@@ -67,11 +67,7 @@ class ShadowRays:
         height, width = lens.size
         at = _points_seen(grids, lens, points, where)
         arrived, sent = np.zeros((2, height * width, 3))
-        # numbers of the points within their pixels
-        order = np.argsort(at.pixels, kind="stable")
-        counts = np.bincount(at.pixels, minlength=height * width)
-        turns = np.empty(len(order), np.int64)
-        turns[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+        turns, counts = _numbers_within(at.pixels, height * width)
         for number, each in enumerate(direct, 1):
             here = np.nonzero(at.segments == number)[0]
             if len(here):
@@ -127,13 +123,18 @@ class ShadowRays:
                 arrived,
                 sent,
             )
+        if not direct.narrow:
+            return
         # a point follows one of the narrow closures, and the pixel's next points follow others.
         # Where a pixel has fewer points than there are closures, each follows all of them
         some = max(1, AT_ONCE // (6 * rays))
-        few = counts[at.pixels[here]] < direct.narrow
-        weights = np.where(few, 1, direct.narrow).astype(np.float32)
+        own, several = _numbers_within(at.pixels[here], len(counts))
+        several = several[at.pixels[here]]
+        few = several < direct.narrow
         for number in range(direct.narrow):
-            (follow,) = np.nonzero(few | (turns[here] % direct.narrow == number))
+            (follow,) = np.nonzero(few | (own % direct.narrow == number))
+            followers = 1 + (several - 1 - number) // direct.narrow
+            weights = (several / np.where(few, several, followers)).astype(np.float32)
             for begin in range(0, len(follow), some):
                 chosen = follow[begin : begin + some]
                 part = here[chosen]
@@ -152,6 +153,18 @@ class ShadowRays:
                     arrived,
                     sent,
                 )
+
+
+def _numbers_within(pixels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers 0, 1, … of points (P,) within each pixel, and how many each pixel has.
+
+    pixels  (P,) of the points, of `count`
+    """
+    order = np.argsort(pixels, kind="stable")
+    counts = np.bincount(pixels, minlength=count)
+    numbers = np.empty(len(order), np.int64)
+    numbers[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return numbers, counts
 
 
 def _similar_normals(

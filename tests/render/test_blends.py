@@ -57,6 +57,18 @@ def test_a_small_bias_goes_before_a_small_error():
     assert blends.choose_blend(halves, pair, halves.pictures, 1e-3).bias == free.bias
 
 
+def test_what_every_blend_is_off_by_besides_leaves_less_for_its_own_bias():
+    known = Known(noise=0.9, bias=0.08)
+    halves = Halves(shown(known))
+    halves.grow(64)
+    pair = halves.denoised_pictures()
+    free = blends.choose_blend(halves, pair, halves.pictures, 1000.0)
+    limit = 6 * free.bias
+    assert blends.choose_blend(halves, pair, halves.pictures, limit).bias == free.bias
+    bound = blends.choose_blend(halves, pair, halves.pictures, limit, known_bias=1.2 * free.bias)
+    assert bound.bias <= 0.8 * free.bias
+
+
 def test_smooth_pictures_stay_as_they_are_where_they_have_no_bias():
     known = Known(noise=0.6, left=0.1)
     halves = Halves(shown(known))

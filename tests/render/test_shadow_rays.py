@@ -5,8 +5,9 @@ import pytest
 
 from factory.render import direct_light
 from factory.render.estimators.renderer import Share
+from factory.render.geometry import Surface
 from factory.render.ray_tree import RayTree
-from factory.render.shadow_rays import ROWS
+from factory.render.shadow_rays import ROWS, ShadowRays
 from manifests.materials import load_catalogue
 from manifests.schema import Camera
 from shaders import envmap
@@ -224,6 +225,33 @@ def test_light_that_grazes_counts_by_each_points_own_normal(lean):
     hidden = 10 * float(normal[0] @ lamp)
     expected = np.cos(lean) / (np.cos(lean) + hidden)
     np.testing.assert_allclose(arrived / sent, expected, atol=0.01)
+
+
+@pytest.mark.parametrize("across", [1, 4])
+def test_of_several_narrow_lobes_all_count_though_a_point_follows_one(across):
+    """A pixel with fewer points than lobes has points that follow each of them."""
+    kinds, weights = ("ggx",) * 3, np.array([0.1, 0.2, 0.6])
+    mixture = Mixture(
+        kinds,
+        np.array([0.0]),
+        np.log([[0.004, 0.015, 0.025]]),
+        np.zeros((1, 3)),
+        np.repeat(weights[None, :, None], 3, axis=2),
+    )
+    light = np.ones((64, 128, 3), np.float32)
+    direct = DirectLight(mixture, light, np.eye(3))
+    assert direct.narrow == 3
+    size, count = 8, (8 * across) ** 2
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (count, 1))
+    flat, segments = np.zeros(count, np.float32), np.ones(count, np.uint8)
+    surface = Surface(np.ones((8 * across,) * 2, bool), up, up, flat, segments, flat)
+    points = direct_light.Points(across, direct_light.SHIFTS[1], samples=1)
+    far = RayTree(np.array([[9, 9, 9], [9, 9.1, 9], [9.1, 9, 9]], np.float32), np.arange(3)[None])
+    lens = Camera(size=(size, size))
+    share = ShadowRays(far).share([direct], [surface], lens, np.eye(3), points, 4, 1)
+    assert share.arrived == pytest.approx(share.sent)
+    per_ray = share.sent / (4 * across**2)
+    np.testing.assert_allclose(per_ray.mean((0, 1)), direct.at(up[:1], 4096)[0], rtol=0.03)
 
 
 def wall_and_floor():
