@@ -48,7 +48,7 @@ NARROW = 0.03  # α below which a lobe is sampled
 WIDE = 0.1  # α from which blocks of texels may count as one light
 LEAST_NODES = 64  # of a map across the hemisphere
 SPACING = 0.5  # of nodes, in units of the lobe's α
-BLOCKS = ((0.3, 16), (0.05, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
+BLOCKS = ((0.3, 16), (0.15, 32), (0.0, 64))  # rows of light blocks for closures at least so wide
 PARTS = ((0.035, 2), (0.0, 3))  # into how many a texel is divided there, by α
 GRAZING = 0.25  # n·v below which texels are divided twice as finely: half vectors lie closer there
 WITHIN = {"ggx": 5.0, "beckmann": 3.8, "ashikhmin_shirley": 3.8}  # tan θ_h / α that is near
@@ -60,7 +60,7 @@ MOST_TOGETHER = 16384
 KEPT_FACES = 1 << 14  # sums of faces that are remembered
 EXTENT = 0.2  # radians about the mirrored direction that samples of a narrow lobe cover
 # into how many parts texels are divided below facets, by the least α of lobes that are not narrow
-LEANING = ((0.05, 1), (0.0, 2))
+LEANING = ((0.1, 1), (0.05, 2), (0.0, 3))
 HALF_VECTORS = 512  # per normal, of those that Cycles turns round
 UNWEIGHTED = np.array([[0, 0, 1, 1, 1]] * 2, np.float32)  # a table of unit weights
 GRAZING_ROWS = TABLE_SIZE // 4  # of a table, at n·v below a quarter
