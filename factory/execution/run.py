@@ -46,6 +46,7 @@ from manifests.subprocesses import processors
 
 # seconds to wait for the workers of a stopped run on a Ray cluster to end
 SWEEP_PATIENCE = 20.0
+MOST_WORKERS = 1024
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,16 @@ class RunOptions:
     library: str | None = None
     studio: str = STUDIO
     ray: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise InputError for numbers of workers that no machine has memory for."""
+        if not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError(
+                "workers",
+                f"a number from 1 to {MOST_WORKERS}",
+                str(self.workers),
+                "give the number of processes that the machine has memory for, about 1 GB each",
+            )
 
     @property
     def readers(self) -> int:

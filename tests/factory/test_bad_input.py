@@ -111,6 +111,7 @@ ONE_CUBE = ["render", "--mesh", "cube", "--material", "m", "--light", "l", "--ou
         ),
         (["render", "dmeo", "--out", "X"], "did you mean demo", 1),
         (["render", "demo", "--out", "X", "--workers", "0"], "--workers", 2),
+        (["render", "demo", "--out", "X", "--workers", "1000000"], "a number from 1 to 1024", 1),
         (["render", "demo", "--out", "X", "--shard", "9/8"], "1 ≤ I ≤ N", 1),
         (["render", "demo", "--out", "X", "--shard", "²/3"], "1 ≤ I ≤ N, found '²/3'", 1),
         (["render", "demo", "--out", "X", "--shard", "1/" + "9" * 5000], "1 ≤ I ≤ N", 1),
