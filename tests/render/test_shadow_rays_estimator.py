@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import shadow_rays
+from factory.render.estimators import attempt, blends, closed_form, path_tracing, shadow_rays
 from factory.render.estimators.attempt import Attempt
 from factory.render.estimators.choice import ALL, render_within_error
 from factory.render.estimators.halves import Estimate
 from factory.render.estimators.shadow_rays import ShadowedLight
-from tests.support.known_pictures import MASK, Rays, error, shown
+from tests.support.known_pictures import MASK, Mirrored, Rays, error, shown
 
 WITHOUT = tuple(each for each in ALL if each != shadow_rays.NAME)
+RAYS_ALONE = (path_tracing.NAME, closed_form.NAME, shadow_rays.NAME)
 
 
 def test_a_shaded_ramp_is_rendered_by_rays_from_few_samples():
@@ -21,6 +22,26 @@ def test_a_shaded_ramp_is_rendered_by_rays_from_few_samples():
     assert made.estimated.bound <= 5.0
     without = render_within_error(shown(Rays()), 5.0, WITHOUT)
     assert without.samples > 2 * made.samples
+
+
+def test_indirect_light_that_the_denoiser_spoils_stays_noisy(monkeypatch):
+    known = Mirrored()
+    made = render_within_error(shown(known), 20.0, RAYS_ALONE)
+    assert made.estimator == shadow_rays.NAME
+    assert error(made.radiance, known) < 20.0
+    monkeypatch.setattr(shadow_rays, "SHARES", blends.SHARES)
+    monkeypatch.setitem(attempt.SHARES, shadow_rays.NAME, blends.SHARES)
+    with_less = render_within_error(shown(Mirrored()), 20.0, RAYS_ALONE)
+    assert with_less.estimator != shadow_rays.NAME and with_less.samples > 2 * made.samples
+
+
+@pytest.mark.parametrize(
+    ("failed", "growth"),
+    [(Estimate(6.0, 0.1), 1.5), (Estimate(66.0, 34.0), 1.5), (Estimate(46.6, 1.0), 3.0)],
+)
+def test_a_try_far_above_the_limit_is_followed_by_many_more_samples(failed, growth):
+    """But not where it may be as far above by chance."""
+    assert shadow_rays.growth_after(failed, 5.0) == pytest.approx(growth, rel=0.01)
 
 
 def test_rays_are_among_the_estimators_only_where_they_are_named():

@@ -106,6 +106,30 @@ class Rays(Shaded):
         return Share(sent * np.clip(self.share * self.off + noise, 0, 1), sent)
 
 
+class Mirrored(Rays):
+    """The same, with light that the object reflects onto itself, and that the denoiser spoils."""
+
+    def __init__(self, reflected=0.08, spoilt=0.1, **words):
+        super().__init__(**words)
+        self.reflected, self.spoilt = reflected, spoilt
+        self.truth = self.truth + np.float32(reflected)
+
+    def portion(self, first, count, seed, tier):
+        part = super().portion(first, count, seed, tier)
+        if tier == "direct":
+            return part
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count, 1)))
+        noise = 0.2 * rng.normal(size=self.truth.shape) / np.sqrt(count)
+        indirect = np.float32(self.reflected + noise)
+        return part._replace(noisy=part.noisy + indirect, indirect=indirect)
+
+    def denoise(self, portion, effort):
+        if portion.noisy is not portion.indirect:
+            return super().denoise(portion, effort)
+        stripes = self.spoilt * (np.arange(SIZE) % 2)
+        return np.float32(self.reflected + stripes[None, :, None] + 0 * portion.noisy)
+
+
 def error(picture, known):
     exposure = tone.auto_exposure(known.truth, MASK)
     return tone.display_l2(picture, known.truth, exposure, MASK)
