@@ -55,7 +55,7 @@ def test_it_grows_as_if_it_had_never_been_kept(tmp_path):
     assert reference(kept, Noise(), 8).samples == 100
 
 
-def test_another_picture_is_rendered_anew(tmp_path):
+def test_another_picture_is_rendered_again(tmp_path):
     path = tmp_path / "kept.npz"
     reference(path, Noise())
     changed = Noise(brightness=1.0001)
@@ -64,7 +64,7 @@ def test_another_picture_is_rendered_anew(tmp_path):
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 cut off", b"no archive"])
-def test_a_damaged_file_is_rendered_anew(tmp_path, damage):
+def test_a_damaged_file_is_rendered_again(tmp_path, damage):
     path = tmp_path / "kept.npz"
     path.write_bytes(damage)
     renderer = Noise()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from factory.render.estimators import attempt, blends, closed_form, path_tracing, shadow_rays
+from factory.render.estimators import attempt, blends, closed_form, path_tracing, plans, shadow_rays
 from factory.render.estimators.attempt import Attempt
 from factory.render.estimators.choice import ALL, render_within_error
 from factory.render.estimators.halves import Estimate
@@ -41,7 +41,7 @@ def test_indirect_light_that_the_denoiser_spoils_stays_noisy(monkeypatch):
 )
 def test_a_try_far_above_the_limit_is_followed_by_many_more_samples(failed, growth):
     """But not where it may be as far above by chance."""
-    assert shadow_rays.growth_after(failed, 5.0) == pytest.approx(growth, rel=0.01)
+    assert plans.growth_after(failed, 5.0) == pytest.approx(growth, rel=0.01)
 
 
 def test_rays_are_among_the_estimators_only_where_they_are_named():

@@ -20,6 +20,7 @@ import numpy as np
 from factory.render.estimators.halves import CONFIDENCE, Estimate, Halves
 
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6)  # of the unbiased pictures
+UP_TO_ALL = (*SHARES, 0.8, 1.0)
 MOST_BIAS = 1 / 3  # of the limit on the error
 # standard errors added to an estimated bias, because what is chosen for its estimate is worse
 DOUBT = 0.5

@@ -17,6 +17,7 @@ from factory.render.estimators import (
     ratio,
     shadow_rays,
 )
+from factory.render.estimators.halves import CONFIDENCE, Estimate
 from manifests.schema import Estimator
 
 if TYPE_CHECKING:
@@ -84,6 +85,16 @@ def is_direct_light_worth_asking(attempt: Attempt) -> bool:
     return by_ratio is not None and by_ratio.cost + cost < least
 
 
+def growth_after(failed: Estimate, limit: float) -> float:
+    """Return how many times the samples of a try that failed the next one has, at least.
+
+    What is above the limit beyond doubt is noise of indirect light that few paths find. Few samples
+    show too little of it, so that the law asks for too few again and again.
+    """
+    surely = failed.error - CONFIDENCE * failed.standard_error
+    return max(MORE, math.sqrt(max(surely, 0.0) / limit))
+
+
 def _ratio_plan(attempt: Attempt) -> Plan | None:
     """Return the plan of a ratio that keeps the limit by its law, if it needs not too many."""
     if attempt.shown.tier == "direct" or attempt.blocked is None:
@@ -118,7 +129,7 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
     if not _may_try(attempt, name, shadow_rays.MOST_TRIES):
         return None
     if tried := attempt.tried.get(name):
-        least = math.ceil(shadow_rays.growth_after(tried[0], attempt.error) * tried[1])
+        least = math.ceil(growth_after(tried[0], attempt.error) * tried[1])
     count = shadow_rays.needed_samples(
         halves.noise_of_indirect_light().noise_bound,
         halves.samples,

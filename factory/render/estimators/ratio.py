@@ -36,7 +36,7 @@ MOST_TRIES = 4
 MOST_LEFT = 0.7  # of the noise: where direct light explains less of it a ratio is not tried
 AROUND = 4  # pixels to each side by whose noise β is known
 # of the unbiased pictures: alone they have a third of path tracing's noise on many shots
-SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+SHARES = blends.UP_TO_ALL
 
 
 def multiply_by_ratio(direct: np.ndarray, shown: np.ndarray, unblocked: np.ndarray) -> np.ndarray:

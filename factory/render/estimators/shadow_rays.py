@@ -24,7 +24,7 @@ import numpy as np
 
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
-from factory.render.estimators.halves import CONFIDENCE, Estimate, half_seed, mean_over
+from factory.render.estimators.halves import Estimate, half_seed, mean_over
 from factory.render.estimators.renderer import DirectPicture, Share, Shown, effort
 from manifests.schema import Estimator
 from shaders import tone
@@ -51,9 +51,8 @@ GOAL = 0.7  # of the noise that is enough, which a round is planned for
 SPREAD, DOUBT = 0.6, {False: 0.1, True: 0.15}
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
-SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # of noisy indirect light
+SHARES = blends.UP_TO_ALL  # of noisy indirect light
 MOST_TRIES = 6
-MORE = 1.5  # times the samples of a try that failed, at least
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
 # samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
@@ -131,16 +130,6 @@ def needed_samples(
                 return count
         count = math.ceil(1.1 * count)
     return count
-
-
-def growth_after(failed: Estimate, limit: float) -> float:
-    """Return how many times the samples of a try that failed the next one has, at least.
-
-    What is above the limit beyond doubt is noise of indirect light that few paths find. Few samples
-    show too little of it, so that the law asks for too few again and again.
-    """
-    surely = failed.error - CONFIDENCE * failed.standard_error
-    return max(MORE, math.sqrt(max(surely, 0.0) / limit))
 
 
 @dataclass

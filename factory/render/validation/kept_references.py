@@ -2,7 +2,7 @@
 
 The first samples are rendered in any case. Only where they equal those of the file, bit by bit,
 are its other samples used: so a file of another machine, another Blender, another scene setup or a
-mesh that was changed is rendered anew.
+mesh that was changed is not used.
 """
 
 from __future__ import annotations
