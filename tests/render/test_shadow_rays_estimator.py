@@ -162,6 +162,16 @@ def test_indirect_light_that_is_dim_has_no_more_bias_than_energy():
 
 def test_wide_limits_of_large_frames_have_fewer_points():
     few, many = shadow_rays.FEW_POINTS, shadow_rays.POINTS
-    points = [shadow_rays.points_of(limit, 64 * 64) for limit in (5.0, 20.0, 60.0)]
-    assert points == [many, few, few]
-    assert shadow_rays.points_of(2.0, 256 * 256) == few
+    for sampled, expected in ((False, [many, few, few]), (True, [many, many, few])):
+        points = [shadow_rays.points_of(limit, 64 * 64, sampled) for limit in (5.0, 20.0, 60.0)]
+        assert points == expected
+        assert shadow_rays.points_of(2.0, 256 * 256, sampled) == few
+        assert shadow_rays.points_of(1.0, 256 * 256, sampled) == many
+
+
+def test_rays_from_few_points_are_planned_for_less():
+    few, many = (
+        shadow_rays.cost_in_samples(1000, points)
+        for points in (shadow_rays.FEW_POINTS, shadow_rays.POINTS)
+    )
+    assert few + 5 < many < shadow_rays.cost_in_samples(100, shadow_rays.POINTS)

@@ -206,8 +206,12 @@ class Attempt:
 
     def _expected_by_rays(self) -> Estimate:
         """Return the same before samples have measured it."""
-        sampled = self.direct is not None and self.direct.sampled
-        return shadow_rays.expected_error(self.expected, sampled)
+        return shadow_rays.expected_error(self.expected, self.is_sampled)
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether direct light is known to have lobes so narrow that they are sampled."""
+        return self.direct is not None and self.direct.sampled
 
     def direct_light_error(self, samples: int) -> Estimate:
         """Return the closed form's error in direct light as so many samples of a half show it."""

@@ -143,7 +143,8 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
         return None
     further = max(count - halves.samples, 0)
     pixels = int(attempt.shown.mask.sum())
-    cost = 0.0 if attempt.shadowed else shadow_rays.cost_in_samples(pixels)
+    points = shadow_rays.points_of(attempt.error, attempt.shown.mask.size, attempt.is_sampled)
+    cost = 0.0 if attempt.shadowed else shadow_rays.cost_in_samples(pixels, points)
     if attempt.shown.tier == "full":
         cost += denoised.cost_in_samples(halves.samples + further, attempt.shown.tier)
     return Plan(further + cost, name, further)

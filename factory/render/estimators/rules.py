@@ -18,7 +18,7 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.renderer import EFFORTS
 
-VERSION = 20  # a change makes new pictures
+VERSION = 21  # a change makes new pictures
 
 
 def identity() -> list[object]:
@@ -38,7 +38,7 @@ def identity() -> list[object]:
             shadow_rays.NAME,
             shadow_rays.POINTS,
             shadow_rays.FEW_POINTS,
-            shadow_rays.MUCH,
+            sorted(shadow_rays.MUCH.items()),
             shadow_rays.ENOUGH,
             shadow_rays.TOLERATED,
             shadow_rays.OF_THE_REST,
@@ -54,7 +54,7 @@ def identity() -> list[object]:
             shadow_rays.MOST_LOST,
         ],
         [shadow_rays.SHARES, shadow_rays.MOST_TRIES, shadow_rays.LEAST],
-        [shadow_rays.GROUPS, shadow_rays.RAYS],
+        [shadow_rays.GROUPS, sorted(shadow_rays.RAYS.items())],
         [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],

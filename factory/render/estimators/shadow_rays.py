@@ -32,9 +32,10 @@ from shaders import tone
 NAME: Estimator = "shadow-rays"
 POINTS = 64  # per pixel, of which either half has half
 FEW_POINTS = 16  # the same where the limit allows it
-# limit, times the root of the frame's pixels in units of denoised.STANDARD, from which few do: what
-# they miss lies at edges
-MUCH = 6.0
+# limit in a frame of denoised.STANDARD pixels from which few do, and by which power of the pixels'
+# number it is less in larger frames: what points miss lies at edges. By whether lobes are so narrow
+# that they are sampled, of which few points in a small frame miss reflections of lamps
+MUCH = {False: (6.0, 0.5), True: (25.0, 1.0)}
 ENOUGH = 0.2  # of the limit: noise of the rays that needs no more
 # the same once pixels have been given rays in proportion to their noise; and of what is left of the
 # limit beside what else is expected
@@ -55,13 +56,14 @@ SHARES = blends.UP_TO_ALL  # of noisy indirect light
 MOST_TRIES = 6
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
-# samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel
-GROUPS, RAYS = 12000.0, 14.0
+# samples of each half that take as long: of a frame, per pixel of the mask, and of each pixel, by
+# its points
+GROUPS, RAYS = 12000.0, {FEW_POINTS: 8.0, POINTS: 14.0}
 
 
-def cost_in_samples(pixels: int) -> float:
+def cost_in_samples(pixels: int, points: int) -> float:
     """Return the samples of each half that take as long as the rays of so many pixels."""
-    return RAYS + GROUPS / max(pixels, 1)
+    return RAYS[points] + GROUPS / max(pixels, 1)
 
 
 def expected_error(direct: Estimate, sampled: bool) -> Estimate:
@@ -84,10 +86,13 @@ def measure_scale(blend: Blend, noise: float, samples: int) -> float:
     return denoised.measure_scale(blend, noise, samples, POWER)
 
 
-def points_of(limit: float, pixels: int) -> int:
-    """Return the points per pixel from which rays are cast, by the limit and the frame's pixels."""
-    much = limit * math.sqrt(pixels / denoised.STANDARD) >= MUCH
-    return FEW_POINTS if much else POINTS
+def points_of(limit: float, pixels: int, sampled: bool) -> int:
+    """Return the points per pixel from which rays are cast, by the limit and the frame's pixels.
+
+    sampled  whether the material has narrow lobes, which are sampled
+    """
+    much, power = MUCH[sampled]
+    return FEW_POINTS if limit * (pixels / denoised.STANDARD) ** power >= much else POINTS
 
 
 def predict_error(noise: float, scale: float, samples: int, limit: float, known: Estimate) -> float:
@@ -179,7 +184,7 @@ class ShadowedLight:
         mask, enough = self.shown.mask, ENOUGH * self.limit
         rest = OF_THE_REST * (self.limit - self.known.bound)
         tolerated = max(min(TOLERATED * self.limit, rest), enough)
-        first = points_of(self.limit, mask.size)
+        first = points_of(self.limit, mask.size, self.direct.sampled)
         self.shares = self._round(0, first, 1, self.direct.alpha > 0)
         cast = np.full(int(mask.sum()), first)  # rays of each pixel
         further = [points * rays for points, rays in FURTHER if points * rays > first]

@@ -54,7 +54,7 @@ RATIO_SAMPLES = (4, 16, 64)
 # samples, of which indirect light is denoised, and rays from each point of direct light
 SHADOW_RAYS = ((4, 1), (16, 2), (64, 8))
 CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
-LIMITS = (60.0, 20.0, 5.0, 2.0)
+LIMITS = (60.0, 20.0, 10.0, 5.0, 2.0)
 # tried until a limit's picture is as good as the other program's
 SMALLER_LIMITS = (1.0, 0.5, 0.125)
 LONGEST = 60.0  # processor seconds of a setting beyond which its family's next one is left out
