@@ -496,7 +496,7 @@ def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_to
     off = Shaded().direct_light()
     row, column = (side // 2 for side in MASK.shape)
     off.variance[row, column] = 1.0
-    finer = closed_form.plan_more_points(off, MASK, EACH, 2.0)
+    finer = closed_form.plan_more_points(off, MASK, EACH, 3.0)
     counts = np.full(MASK.shape, 16)
     for each in finer:
         counts[each.where] = each.points
@@ -546,7 +546,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
             variance=np.where(inside, off.variance * 16 / more.points, known.variance),
         )
 
-    direct = closed_form.refine_direct_light(off, MASK, 16, 8.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 13.0, finer)
     untouched = MASK & (direct.radiance == off.radiance).all(-1)
     scale = direct.variance[untouched] / off.variance[untouched]
     if factor == 1:
@@ -557,9 +557,35 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
         np.testing.assert_allclose(scale, factor, rtol=0.01)
     # after a round, the pixels that were given points have their own variance
     monkeypatch.setattr(closed_form, "ROUNDS", 1)
-    direct = closed_form.refine_direct_light(off, MASK, 16, 8.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 13.0, finer)
     given = MASK & (direct.radiance != off.radiance).any(-1)
     assert given.any() and (direct.variance[given] <= off.variance[given] / 4).all()
+
+
+def test_small_frames_have_more_points_than_large_ones():
+    """For their edges are a larger part of them."""
+    off = Shaded().direct_light()
+    off.variance[:] = 2e-4
+    wide = np.zeros((4 * MASK.shape[0], 4 * MASK.shape[1]), bool)
+    wide[: MASK.shape[0], : MASK.shape[1]] = MASK
+
+    def frame(values):
+        large = np.zeros((*wide.shape, *values.shape[2:]), values.dtype)
+        large[: values.shape[0], : values.shape[1]] = values
+        return large
+
+    large = off._replace(
+        radiance=frame(off.radiance), alpha=frame(off.alpha), variance=frame(off.variance)
+    )
+    few, many = (
+        sum(
+            each.points * int(each.where.sum())
+            for each in closed_form.plan_more_points(direct, mask, EACH, 2.0)
+        )
+        for direct, mask in ((large, wide), (off, MASK))
+    )
+    assert few < 0.8 * many
+    assert closed_form.enough(256 * 256) == pytest.approx(0.3, rel=0.02)
 
 
 def test_a_frame_without_more_points_stays_as_it_is():
@@ -699,7 +725,7 @@ def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
     assert expected.standard_error > least.standard_error
     sampled = closed_form.expected_error(same._replace(variance=variance, sampled=True), MASK)
     assert sampled.bound > expected.bound
-    small, large = (closed_form.expected_error_at_limit(limit) for limit in (1.0, 100.0))
+    small, large = (closed_form.expected_error_at_limit(limit, 4096) for limit in (1.0, 100.0))
     assert least.error < small.error < large.error
 
 

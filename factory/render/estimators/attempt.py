@@ -101,7 +101,7 @@ class Attempt:
         self.scale = denoised.expected_scale(self.shown.mask.size)
         self.ratio_scale = ratio.expected_scale(self.shown.mask.size)
         self.rays_scale = shadow_rays.expected_scale(self.shown.mask.size)
-        self.expected = closed_form.expected_error_at_limit(self.error)
+        self.expected = closed_form.expected_error_at_limit(self.error, self.shown.mask.size)
 
     @property
     def is_over(self) -> bool:
