@@ -2,17 +2,19 @@
 
 A command is a module with `register(subparsers)`, which adds its parser and sets `run=` to a
 function of the parsed arguments. That function returns an exit status: 0 done, 1 failed, 2 wrong
-usage, or another one that the command's help explains; 141 if the output's reader has gone. A
-command sets `continues=False` if a second run does not continue the first. It names the options
-for its results in `result_folders` and `result_files`, so that a place that cannot be written is
-found before anything is computed. Only argparse and the standard library may be imported at its
-top: heavy libraries are imported inside `run`, so that `--help` is quick.
+usage, or another one that the command's help explains. It is 130, 143 or 129 if Ctrl-C, SIGTERM or
+SIGHUP stopped the command, and 141 if the output's reader has gone. A command sets
+`continues=False` if a second run does not continue the first. It names the options for its results
+in `result_folders` and `result_files`, so that a place that cannot be written is found before
+anything is computed. Only argparse and the standard library may be imported at its top: heavy
+libraries are imported inside `run`, so that `--help` is quick.
 """
 
 import argparse
 import importlib
 import os
 import select
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +22,7 @@ from typing import Any
 
 from manifests.errors import InputError, closest, missing_package, of_system, printable
 from manifests.notices import line_of, set_program
+from manifests.stop_signals import Stopped, raised
 
 OUTPUT = "standard output"
 READER_GONE = 141  # what a shell reports of a program that SIGPIPE ends
@@ -77,7 +80,8 @@ def main(
     if not words:  # of which the usage would say only that a command is missing
         parser.print_help(sys.stderr)
         return 2
-    return _run(parser, words, prepare)
+    with raised():
+        return _run(parser, words, prepare)
 
 
 def _mistaken_name(words: list[str], commands: Commands, moved: Mapping[str, str]) -> str | None:
@@ -155,7 +159,7 @@ def _run(
             else "the same command with --overwrite replaces it"
         )
         print(f"\n{line_of(f'stopped; what was written stays, {how}')}", file=sys.stderr)
-        return 130
+        return 128 + (interrupt.number if isinstance(interrupt, Stopped) else signal.SIGINT)
 
 
 def _is_out_of_memory(error: Exception) -> bool:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from manifests import stop_signals
 from manifests.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def end_with_parent() -> None:
 
     A pool whose owner was killed would otherwise wait for work, and keep its memory, for ever.
     """
+    stop_signals.restore_defaults()
     parent = multiprocessing.parent_process()
     if parent is not None:
 

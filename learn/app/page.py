@@ -27,6 +27,7 @@ from learn.app.session import Session
 from learn.app.sessions import MOST_SESSIONS, Sessions
 from manifests import files
 from manifests.errors import InputError
+from manifests.stop_signals import stop
 
 TITLE = "Edit a photograph"
 DELETE_AFTER = (300, 1800)  # seconds: how often to look for files of pages long closed, their age
@@ -114,7 +115,7 @@ def _ended_by_signals() -> Iterator[threading.Event]:
     earlier = {
         number: signal.getsignal(number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, stop)
     }
     for number in earlier:
         signal.signal(number, end)

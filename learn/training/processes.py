@@ -10,7 +10,7 @@ from typing import Protocol
 import torch
 
 from learn.data.batch import ExampleBatch
-from manifests import lock
+from manifests import lock, stop_signals
 from manifests.errors import InputError
 
 PATIENCE = 2.0  # seconds that a killed run may take to be gone
@@ -107,6 +107,7 @@ def receive_batches(loader: Iterable[ExampleBatch | Exception]) -> Iterator[Exam
 
 def start_worker(_: int) -> None:
     """Prepare a worker: one thread, and no lock on the run's folder that would outlive the run."""
+    stop_signals.restore_defaults()
     torch.set_num_threads(1)
     for descriptor in _LOCKS:
         os.close(descriptor)

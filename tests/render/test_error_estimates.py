@@ -496,7 +496,7 @@ def test_pixels_whose_grids_differ_are_given_more_points_and_their_neighbours_to
     off = Shaded().direct_light()
     row, column = (side // 2 for side in MASK.shape)
     off.variance[row, column] = 1.0
-    finer = closed_form.plan_more_points(off, MASK, EACH, 3.0)
+    finer = closed_form.plan_more_points(off, MASK, EACH, 3.5)
     counts = np.full(MASK.shape, 16)
     for each in finer:
         counts[each.where] = each.points
@@ -535,7 +535,8 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
     off = Shaded().direct_light()
     rows = np.arange(MASK.shape[0])[:, None]
     off.variance[:] = np.where(rows < MASK.shape[0] // 2, 1e-3, 2e-5)[..., None]
-    off_by = np.sqrt(factor * closed_form.LEFT[False][0] * off.variance)
+    expected = closed_form.error_per_difference(False, MASK.size).error
+    off_by = np.sqrt(factor * expected * off.variance)
     seen = []
 
     def finer(known, more):
@@ -546,7 +547,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
             variance=np.where(inside, off.variance * 16 / more.points, known.variance),
         )
 
-    direct = closed_form.refine_direct_light(off, MASK, 16, 13.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 15.0, finer)
     untouched = MASK & (direct.radiance == off.radiance).all(-1)
     scale = direct.variance[untouched] / off.variance[untouched]
     if factor == 1:
@@ -557,7 +558,7 @@ def test_errors_that_grids_did_not_say_give_other_pixels_more_points(monkeypatch
         np.testing.assert_allclose(scale, factor, rtol=0.01)
     # after a round, the pixels that were given points have their own variance
     monkeypatch.setattr(closed_form, "ROUNDS", 1)
-    direct = closed_form.refine_direct_light(off, MASK, 16, 13.0, finer)
+    direct = closed_form.refine_direct_light(off, MASK, 16, 15.0, finer)
     given = MASK & (direct.radiance != off.radiance).any(-1)
     assert given.any() and (direct.variance[given] <= off.variance[given] / 4).all()
 
@@ -586,6 +587,8 @@ def test_small_frames_have_more_points_than_large_ones():
     )
     assert few < 0.8 * many
     assert closed_form.enough(256 * 256) == pytest.approx(0.3, rel=0.02)
+    left = [closed_form.error_per_difference(False, side**2).error for side in (64, 256)]
+    assert left == pytest.approx([0.2, 0.115], rel=0.01)
 
 
 def test_a_frame_without_more_points_stays_as_it_is():
@@ -720,7 +723,7 @@ def test_a_closed_form_whose_points_differ_is_expected_to_be_off():
     expected = closed_form.expected_error(same._replace(variance=variance), MASK)
     exposure = tone.auto_exposure(same.radiance, MASK)
     off = tone.display_l2(same.radiance + noise.mean(0), same.radiance, exposure, MASK)
-    left, _ = closed_form.LEFT[False]
+    left = closed_form.error_per_difference(False, MASK.size).error
     assert (expected.error - closed_form.OTHER) / left == pytest.approx(off, rel=0.1)
     assert expected.standard_error > least.standard_error
     sampled = closed_form.expected_error(same._replace(variance=variance, sampled=True), MASK)

@@ -41,6 +41,7 @@ ENOUGH, LARGER = 0.2, 0.15
 # their directions. With how much it differs between shots; measured on own shapes and other meshes
 # (docs/log.md)
 LEFT = {False: (0.2, 0.17), True: (0.25, 0.3)}  # by whether lobes are sampled
+SMALLER = -0.2  # power of the frame's pixels in units of STANDARD, by which LEFT is less in larger
 OTHER, OTHER_SPREAD = 0.1, 0.2
 # standard errors by which a measurement must be above what is expected to count alone: one of few
 # samples is above it by two now and then
@@ -107,7 +108,7 @@ def _surprise(
     slope = _slope(before.radiance, mask)
     off = (((after.radiance - before.radiance)[mask] * slope) ** 2).mean(-1, dtype=np.float64)
     parts = _errors_by_differences(before, mask)
-    said = _error_per_difference(before).error * max(
+    said = error_per_difference(before.sampled, mask.size).error * max(
         float(parts[changed].mean()), float(parts.mean())
     )
     return max(1.0, float(off[changed].mean()) / max(said, 1e-12))
@@ -126,7 +127,7 @@ def plan_more_points(
 
     direct  by so many points per pixel of the mask: counts (P,)
     """
-    most = enough(mask.size) * error / _error_per_difference(direct).bound
+    most = enough(mask.size) * error / error_per_difference(direct.sampled, mask.size).bound
     if error_by_differences(direct, mask) <= most:
         return []
     points = int(counts.min())
@@ -207,9 +208,15 @@ def points_per_pixel(
     return largest
 
 
-def _error_per_difference(direct: DirectPicture) -> Estimate:
-    """Return the error in units of the differences, and how much it differs between shots."""
-    return Estimate(*LEFT[direct.sampled])
+def error_per_difference(sampled: bool, pixels: int) -> Estimate:
+    """Return the error in units of the differences, and how much it differs between shots.
+
+    sampled  whether lobes are sampled
+    pixels   of the frame
+    """
+    smaller = (pixels / STANDARD) ** SMALLER
+    error, spread = LEFT[sampled]
+    return Estimate(error * smaller, spread * smaller)
 
 
 def cost_in_samples(pixels: int, work: DirectWork) -> float:
@@ -236,7 +243,8 @@ def _slope(radiance: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 def expected_error(direct: DirectPicture, mask: np.ndarray) -> Estimate:
     """Return the closed form's error in the tier `direct` before samples measure it."""
-    return _expected_error(error_by_differences(direct, mask), _error_per_difference(direct))
+    left = error_per_difference(direct.sampled, mask.size)
+    return _expected_error(error_by_differences(direct, mask), left)
 
 
 def expected_error_at_limit(error: float, pixels: int) -> Estimate:
@@ -244,7 +252,7 @@ def expected_error_at_limit(error: float, pixels: int) -> Estimate:
 
     pixels  of the frame
     """
-    left = Estimate(*LEFT[False])
+    left = error_per_difference(False, pixels)
     return _expected_error(min(USUAL, enough(pixels) * error / left.bound), left)
 
 
