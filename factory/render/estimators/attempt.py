@@ -124,7 +124,7 @@ class Attempt:
         """Return the closed form's picture if the samples so far show that it keeps the error."""
         if not self.asked and is_direct_light_worth_asking(self):
             self.asked = True
-            self.direct = self._compute_direct_light()
+            self.direct = closed_form.compute_direct_light(self.shown, self.error)
             if self.direct is not None:
                 self.expected = closed_form.expected_error(self.direct, self.shown.mask)
         if self.direct is None or closed_form.NAME not in self.estimators:
@@ -155,19 +155,6 @@ class Attempt:
                     traced=self.shown.tier,
                 )
         return None
-
-    def _compute_direct_light(self) -> DirectPicture | None:
-        """Return direct light by as many points per pixel as the limit needs."""
-        renderer, mask = self.shown.renderer, self.shown.mask
-        points = closed_form.POINTS
-        work, direct = renderer.direct_light_work(points), renderer.direct_light(points)
-        if work is None or direct is None:
-            return None
-
-        def finer(known: DirectPicture, more: closed_form.Finer) -> DirectPicture | None:
-            return renderer.direct_light(more.points, known, more.where)
-
-        return closed_form.refine_direct_light(direct, mask, work.points, self.error, finer)
 
     def _error_in_direct_light(self, unblocked: Sequence[np.ndarray]) -> Estimate:
         """Return the closed form's error by both halves' pictures of direct light."""

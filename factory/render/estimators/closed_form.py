@@ -20,7 +20,7 @@ import numpy as np
 
 from factory.render.estimators.denoised import STANDARD
 from factory.render.estimators.halves import CONFIDENCE, Estimate, mean_over
-from factory.render.estimators.renderer import DirectPicture, DirectWork
+from factory.render.estimators.renderer import DirectPicture, DirectWork, Shown
 from manifests.schema import Estimator
 from shaders import tone
 
@@ -58,6 +58,22 @@ class Finer(NamedTuple):
 
     points: int
     where: np.ndarray
+
+
+def compute_direct_light(shown: Shown, limit: float) -> DirectPicture | None:
+    """Return direct light by as many points per pixel as a limit needs; None: no closed form holds.
+
+    limit  on the error
+    """
+    renderer, mask = shown.renderer, shown.mask
+    work, direct = renderer.direct_light_work(POINTS), renderer.direct_light(POINTS)
+    if work is None or direct is None:
+        return None
+
+    def finer(known: DirectPicture, more: Finer) -> DirectPicture | None:
+        return renderer.direct_light(more.points, known, more.where)
+
+    return refine_direct_light(direct, mask, work.points, limit, finer)
 
 
 def refine_direct_light(
