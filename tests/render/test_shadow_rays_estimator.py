@@ -35,6 +35,23 @@ def test_indirect_light_that_the_denoiser_spoils_stays_noisy(monkeypatch):
     assert with_less.estimator != shadow_rays.NAME and with_less.samples > 2 * made.samples
 
 
+@pytest.mark.parametrize(("grain", "smoothed"), [(0.003, False), (0.08, True)])
+def test_indirect_light_with_little_noise_is_not_denoised(grain, smoothed):
+    known = Mirrored(grain=grain, spoilt=0.0)
+    made = render_within_error(shown(known), 10.0, RAYS_ALONE)
+    assert made.estimator == shadow_rays.NAME and made.estimated.bound <= 10.0
+    assert error(made.radiance, known) < 10.0
+    assert (known.smoothed > 0) == smoothed
+
+
+def test_noisy_indirect_light_that_breaks_the_limit_is_denoised_after_all(monkeypatch):
+    monkeypatch.setattr(shadow_rays, "LITTLE", 100.0)
+    known = Mirrored(grain=0.4, spoilt=0.0)
+    made = render_within_error(shown(known), 5.0, RAYS_ALONE)
+    assert made.estimator == shadow_rays.NAME and known.smoothed > 0
+    assert error(made.radiance, known) < 5.0
+
+
 @pytest.mark.parametrize(
     ("failed", "growth"),
     [(Estimate(6.0, 0.1), 1.5), (Estimate(66.0, 34.0), 1.5), (Estimate(46.6, 1.0), 3.0)],

@@ -109,9 +109,10 @@ class Rays(Shaded):
 class Mirrored(Rays):
     """The same, with light that the object reflects onto itself, and that the denoiser spoils."""
 
-    def __init__(self, reflected=0.08, spoilt=0.1, **words):
+    def __init__(self, reflected=0.08, spoilt=0.1, grain=0.2, **words):
         super().__init__(**words)
-        self.reflected, self.spoilt = reflected, spoilt
+        self.reflected, self.spoilt, self.grain = reflected, spoilt, grain
+        self.smoothed = 0
         self.truth = self.truth + np.float32(reflected)
 
     def portion(self, first, count, seed, tier):
@@ -119,13 +120,14 @@ class Mirrored(Rays):
         if tier == "direct":
             return part
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first, count, 1)))
-        noise = 0.2 * rng.normal(size=self.truth.shape) / np.sqrt(count)
+        noise = self.grain * rng.normal(size=self.truth.shape) / np.sqrt(count)
         indirect = np.float32(self.reflected + noise)
         return part._replace(noisy=part.noisy + indirect, indirect=indirect)
 
     def denoise(self, portion, effort):
         if portion.noisy is not portion.indirect:
             return super().denoise(portion, effort)
+        self.smoothed += 1
         stripes = self.spoilt * (np.arange(SIZE) % 2)
         return np.float32(self.reflected + stripes[None, :, None] + 0 * portion.noisy)
 

@@ -9,7 +9,7 @@ bias alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -45,12 +45,14 @@ class _Candidate(NamedTuple):
     """Pictures of both halves by an estimator, and the unbiased ones that they are compared with.
 
     predicted  error by the estimator's model
+    smooth     whether a denoiser made them, with which unbiased ones may be blended
     """
 
     estimator: Estimator
     pair: list[np.ndarray]
     predicted: float
     unbiased: Sequence[np.ndarray]
+    smooth: bool = True
 
 
 @dataclass
@@ -221,7 +223,7 @@ class Attempt:
             halves.grow(min(plan.samples, (GROWTH - 1) * halves.samples))
         if name not in (path_tracing.NAME, closed_form.NAME):
             pairs = (
-                [self._by_shadow_rays()]
+                self._by_shadow_rays()
                 if name == shadow_rays.NAME
                 else self._pairs(with_ratio=name == ratio.NAME)
             )
@@ -253,35 +255,36 @@ class Attempt:
         )
         return [by_ratio, by_denoiser]
 
-    def _by_shadow_rays(self) -> _Candidate:
-        """Return pictures by shadow rays and denoised indirect light, and by noisy one."""
+    def _by_shadow_rays(self) -> Iterator[_Candidate]:
+        """Yield pictures by shadow rays and indirect light: noisy where that may do, and denoised.
+
+        Both are blended in the latter.
+        """
         halves = self.halves
         assert self.direct is not None
         if self.shadowed is None:
             self.shadowed = shadow_rays.ShadowedLight(
                 self.shown, self.direct, self.error, self._expected_by_rays()
             )
-        shadowed = self.shadowed.pictures
-        smooth, noisy = (
-            [a + b for a, b in zip(shadowed, halves.indirect_pictures(denoised), strict=True)]
-            for denoised in (True, False)
-        )
+        shadowed, noise = self.shadowed.pictures, halves.noise_of_indirect_light()
+
+        def with_indirect_light(denoised: bool) -> list[np.ndarray]:
+            indirect = halves.indirect_pictures(denoised)
+            return [a + b for a, b in zip(shadowed, indirect, strict=True)]
+
+        noisy = with_indirect_light(denoised=False)
+        if shadow_rays.is_little_noise(noise, self.error):
+            predicted = self._expected_by_rays().error + noise.noise
+            yield _Candidate(shadow_rays.NAME, noisy, predicted, noisy, smooth=False)
         predicted = shadow_rays.predict_error(
-            halves.noise_of_indirect_light().noise,
-            self.rays_scale,
-            halves.samples,
-            self.error,
-            self._expected_by_rays(),
+            noise.noise, self.rays_scale, halves.samples, self.error, self._expected_by_rays()
         )
-        return _Candidate(shadow_rays.NAME, smooth, predicted, noisy)
+        yield _Candidate(shadow_rays.NAME, with_indirect_light(denoised=True), predicted, noisy)
 
     def _judge(self, tried: _Candidate) -> Picture | None:
-        """Return the best blend of an estimator's pictures if it keeps the error.
-
-        Its law's scale is measured.
-        """
+        """Return the best blend of an estimator's pictures if it keeps the error."""
         halves, name = self.halves, tried.estimator
-        shares = SHARES[name]
+        shares = SHARES[name] if tried.smooth else (0.0,)
         # pictures by rays need few samples, which say little of the exposure
         exposure = (
             tone.auto_exposure((tried.pair[0] + tried.pair[1]) / 2, self.shown.mask)
@@ -300,14 +303,8 @@ class Attempt:
         )
         estimate, bias = self._estimate(name, blend)
         self.tried[name] = blends.add_bias(estimate, bias), halves.samples
-        noise = halves.estimate().noise
-        if name == denoised.NAME:
-            self.scale = denoised.measure_scale(blend, noise, halves.samples)
-        elif name == shadow_rays.NAME:
-            noise = halves.noise_of_indirect_light().noise
-            self.rays_scale = shadow_rays.measure_scale(blend, noise, halves.samples)
-        else:
-            self.ratio_scale = ratio.measure_scale(blend, self.left * noise)
+        if tried.smooth:
+            self._measure_law(name, blend)
         if not blends.is_kept(estimate, bias, self.error):
             return None
         return Picture(
@@ -319,6 +316,17 @@ class Attempt:
             estimated=estimate,
             traced=self.shown.tier,
         )
+
+    def _measure_law(self, name: Estimator, blend: blends.Blend) -> None:
+        """Measure the scale of the estimator's law by a blend that it has made."""
+        noise, samples = self.halves.estimate().noise, self.halves.samples
+        if name == denoised.NAME:
+            self.scale = denoised.measure_scale(blend, noise, samples)
+        elif name == shadow_rays.NAME:
+            noise = self.halves.noise_of_indirect_light().noise
+            self.rays_scale = shadow_rays.measure_scale(blend, noise, samples)
+        else:
+            self.ratio_scale = ratio.measure_scale(blend, self.left * noise)
 
     def _known_error(self, name: Estimator) -> Estimate | None:
         """Return the closed form's error as part of an estimator's pictures; None: it is none."""

@@ -130,8 +130,9 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
         return None
     if tried := attempt.tried.get(name):
         least = math.ceil(growth_after(tried[0], attempt.error) * tried[1])
+    noise = halves.noise_of_indirect_light()
     count = shadow_rays.needed_samples(
-        halves.noise_of_indirect_light().noise_bound,
+        noise.noise_bound,
         halves.samples,
         attempt.rays_scale,
         attempt.error,
@@ -145,7 +146,7 @@ def _shadow_rays_plan(attempt: Attempt) -> Plan | None:
     pixels = int(attempt.shown.mask.sum())
     points = shadow_rays.points_of(attempt.error, attempt.shown.mask.size, attempt.is_sampled)
     cost = 0.0 if attempt.shadowed else shadow_rays.cost_in_samples(pixels, points)
-    if attempt.shown.tier == "full":
+    if attempt.shown.tier == "full" and not shadow_rays.is_little_noise(noise, attempt.error):
         cost += denoised.cost_in_samples(halves.samples + further, attempt.shown.tier)
     return Plan(further + cost, name, further)
 

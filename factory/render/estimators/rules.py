@@ -53,7 +53,7 @@ def identity() -> list[object]:
             shadow_rays.POWER,
             shadow_rays.MOST_LOST,
         ],
-        [shadow_rays.SHARES, shadow_rays.MOST_TRIES, shadow_rays.LEAST],
+        [shadow_rays.SHARES, shadow_rays.LITTLE, shadow_rays.MOST_TRIES, shadow_rays.LEAST],
         [shadow_rays.GROUPS, sorted(shadow_rays.RAYS.items())],
         [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],

@@ -53,6 +53,7 @@ SPREAD, DOUBT = 0.6, {False: 0.1, True: 0.15}
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
 SHARES = blends.UP_TO_ALL  # of noisy indirect light
+LITTLE = 0.2  # of the limit: noise of indirect light that is left as it is
 MOST_TRIES = 6
 LEAST = 4  # samples of each half
 MOST_SAMPLES = 1 << 20  # more never help
@@ -93,6 +94,11 @@ def points_of(limit: float, pixels: int, sampled: bool) -> int:
     """
     much, power = MUCH[sampled]
     return FEW_POINTS if limit * (pixels / denoised.STANDARD) ** power >= much else POINTS
+
+
+def is_little_noise(noise: Estimate, limit: float) -> bool:
+    """Whether indirect light has so little noise that denoising it is not worth its time."""
+    return noise.noise_bound <= LITTLE * limit
 
 
 def predict_error(noise: float, scale: float, samples: int, limit: float, known: Estimate) -> float:
