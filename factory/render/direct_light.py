@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from shaders.direct_light import DirectLight
 
 # samples of a narrow lobe per pixel, divided among its points if these are USUAL at most; with more
-# points, each has as many as with USUAL. Mirror-like materials need more samples, because normals
-# turn by more than the width of their lobes within a pixel
+# points, each has as many as with USUAL, and so it is with fewer in large frames. Mirror-like
+# materials need more samples, because normals turn by more than the width of their lobes within a
+# pixel
 LOBE_SAMPLES = {"glossy": 192, "mirror-like": 256}
 # {points per pixel: (points across the pixel in a grid, grids that are shifted against each other)}
 GRIDS = {
@@ -32,9 +33,11 @@ GRIDS = {
     16: (2, 4),
     4: (1, 4),
 }
-# points per pixel by default, and at least for mirror-like materials, where few are not enough
+# points per pixel by default, and at least for mirror-like materials in small frames, where fewer
+# miss facets that mirror lamps
 USUAL = 64
-LEAST = 16  # points per pixel for other materials, if as many fit
+LEAST = 16  # points per pixel otherwise, if as many fit
+LARGE = 1 << 15  # pixels of a frame in which LEAST are more of an object than USUAL in one of 64²
 MOST_POINTS = 1 << 23  # that are looked at; those on the object take 100 bytes each
 MOST_PLACES = 1 << 26  # of a frame's grids, where some pixels are looked at; each takes a byte
 AT_ONCE = 1 << 19  # points of a frame whose light is computed at once
@@ -107,8 +110,9 @@ def points_of(
     where      (height, width) bool, the pixels that have so many; None: all
     """
     kind = "mirror-like" if min(each.narrowest for each in direct) < MIRROR_LIKE else "glossy"
-    least = USUAL if kind == "mirror-like" else LEAST
     pixels = lens.size[0] * lens.size[1]
+    is_large = pixels >= LARGE
+    least = USUAL if kind == "mirror-like" and not is_large else LEAST
     looked_at, most_places = pixels, MOST_POINTS
     if where is not None:
         looked_at, most_places = int(where.sum()), MOST_PLACES
@@ -117,7 +121,9 @@ def points_of(
     for count, (across, grids) in GRIDS.items():
         few = count <= max(requested, least)
         if few and count * looked_at <= MOST_POINTS and count * pixels <= most_places:
-            return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // min(count, USUAL)))
+            as_many = kind == "mirror-like" and is_large and count >= LEAST
+            sharing = USUAL if as_many else min(count, USUAL)
+            return Points(across, SHIFTS[grids], -(-LOBE_SAMPLES[kind] // sharing))
     return None
 
 

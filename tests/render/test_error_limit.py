@@ -331,6 +331,12 @@ def test_large_pictures_have_fewer_points_per_pixel_and_then_no_closed_form(chai
     glossy(0.05)
     assert chair.direct_light_work().maps == pytest.approx(1 / 0.05**2)
     glossy(0.02)
+    # but in large frames they are as many on the object, and have as many directions each
+    with monkeypatch.context() as patch:
+        patch.setattr(direct_light, "LARGE", SIZE**2)
+        assert [chair.direct_light_work(points).points for points in (16, 256)] == [16, 256]
+        forms = chair._direct_light.closed_forms(chair._shown_view())
+        assert [direct_light.points_of(forms, lens, count).samples for count in (16, 64)] == [4, 4]
     chair.set_camera(msgspec.structs.replace(lens, pixel="centre"))
     assert (
         direct_light.points_of(

@@ -33,9 +33,9 @@ ROUNDS = 3  # of giving more points, after each of which it is known better wher
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
 # of the limit: doubt about the points' own part of the error that needs no more, in a frame of
 # STANDARD pixels; and by which power of their number it is more in larger frames, whose edges are a
-# smaller part. What points miss is above a quarter of a limit of 5 on 5 of 57 shots of 64² by a
-# share of 0.3, and on none of those five by this one
-ENOUGH, LARGER = 0.2, 0.15
+# smaller part, by whether lobes are sampled. What points miss is above a quarter of a limit of 5 on
+# 5 of 57 shots of 64² by a share of 0.3, and on one of those five by this one
+ENOUGH, LARGER = 0.2, {False: 0.15, True: 0.0}
 # the error that is expected: LEFT times the points' `error_by_differences`, and OTHER. It is less
 # than of points at random, for grids lie between each other, but narrow lobes have the noise of
 # their directions. With how much it differs between shots; measured on own shapes and other meshes
@@ -143,7 +143,11 @@ def plan_more_points(
 
     direct  by so many points per pixel of the mask: counts (P,)
     """
-    most = enough(mask.size) * error / error_per_difference(direct.sampled, mask.size).bound
+    most = (
+        enough(direct.sampled, mask.size)
+        * error
+        / error_per_difference(direct.sampled, mask.size).bound
+    )
     if error_by_differences(direct, mask) <= most:
         return []
     points = int(counts.min())
@@ -172,12 +176,13 @@ def plan_more_points(
     return result
 
 
-def enough(pixels: int) -> float:
+def enough(sampled: bool, pixels: int) -> float:
     """Return the share of a limit that the points' own part of the error may be, in such a frame.
 
-    pixels  of the frame
+    sampled  whether lobes are sampled
+    pixels   of the frame
     """
-    return ENOUGH * (pixels / STANDARD) ** LARGER
+    return ENOUGH * (pixels / STANDARD) ** LARGER[sampled]
 
 
 def with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -269,7 +274,7 @@ def expected_error_at_limit(error: float, pixels: int) -> Estimate:
     pixels  of the frame
     """
     left = error_per_difference(False, pixels)
-    return _expected_error(min(USUAL, enough(pixels) * error / left.bound), left)
+    return _expected_error(min(USUAL, enough(False, pixels) * error / left.bound), left)
 
 
 def _expected_error(own: float, left: Estimate) -> Estimate:
