@@ -31,11 +31,10 @@ MOST_PER_PIXEL = 1024
 FINER = ((2,), (4,), (4, 16), (4, 16, 64))  # times the points, of pixels whose points differ
 ROUNDS = 3  # of giving more points, after each of which it is known better where they lack
 GEOMETRY = 0.35  # of the time that light at a point takes, for what the point sees
-# of the limit: doubt about the points' own part of the error that needs no more, in a frame of
-# STANDARD pixels; and by which power of their number it is more in larger frames, whose edges are a
-# smaller part, by whether lobes are sampled. What points miss is above a quarter of a limit of 5 on
-# 5 of 57 shots of 64² by a share of 0.3, and on one of those five by this one
-ENOUGH, LARGER = 0.2, {False: 0.15, True: 0.0}
+# of the limit: doubt about the points' own part of the error that needs no more. By a share of 0.3,
+# what points miss is above a quarter of a limit of 5 on 5 of 57 shots of 64², and on one of those
+# five by this one
+ENOUGH = 0.2
 # the error that is expected: LEFT times the points' `error_by_differences`, and OTHER. It is less
 # than of points at random, for grids lie between each other, but narrow lobes have the noise of
 # their directions. With how much it differs between shots; measured on own shapes and other meshes
@@ -135,7 +134,7 @@ def plan_more_points(
 ) -> list[Finer]:
     """Return which pixels get more points, and how many; [] if the points' own error is small.
 
-    It is small below a share of the limit `error` (`enough`).
+    It is small below a share ENOUGH of the limit `error`.
 
     The error lies at edges and in reflections, so that a few pixels are given many points: in
     proportion to the root of their part of it, which falls in proportion to their points. Which
@@ -143,11 +142,7 @@ def plan_more_points(
 
     direct  by so many points per pixel of the mask: counts (P,)
     """
-    most = (
-        enough(direct.sampled, mask.size)
-        * error
-        / error_per_difference(direct.sampled, mask.size).bound
-    )
+    most = ENOUGH * error / error_per_difference(direct.sampled, mask.size).bound
     if error_by_differences(direct, mask) <= most:
         return []
     points = int(counts.min())
@@ -174,15 +169,6 @@ def plan_more_points(
         where[mask] = more & (best[2] == count)
         result.append(Finer(int(count), where))
     return result
-
-
-def enough(sampled: bool, pixels: int) -> float:
-    """Return the share of a limit that the points' own part of the error may be, in such a frame.
-
-    sampled  whether lobes are sampled
-    pixels   of the frame
-    """
-    return ENOUGH * (pixels / STANDARD) ** LARGER[sampled]
 
 
 def with_neighbours(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -274,7 +260,7 @@ def expected_error_at_limit(error: float, pixels: int) -> Estimate:
     pixels  of the frame
     """
     left = error_per_difference(False, pixels)
-    return _expected_error(min(USUAL, enough(False, pixels) * error / left.bound), left)
+    return _expected_error(min(USUAL, ENOUGH * error / left.bound), left)
 
 
 def _expected_error(own: float, left: Estimate) -> Estimate:

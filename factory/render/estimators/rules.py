@@ -59,7 +59,7 @@ def identity() -> list[object]:
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS],
-        [closed_form.ENOUGH, sorted(closed_form.LARGER.items())],
+        [closed_form.ENOUGH],
         [closed_form.MOST_PER_PIXEL, closed_form.GEOMETRY],
         [sorted(closed_form.LEFT.items()), closed_form.SMALLER],
         [closed_form.OTHER, closed_form.OTHER_SPREAD],
