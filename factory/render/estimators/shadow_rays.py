@@ -1,9 +1,10 @@
 """Direct light without noise, times the share of it that rays find unblocked, plus indirect light.
 
-what      closed form · share of the light that arrives (factory.render.shadow_rays) + denoised
-          indirect light. Rays go where light would come from, so that all noise is that of
-          visibility, which is a fraction of path tracing's; what the object reflects onto itself is
-          the part of the halves that is left to be denoised, and in most shots a small one
+what      closed form · share of the light that arrives (factory.render.shadow_rays) + indirect
+          light, which is denoised unless its noise is small. Rays go where light would come from,
+          so that all noise is that of visibility, which is a fraction of path tracing's; what the
+          object reflects onto itself is the part of the halves that is left to be denoised, and in
+          most shots a small one
 halves    each has rays of its own from points of its own, and its own indirect light
 bias      of the denoiser, on indirect light alone: the estimate contains it, and a share of the
           noisy one (`SHARES`) keeps it small; where mirror-like surfaces see each other, the
