@@ -37,7 +37,12 @@ def end_itself(number):
 )
 def test_a_signal_ends_a_command_in_one_line(capsys, number, status, continues, how):
     commands = register(end_itself(number), continues=continues)
-    assert cli.main("program", "what it does", commands, ["wait"]) == status
+    # programs that a shell starts in the background ignore Ctrl-C
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert cli.main("program", "what it does", commands, ["wait"]) == status
+    finally:
+        signal.signal(signal.SIGINT, before)
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "stopped; what was written stays" in line and how in line
 
