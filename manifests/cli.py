@@ -22,7 +22,7 @@ from typing import Any
 
 from manifests.errors import InputError, closest, missing_package, of_system, printable
 from manifests.notices import line_of, set_program
-from manifests.stop_signals import Stopped, raised
+from manifests.stop_signals import Stopped, raise_on_signals
 
 OUTPUT = "standard output"
 READER_GONE = 141  # what a shell reports of a program that SIGPIPE ends
@@ -80,7 +80,7 @@ def main(
     if not words:  # of which the usage would say only that a command is missing
         parser.print_help(sys.stderr)
         return 2
-    with raised():
+    with raise_on_signals():
         return _run(parser, words, prepare)
 
 

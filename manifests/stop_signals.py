@@ -26,29 +26,29 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
-def stop(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise Stopped. A second signal ends the program at once."""
+def raise_stopped(number: int, frame: FrameType | None) -> None:
+    """Raise Stopped, as the handler of a signal. A second signal ends the program at once."""
     signal.signal(number, signal.SIG_DFL)
     raise Stopped(number)
 
 
 @contextmanager
-def raised() -> Iterator[None]:
+def raise_on_signals() -> Iterator[None]:
     """Raise Stopped for these signals in the block, unless somebody handles or ignores them."""
     main = threading.current_thread() is threading.main_thread()
     ours = [number for number in NUMBERS if main and signal.getsignal(number) == signal.SIG_DFL]
     for number in ours:
-        signal.signal(number, stop)
+        signal.signal(number, raise_stopped)
     try:
         yield
     finally:
         for number in ours:
-            if signal.getsignal(number) == stop:
+            if signal.getsignal(number) == raise_stopped:
                 signal.signal(number, signal.SIG_DFL)
 
 
 def restore_defaults() -> None:
     """End this process at once by these signals, as a worker that inherited their handler must."""
     for number in NUMBERS:
-        if signal.getsignal(number) == stop:
+        if signal.getsignal(number) == raise_stopped:
             signal.signal(number, signal.SIG_DFL)

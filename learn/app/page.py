@@ -27,7 +27,7 @@ from learn.app.session import Session
 from learn.app.sessions import MOST_SESSIONS, Sessions
 from manifests import files
 from manifests.errors import InputError
-from manifests.stop_signals import stop
+from manifests.stop_signals import raise_stopped
 
 TITLE = "Edit a photograph"
 DELETE_AFTER = (300, 1800)  # seconds: how often to look for files of pages long closed, their age
@@ -112,10 +112,11 @@ def _ended_by_signals() -> Iterator[threading.Event]:
     def end(number: int, frame: FrameType | None) -> None:
         ended.set()
 
+    replaced = (signal.SIG_DFL, signal.default_int_handler, raise_stopped)
     earlier = {
         number: signal.getsignal(number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, stop)
+        if signal.getsignal(number) in replaced
     }
     for number in earlier:
         signal.signal(number, end)

@@ -49,7 +49,7 @@ def test_a_signal_ends_a_command_in_one_line(capsys, number, status, continues, 
 
 def test_afterwards_the_signals_are_as_before():
     before = [signal.getsignal(number) for number in stop_signals.NUMBERS]
-    with stop_signals.raised():
+    with stop_signals.raise_on_signals():
         assert [signal.getsignal(number) for number in stop_signals.NUMBERS] != before
     assert [signal.getsignal(number) for number in stop_signals.NUMBERS] == before
 
@@ -58,7 +58,7 @@ def test_signals_that_somebody_ignores_stay_ignored():
     """As SIGHUP is by nohup."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with stop_signals.raised():
+        with stop_signals.raise_on_signals():
             os.kill(os.getpid(), signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
@@ -69,7 +69,7 @@ def test_threads_leave_signals_alone():
     seen = []
 
     def run():
-        with stop_signals.raised():
+        with stop_signals.raise_on_signals():
             seen.append(signal.getsignal(signal.SIGTERM))
 
     thread = threading.Thread(target=run)
@@ -82,7 +82,7 @@ def test_a_second_signal_ends_a_program_that_is_still_cleaning_up():
     code = (
         "import os, signal\n"
         "from manifests import stop_signals\n"
-        "with stop_signals.raised():\n"
+        "with stop_signals.raise_on_signals():\n"
         "    try:\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "    finally:\n"
@@ -107,7 +107,7 @@ def test_workers_do_not_inherit_the_handlers():
     import multiprocessing
 
     context = multiprocessing.get_context("fork")
-    with stop_signals.raised():
+    with stop_signals.raise_on_signals():
         for begin, expected in ((subprocesses.end_with_parent, True), (None, False)):
             with ProcessPoolExecutor(1, context, begin) as pool:
                 assert next(pool.map(_handlers, [0])) == [expected] * len(stop_signals.NUMBERS)

@@ -3,6 +3,7 @@
 import argparse
 
 from factory.render.estimators import closed_form
+from factory.render.estimators.renderer import STANDARD
 from factory.render.validation import error_of_points
 
 
@@ -36,5 +37,5 @@ def test_the_page_says_how_errors_compare_with_differences():
 
 
 def test_the_constants_are_those_of_a_small_frame():
-    known = closed_form.error_per_difference(True, closed_form.STANDARD)
+    known = closed_form.error_per_difference(True, STANDARD)
     assert (known.error, known.standard_error) == closed_form.LEFT[True]

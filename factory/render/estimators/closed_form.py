@@ -18,9 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factory.render.estimators.denoised import STANDARD
 from factory.render.estimators.halves import CONFIDENCE, Estimate, mean_over
-from factory.render.estimators.renderer import DirectPicture, DirectWork, Shown
+from factory.render.estimators.renderer import STANDARD, DirectPicture, DirectWork, Shown
 from manifests.schema import Estimator
 from shaders import tone
 

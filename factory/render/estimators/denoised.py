@@ -16,12 +16,12 @@ from collections.abc import Sequence
 
 from factory.render.estimators import blends
 from factory.render.estimators.blends import Blend
-from factory.render.estimators.renderer import effort
+from factory.render.estimators.renderer import STANDARD, effort
 from manifests.schema import Estimator, Tier
 
 NAME: Estimator = "denoised"
 SCALE, POWER = 2.8, 0.58
-STANDARD, SIZE = 64 * 64, 0.47
+SIZE = 0.47
 WITH_NOISE = 1.45  # error of denoised halves' mean, over its bias: the rest is their own noise
 CAUTION = 1.4  # times the samples that the law asks for after a try that failed
 MOST_SAMPLES = 1 << 20  # more never help

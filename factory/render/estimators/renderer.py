@@ -43,6 +43,7 @@ class Effort(NamedTuple):
     prefilter: bool = False
 
 
+STANDARD = 64 * 64  # pixels of the frame in which constants of the rules were measured
 # by the least samples of a half. At 256² the denoiser takes about a tenth of their time, from 16 on
 EFFORTS = {
     0: Effort("BALANCED", 1, cost=0.45, leaves=1.0),

@@ -16,7 +16,7 @@ from factory.render.estimators import (
     ratio,
     shadow_rays,
 )
-from factory.render.estimators.renderer import EFFORTS
+from factory.render.estimators.renderer import EFFORTS, STANDARD
 
 VERSION = 21  # a change makes new pictures
 
@@ -30,7 +30,7 @@ def identity() -> list[object]:
         ["halves", halves.OWN, halves.CONFIDENCE, halves.CURVE],
         [path_tracing.NAME, path_tracing.AIM],
         [denoised.NAME, denoised.SCALE, denoised.POWER, denoised.MOST_TRIES, denoised.LEAST],
-        [denoised.STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
+        [STANDARD, denoised.SIZE, denoised.WITH_NOISE, denoised.CAUTION],
         [ratio.NAME, ratio.SCALE, ratio.POWER, ratio.UNCERTAINTY, ratio.MOST, ratio.MOST_TRIES],
         [ratio.DARK, ratio.LEAST, ratio.WITH_NOISE, ratio.AROUND, ratio.SHARES],
         [ratio.MOST_LEFT],

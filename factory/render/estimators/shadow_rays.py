@@ -26,14 +26,14 @@ import numpy as np
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
 from factory.render.estimators.halves import Estimate, half_seed, mean_over
-from factory.render.estimators.renderer import DirectPicture, Share, Shown, effort
+from factory.render.estimators.renderer import STANDARD, DirectPicture, Share, Shown, effort
 from manifests.schema import Estimator
 from shaders import tone
 
 NAME: Estimator = "shadow-rays"
 POINTS = 64  # per pixel, of which either half has half
 FEW_POINTS = 16  # the same where the limit allows it
-# limit in a frame of denoised.STANDARD pixels from which few do, and by which power of the pixels'
+# limit in a frame of STANDARD pixels from which few do, and by which power of the pixels'
 # number it is less in larger frames: what points miss lies at edges. By whether lobes are so narrow
 # that they are sampled, of which few points in a small frame miss reflections of lamps
 MUCH = {False: (6.0, 0.5), True: (25.0, 1.0)}
@@ -94,7 +94,7 @@ def points_of(limit: float, pixels: int, sampled: bool) -> int:
     sampled  whether the material has narrow lobes, which are sampled
     """
     much, power = MUCH[sampled]
-    return FEW_POINTS if limit * (pixels / denoised.STANDARD) ** power >= much else POINTS
+    return FEW_POINTS if limit * (pixels / STANDARD) ** power >= much else POINTS
 
 
 def is_little_noise(noise: Estimate, limit: float) -> bool:

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from factory.render.estimators import blends, denoised
+from factory.render.estimators import blends
 from factory.render.estimators.halves import Halves
-from factory.render.estimators.renderer import Shown, effort
+from factory.render.estimators.renderer import STANDARD, Shown, effort
 from factory.render.validation.scenes import TIERS, Stage, draw_scene
 from manifests.schema import Camera
 
@@ -66,7 +66,7 @@ def fit_law(rows: list[dict[str, Any]]) -> dict[str, Any]:
     usable = [row for row in rows if row["bias"] > LEAST and row["noise"] > 0]
     noise = np.log([row["noise"] for row in usable])
     bias = np.log([row["bias"] / effort(row["samples"]).leaves for row in usable])
-    fewer = np.log([denoised.STANDARD / row["pixels"] for row in usable])
+    fewer = np.log([STANDARD / row["pixels"] for row in usable])
     shots, of = np.unique([row["shot"] for row in usable], return_inverse=True)
     columns = np.column_stack([noise, fewer, np.eye(len(shots))[of]])
     power, size, *scales = np.linalg.lstsq(columns, bias, rcond=None)[0]

@@ -53,7 +53,7 @@ MOST = 256  # samples, unless more are requested
 RATIO_SAMPLES = (4, 16, 64)
 # samples, of which indirect light is denoised, and rays from each point of direct light
 SHADOW_RAYS = ((4, 1), (16, 2), (64, 8))
-CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least
+CLOSED_POINTS = (16, 64)  # per pixel; mirror-like materials have 64 at least in small frames
 LIMITS = (60.0, 20.0, 10.0, 5.0, 2.0)
 # tried until a limit's picture is as good as the other program's
 SMALLER_LIMITS = (1.0, 0.5, 0.125)
