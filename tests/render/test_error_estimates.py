@@ -399,13 +399,15 @@ def test_unbiased_pictures_alone_are_the_last_resort_where_the_denoiser_errs():
 def test_what_was_expected_of_the_closed_form_is_no_less_certain_with_few_samples():
     expected = Estimate(2.0, 1.0)
     direct = closed_form.combine_with_expectation(Estimate(4.0, 0.8), expected)
-    again, more = (ratio.error_with_more_samples(direct, expected, 8, count) for count in (8, 32))
+    again, more = (
+        closed_form.error_with_more_samples(direct, expected, 8, count) for count in (8, 32)
+    )
     assert again == Estimate(direct.error, pytest.approx(direct.standard_error))
     assert more.standard_error == pytest.approx(
         closed_form.combine_with_expectation(Estimate(4.0, 0.2), expected).standard_error
     )
     vague = Estimate(2.0, 1e6)
-    assert ratio.error_with_more_samples(
+    assert closed_form.error_with_more_samples(
         Estimate(4.0, 0.8), vague, 8, 32
     ).standard_error == pytest.approx(0.2)
 

@@ -184,12 +184,10 @@ class Attempt:
             measured = Estimate(expected.error, 2 * self.now.standard_error)
         else:
             measured = self.shadowed.measure(self.halves.traced_direct_pictures())
+        known = closed_form.combine_with_expectation(measured, expected)
 
         def at(samples: int) -> Estimate:
-            uncertain = measured.standard_error * have / samples
-            return closed_form.combine_with_expectation(
-                Estimate(measured.error, uncertain), expected
-            )
+            return closed_form.error_with_more_samples(known, expected, have, samples)
 
         return at
 
@@ -213,7 +211,9 @@ class Attempt:
                 Estimate(self.expected.error, uncertain), self.expected
             )
         tried = halves.unblocked_samples
-        return ratio.error_with_more_samples(self.closed_direct, self.expected, tried, samples)
+        return closed_form.error_with_more_samples(
+            self.closed_direct, self.expected, tried, samples
+        )
 
     def run(self, plan: Plan) -> Picture | None:
         """Render a plan's samples, and return the picture if it keeps the error."""
@@ -300,6 +300,7 @@ class Attempt:
             shares,
             exposure,
             known.error if known else 0.0,
+            with_detail=tried.smooth,
         )
         estimate, bias = self._estimate(name, blend)
         self.tried[name] = blends.add_bias(estimate, bias), halves.samples

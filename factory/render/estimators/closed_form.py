@@ -295,6 +295,22 @@ def combine_with_expectation(measured: Estimate, expected: Estimate) -> Estimate
     return Estimate(max(error, 0.0), math.sqrt(weight) * measured.standard_error)
 
 
+def error_with_more_samples(
+    known: Estimate, expected: Estimate, samples: int, count: int
+) -> Estimate:
+    """Return an error as `count` samples of each half will show it, by what is known so far.
+
+    The best guess stays what it is, and its uncertainty falls.
+
+    known     by `samples` and by what was expected (`combine_with_expectation`)
+    expected  before samples measured it: what they do not say
+    """
+    before = 1 / max(expected.standard_error, 1e-9) ** 2  # a precision, as what follows
+    seen = max(1 / max(known.standard_error, 1e-9) ** 2 - before, 0.0)
+    precision = before + seen * (count / samples) ** 2
+    return Estimate(known.error, 1 / math.sqrt(precision))
+
+
 def is_surely_above(estimate: Estimate, error: float) -> bool:
     """Whether an estimate is above the limit beyond doubt, whatever more samples would say."""
     return estimate.error - CONFIDENCE * estimate.standard_error > error

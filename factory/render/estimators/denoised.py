@@ -16,12 +16,14 @@ from collections.abc import Sequence
 
 from factory.render.estimators import blends
 from factory.render.estimators.blends import Blend
+from factory.render.estimators.lost_detail import Effect
 from factory.render.estimators.renderer import STANDARD, effort
 from manifests.schema import Estimator, Tier
 
 NAME: Estimator = "denoised"
 SCALE, POWER = 2.8, 0.58
 SIZE = 0.47
+DETAIL = Effect(bias=0.3, noise=0.22)  # medians of 24 shots of 64²
 WITH_NOISE = 1.45  # error of denoised halves' mean, over its bias: the rest is their own noise
 CAUTION = 1.4  # times the samples that the law asks for after a try that failed
 MOST_SAMPLES = 1 << 20  # more never help
@@ -68,6 +70,7 @@ def predict_error(
     limit: float,
     power: float = POWER,
     shares: Sequence[float] = blends.SHARES,
+    detail: Effect = DETAIL,
 ) -> float:
     """Return the error of the best blend whose bias a limit allows, or of the best of all.
 
@@ -75,8 +78,9 @@ def predict_error(
     samples  of each half
     power    of the law
     shares   of the noisy picture that are tried
+    detail   what putting it back does
     """
-    known = blends_of(noise, scale, samples, power, shares)
+    known = blends_of(noise, scale, samples, power, shares, detail)
     allowed = [error for error, bias in known if bias <= blends.MOST_BIAS * limit]
     return min(allowed or [error for error, _ in known])
 
@@ -104,10 +108,8 @@ def blends_of(
     samples: int,
     power: float = POWER,
     shares: Sequence[float] = blends.SHARES,
+    detail: Effect = DETAIL,
 ) -> list[tuple[float, float]]:
     """Return error and squared bias of each blend of so many samples of each half, by the law."""
     bias = scale * noise**power * effort(samples).leaves
-    return [
-        ((1 - share) ** 2 * bias * WITH_NOISE + share**2 * noise, (1 - share) ** 2 * bias)
-        for share in shares
-    ]
+    return blends.predict_blends(bias, noise, WITH_NOISE, detail, shares)

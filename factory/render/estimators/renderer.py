@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from manifests.schema import Tier
 
 
+NORMAL = slice(3, 6)  # of guides
+
+
 class Portion(NamedTuple):
     """Samples first … first + count − 1 of one seed's sequence, or the mean of several such.
 

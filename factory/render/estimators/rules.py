@@ -11,6 +11,7 @@ from factory.render.estimators import (
     closed_form,
     denoised,
     halves,
+    lost_detail,
     path_tracing,
     plans,
     ratio,
@@ -18,7 +19,7 @@ from factory.render.estimators import (
 )
 from factory.render.estimators.renderer import EFFORTS, STANDARD
 
-VERSION = 21  # a change makes new pictures
+VERSION = 22  # a change makes new pictures
 
 
 def identity() -> list[object]:
@@ -57,6 +58,8 @@ def identity() -> list[object]:
         [shadow_rays.GROUPS, sorted(shadow_rays.RAYS.items())],
         [rays.MARGIN, rays.GRAZING, rays.STEPS, rays.ROWS],
         [blends.SHARES, blends.MOST_BIAS, blends.DOUBT],
+        [lost_detail.SPREAD, lost_detail.RADIUS, lost_detail.NORMALS, lost_detail.VALUES],
+        [lost_detail.POWER, denoised.DETAIL, ratio.DETAIL, shadow_rays.DETAIL],
         [closed_form.NAME, closed_form.LEANING, closed_form.MAPS, closed_form.WIDE_MAPS],
         [closed_form.EACH_POINT, closed_form.POINTS, closed_form.MOST_POINTS],
         [closed_form.ENOUGH],

@@ -26,6 +26,7 @@ import numpy as np
 from factory.render.estimators import blends, closed_form, denoised
 from factory.render.estimators.blends import Blend
 from factory.render.estimators.halves import Estimate, half_seed, mean_over
+from factory.render.estimators.lost_detail import Effect
 from factory.render.estimators.renderer import STANDARD, DirectPicture, Share, Shown, effort
 from manifests.schema import Estimator
 from shaders import tone
@@ -53,6 +54,7 @@ GOAL = 0.7  # of the noise that is enough, which a round is planned for
 SPREAD, DOUBT = 0.6, {False: 0.1, True: 0.15}
 # of the law of `denoised`, of indirect light; the squared bias is at most MOST_LOST of its energy
 SCALE, POWER, MOST_LOST = 1.75, 0.45, 0.3
+DETAIL = Effect(bias=0.5, noise=0.05)  # on three shots of 256², where indirect light matters
 SHARES = blends.UP_TO_ALL  # of noisy indirect light
 LITTLE = 0.2  # of the limit: noise of indirect light that is left as it is
 MOST_TRIES = 6
@@ -108,7 +110,7 @@ def predict_error(noise: float, scale: float, samples: int, limit: float, known:
     noise  of indirect light, of so many samples of each half
     known  what shadowed direct light is off by
     """
-    return known.error + denoised.predict_error(noise, scale, samples, limit, POWER, SHARES)
+    return known.error + denoised.predict_error(noise, scale, samples, limit, POWER, SHARES, DETAIL)
 
 
 def needed_samples(
@@ -137,7 +139,7 @@ def needed_samples(
         now = noise * samples / count
         law = scale * now**POWER * effort(count).leaves
         capped = scale * min(1.0, MOST_LOST * energy / max(law, 1e-9))
-        for error, bias in denoised.blends_of(now, capped, count, POWER, SHARES):
+        for error, bias in denoised.blends_of(now, capped, count, POWER, SHARES, DETAIL):
             if error <= left and bias <= most_bias:
                 return count
         count = math.ceil(1.1 * count)
