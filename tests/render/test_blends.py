@@ -101,16 +101,17 @@ def bias_of_pictures(bias, limit):
 
 
 def test_bias_is_at_most_a_third_of_the_limit(monkeypatch):
-    for bias, limit in ((0.05, 60.0), (0.03, 24.0)):
+    for bias, limit in ((0.07, 60.0), (0.03, 24.0)):
         share, pairs = bias_of_pictures(bias, limit)
         assert share < 1 / 3 and pairs >= 8
     with monkeypatch.context() as patch:  # what is chosen for its estimate is worse
         patch.setattr(blends, "DOUBT", 0.0)
-        assert bias_of_pictures(0.05, 60.0)[0] > 1 / 3
+        assert bias_of_pictures(0.07, 60.0)[0] > 1 / 3
     monkeypatch.setattr(blends, "SHARES", (0.0,))
     monkeypatch.setattr(blends, "MOST_BIAS", 1.0)
+    monkeypatch.setattr(blends, "_put_back_detail", lambda halves, smooth, *_: smooth)
     share, pairs = bias_of_pictures(0.05, 60.0)
-    assert share > 0.4 and pairs >= 8  # without blends it was more
+    assert share > 0.4 and pairs >= 8  # without blends and detail it was more
 
 
 def _make_vague(known):

@@ -178,13 +178,15 @@ def test_the_models_ask_for_the_samples_that_they_say_suffice():
     assert m < 40 and error[0] <= 10 < error[1]
 
 
-def test_the_denoisers_law_counts_the_bias_that_a_limit_allows():
+def test_the_denoisers_law_counts_the_bias_that_a_limit_allows(monkeypatch):
     scale = denoised.expected_scale(64 * 64)
     m = denoised.needed_samples(100.0, 4, scale, 10.0)
     bias = scale * (100.0 * 4 / m) ** denoised.POWER
-    assert bias * (1 - max(blends.SHARES)) ** 2 <= blends.MOST_BIAS * 10
+    left = denoised.DETAIL.bias * bias
+    assert left * (1 - max(blends.SHARES)) ** 2 <= blends.MOST_BIAS * 10
     # noise that the largest share would allow, with a bias that it does not
-    noisy, biased = 20.0, 60.0
+    noisy, biased = 20.0, 100.0
+    monkeypatch.setattr(blends, "MOST_BIAS", 1 / 6)
     assert denoised.predict_error(noisy, biased / noisy**denoised.POWER, 4, 25.0) <= 25
     assert denoised.needed_samples(noisy, 4, biased / noisy**denoised.POWER, 25.0) > 4
 
