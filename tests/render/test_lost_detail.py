@@ -76,6 +76,20 @@ def test_nothing_is_put_back_across_a_crease():
     assert np.abs(put_back(even, lacking) - lacking)[MASK].max() > 0.01
 
 
+def test_what_is_far_from_the_smoothed_picture_is_not_put_back():
+    """There, the display curve's slope at the smoothed picture does not show the error."""
+    smooth, noisy = np.full((SIZE, SIZE, 3), 0.4, np.float32), np.zeros((SIZE, SIZE, 3), np.float32)
+    restored = put_back(smooth, noisy)
+    np.testing.assert_allclose(restored[MASK], 0.2)
+    np.testing.assert_allclose(put_back(smooth, 9 * smooth)[MASK], 0.8)
+    overexposed = np.zeros_like(MASK)
+    overexposed[SIZE // 2] = True
+    slope = np.where(overexposed[..., None], np.float32(0), SLOPE)
+    kept = lost_detail.put_back(smooth, noisy, FACING, slope, MASK)
+    np.testing.assert_array_equal(kept[overexposed], smooth[overexposed])
+    np.testing.assert_array_equal(kept[MASK & ~overexposed], restored[MASK & ~overexposed])
+
+
 class Edges(Known):
     """A renderer whose denoiser blurs an edge of light."""
 

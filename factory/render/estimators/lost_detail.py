@@ -24,6 +24,9 @@ VALUES = 15.0  # the same by the difference of smoothed values, in grey levels
 # a weight is (1 − d²/(2 · POWER))^POWER, d² the squared distance in these units: nearly e^(−d²/2),
 # but 0 beyond a distance, and the same on every machine
 POWER = 4
+# times the smoothed picture. Errors are known by the display curve's slope at the smoothed picture,
+# which says nothing of what is far from it
+LEAST, MOST = 0.5, 2.0
 
 
 class Effect(NamedTuple):
@@ -49,17 +52,20 @@ def put_back(
     smooth, noisy  radiance (height, width, 3), the noisy one of the same samples
     normals        (height, width, 3) as guides have them: means over each pixel
     slope          (height, width, 3) of the display curve, in grey levels per unit of radiance
-    mask           (height, width) bool, the pixels that change
+    mask           (height, width) bool, the pixels that may change. Where the slope is 0, because
+                   the smoothed picture is overexposed, they stay as they are
     """
     # and numba, which takes half a second
     from factory.render.estimators.similar_pixels import average_similar
 
+    mask = mask & (slope > 0).all(-1)
     features = np.concatenate([normals / NORMALS, smooth * slope / VALUES], axis=-1)
     distances = np.arange(RADIUS + 1)
-    return smooth + average_similar(
+    detail = average_similar(
         np.ascontiguousarray(noisy - smooth, np.float32),
         np.ascontiguousarray(features, np.float32),
         np.ascontiguousarray(mask),
         np.exp(-0.5 * (distances / SPREAD) ** 2).astype(np.float32),
         POWER,
     )
+    return np.clip(smooth + detail, np.float32(LEAST) * smooth, np.float32(MOST) * smooth)
