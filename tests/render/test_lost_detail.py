@@ -166,12 +166,15 @@ def test_a_vague_measurement_of_direct_light_does_not_rule_shadow_rays_out(monke
 
 
 def test_the_measurement_finds_what_detail_is_worth():
-    rows = detail_put_back.measure_shot(shown(Edges(0.6)), 4096)
+    known = Edges(0.6)
+    rows = detail_put_back.measure_shot(shown(known), 4096)
     by_samples = {row["samples"]: row for row in rows if row["estimator"] == "denoised"}
     assert set(by_samples) == set(detail_put_back.SAMPLES)
     many = by_samples[128]
     assert many["with"]["squared_bias"] < 0.6 * many["without"]["squared_bias"]
     assert many["with"]["least_limit"] < 0.9 * many["without"]["least_limit"]
+    seeds = {seed for _, _, seed in known.requested}
+    assert len(seeds) == 4  # the reference has none of the picture's samples
     # what is left of the noise by the denoiser is a fifth of its amplitude
     own = many["without"]["error"] - many["without"]["squared_bias"]
     assert own == pytest.approx(0.04 * many["noise"], rel=0.1)

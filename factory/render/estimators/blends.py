@@ -6,8 +6,8 @@ rest's share, and adds noise with the square of its own. All of it is known from
 error of a blend from its comparison with the other half, and the spread of both blends, which is
 noise, taken from it is the bias.
 
-A smoothed picture is tried with lost detail put back as well (factory.render.estimators
-.lost_detail), which has less bias and more noise.
+A smoothed picture is tried with lost detail put back as well, which has less bias and more noise
+(factory.render.estimators.lost_detail).
 
 pair   pictures of both halves, (height, width, 3) each
 bias   squared, in display values as errors are, mean over the mask
