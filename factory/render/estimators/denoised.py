@@ -23,7 +23,7 @@ from manifests.schema import Estimator, Tier
 NAME: Estimator = "denoised"
 SCALE, POWER = 2.8, 0.58
 SIZE = 0.47
-# medians of 24 shots of 64², before lost_detail.LEAST and MOST; with them it is 0.4 and 0.09
+# medians of 24 shots of 64², before lost_detail.LEAST and MOST; with them it is 0.46 and 0.09
 DETAIL = Effect(bias=0.3, noise=0.22)
 WITH_NOISE = 1.45  # error of denoised halves' mean, over its bias: the rest is their own noise
 CAUTION = 1.4  # times the samples that the law asks for after a try that failed

@@ -5,7 +5,7 @@ what      smoothed picture + mean of (noisy − smoothed) over the similar pixel
           what statistics calls twicing (Tukey, Exploratory Data Analysis, 1977), with a filter
           that does not mix pixels across edges (Tomasi and Manduchi 1998)
 similar   pixels at most `RADIUS` away whose normals and smoothed display values differ by little
-bias      a third to six tenths of the denoiser's squared bias are left
+bias      two fifths to two thirds of the denoiser's squared bias are left
 noise     about a tenth of the noisy picture's error is added, so that it does not always pay:
           factory.render.estimators.blends takes it where the halves show less error with it
 measured  docs/log/rendering.md, "What a denoiser takes away"

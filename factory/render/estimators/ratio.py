@@ -29,7 +29,7 @@ DARK = 1e-6  # radiance by which nothing is divided
 # squared bias: scale · noise^POWER, where noise is the error of the unbiased pictures. The scale is
 # SCALE by the size of the frame (denoised.size_factor) until the first try has measured it
 SCALE, POWER = 1.5, 0.55
-# medians of 24 shots of 64², before lost_detail.LEAST and MOST; with them it is 0.6 and 0.09
+# medians of 24 shots of 64², before lost_detail.LEAST and MOST; with them it is 0.62 and 0.09
 DETAIL = Effect(bias=0.5, noise=0.2)
 WITH_NOISE = 1.2  # error of the mean of both halves, over its bias
 UNCERTAINTY = 0.25  # of the estimate, in units of itself
