@@ -8,11 +8,11 @@ pictures     of SAMPLES of each half: denoised, by the ratio, and by shadow rays
              indirect light is denoised. The latter's direct light is taken from the reference
 reference    two pictures of `--reference` samples with other seeds. The product of what a picture
              is off by each of them has no noise of theirs
-errors       by the display curve's slope at the reference. Overexposed pixels, where it is 0, do not
-             count; `error_target check` compares display values, in which they do
+errors       by the display curve's slope at the reference. Overexposed pixels, where it is 0, do
+             not count; `error_target check` compares display values, in which they do
 least limit  that a blend keeps, on its error and on a third of it for its squared bias. It is the
-             least of all blends by the reference, with lost detail put back and without. The program
-             has to choose by the halves
+             least of all blends by the reference, with lost detail put back and without. The
+             program has to choose by the halves
 """
 
 from __future__ import annotations
